@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <map>
 #include <numeric>
 #include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "alula/base/parallel.hpp"
@@ -17,6 +19,7 @@ __extension__ using Wide = __int128;
 using Position = std::array<std::int32_t, 3>;
 
 constexpr std::uint64_t kLongest = (1 << 15) - 1;  // largest |n_i| of an outer polytope
+constexpr double kMostPairs = 0x1p32;              // of a plane and a vertex or member: about ten seconds
 
 Position row(std::span<const std::int32_t> rows, std::size_t i) {
   return {rows[3 * i], rows[3 * i + 1], rows[3 * i + 2]};
@@ -50,10 +53,33 @@ bool fits_64_bits(std::span<const HalfSpace> planes, std::span<const Position> p
   return normal < (std::uint64_t{1} << 60) / position && offset < std::uint64_t{1} << 60;
 }
 
+// Throws when more pairs of a plane and a vertex or member are to be tested than in any cover of a scene.
+class PairBudget {
+ public:
+  void spend(std::size_t planes, std::size_t points) {
+    if ((spent_ += static_cast<double>(planes) * static_cast<double>(points)) > kMostPairs)
+      throw std::overflow_error("a hull has " + std::to_string(planes) + " half-planes and " +
+                                std::to_string(points) +
+                                " vertices or extreme members, more than this check has time for");
+  }
+  // Whether the hulls so far leave as many.
+  bool leaves(std::size_t planes, std::size_t points) const {
+    return spent_ + static_cast<double>(planes) * static_cast<double>(points) <= kMostPairs;
+  }
+
+ private:
+  std::atomic<double> spent_{0};
+};
+
 class HullCheck {
  public:
-  HullCheck(const CoverView& cover, std::size_t hull, std::vector<Violation>& found)
-      : hull_(static_cast<std::int64_t>(hull)), is_outer_(cover.is_outer), found_(found) {
+  HullCheck(const CoverView& cover, std::size_t hull, std::vector<Violation>& found, PairBudget& budget,
+            const Stop& stop)
+      : hull_(static_cast<std::int64_t>(hull)),
+        is_outer_(cover.is_outer),
+        found_(found),
+        budget_(budget),
+        stop_(stop) {
     first_vertex_ = cover.vertex_start[hull], first_plane_ = cover.plane_start[hull];
     first_member_ = cover.member_start[hull];
     for (std::int64_t i = first_vertex_; i < cover.vertex_start[hull + 1]; ++i)
@@ -72,6 +98,7 @@ class HullCheck {
       report(Fault::kEmptyHull, -1);
       return;
     }
+    budget_.spend(plane_.size(), vertex_.size());
     check_order();
     is_outer_ ? check_supports() : check_facets();
     check_members();
@@ -95,6 +122,7 @@ class HullCheck {
   void check_supports() {
     std::array<bool, 6> is_found{};
     for (std::size_t p = 0; p < plane_.size(); ++p) {
+      stop_.check();
       const HalfSpace& plane = plane_[p];
       const std::int64_t at = first_plane_ + static_cast<std::int64_t>(p);
       std::size_t farthest = 0;
@@ -119,6 +147,7 @@ class HullCheck {
     std::vector<bool> is_corner(vertex_.size(), false);
     std::vector<std::size_t> on;
     for (std::size_t p = 0; p < plane_.size(); ++p) {
+      stop_.check();
       on.clear();
       bool has_below = false, has_outside = false;
       for (std::size_t v = 0; v < vertex_.size(); ++v) {
@@ -174,28 +203,74 @@ class HullCheck {
     return chain;
   }
 
+  // Members are inside when the extreme ones are, because hulls are convex; all are tested only to name the faults.
   void check_members() {
-    if (fits_64_bits(plane_, member_)) {
-      for (std::size_t m = 0; m < member_.size(); ++m) {
-        const Position& v = member_[m];
-        for (std::size_t p = 0; p < plane_.size(); ++p) {
-          const HalfSpace& h = plane_[p];
-          const std::int64_t far = h.x * (v[0] + std::int64_t{h.x > 0}) + h.y * (v[1] + std::int64_t{h.y > 0}) +
-                                   h.z * (v[2] + std::int64_t{h.z > 0});
-          if (far <= h.offset) continue;
-          report_member(m, p);
-          break;
-        }
-      }
-    } else {
-      for (std::size_t m = 0; m < member_.size(); ++m) {
-        const auto crossed = std::find_if(plane_.begin(), plane_.end(),
-                                          [&](const HalfSpace& h) { return h.voxel_excess(member_[m]) > 0; });
-        if (crossed != plane_.end()) report_member(m, static_cast<std::size_t>(crossed - plane_.begin()));
-      }
-    }
+    const bool is_narrow = fits_64_bits(plane_, member_);
     std::vector<Position> sorted = member_;
     if (!std::is_sorted(sorted.begin(), sorted.end())) std::sort(sorted.begin(), sorted.end());
+    const std::vector<Position> extreme = extremes(sorted);
+    budget_.spend(plane_.size(), extreme.size());
+    for (std::size_t i = 0; i < extreme.size(); ++i) {
+      if (i % 64 == 0) stop_.check();
+      if (first_crossed(extreme[i], is_narrow) == plane_.size()) continue;
+      name_members(extreme[i], is_narrow);
+      break;
+    }
+    check_corners(sorted);
+  }
+
+  // The first plane that a voxel crosses; the number of planes when there is none.
+  std::size_t first_crossed(const Position& v, bool is_narrow) const {
+    std::size_t p = 0;
+    if (is_narrow) {
+      for (; p < plane_.size(); ++p) {
+        const HalfSpace& h = plane_[p];
+        const std::int64_t far = h.x * (v[0] + std::int64_t{h.x > 0}) + h.y * (v[1] + std::int64_t{h.y > 0}) +
+                                 h.z * (v[2] + std::int64_t{h.z > 0});
+        if (far > h.offset) break;
+      }
+    } else {
+      while (p < plane_.size() && plane_[p].voxel_excess(v) <= 0) ++p;
+    }
+    return p;
+  }
+
+  // Members that span the convex hull of all, which are sorted: of each column in z the two ends, and of the columns
+  // of equal x the convex chains of the upper and of the lower ends.
+  static std::vector<Position> extremes(const std::vector<Position>& sorted) {
+    std::vector<Position> result, upper, lower;
+    const auto keep = [](std::vector<Position>& chain, const Position& next, int sign) {
+      const auto is_idle = [&](const Position& a, const Position& b) {
+        return sign * ((Wide{b[1]} - a[1]) * (Wide{next[2]} - a[2]) - (Wide{b[2]} - a[2]) * (Wide{next[1]} - a[1])) >=
+               0;
+      };
+      while (chain.size() > 1 && is_idle(chain[chain.size() - 2], chain.back())) chain.pop_back();
+      chain.push_back(next);
+    };
+    for (std::size_t begin = 0, end = 0; begin < sorted.size(); begin = end) {
+      while (end < sorted.size() && sorted[end][0] == sorted[begin][0] && sorted[end][1] == sorted[begin][1]) ++end;
+      keep(lower, sorted[begin], -1);
+      keep(upper, sorted[end - 1], 1);
+      if (end < sorted.size() && sorted[end][0] == sorted[begin][0]) continue;
+      result.insert(result.end(), lower.begin(), lower.end());
+      result.insert(result.end(), upper.begin(), upper.end());
+      lower.clear(), upper.clear();
+    }
+    return result;
+  }
+
+  // Names the members that are outside, or the one that is known to be if there are too many to test.
+  void name_members(const Position& outside, bool is_narrow) {
+    const bool is_affordable = budget_.leaves(plane_.size(), member_.size());
+    if (is_affordable) budget_.spend(plane_.size(), member_.size());
+    for (std::size_t m = 0; m < member_.size(); ++m) {
+      if (m % 64 == 0) stop_.check();
+      if (!is_affordable && member_[m] != outside) continue;
+      if (const std::size_t p = first_crossed(member_[m], is_narrow); p < plane_.size()) report_member(m, p);
+    }
+  }
+
+  void check_corners(const std::vector<Position>& sorted) {
     for (std::size_t i = 0; i < vertex_.size(); ++i) {
       bool is_held = false;
       for (int corner = 0; corner < 8 && !is_held; ++corner) {
@@ -221,6 +296,8 @@ class HullCheck {
   bool is_outer_;
   std::int64_t first_vertex_ = 0, first_plane_ = 0, first_member_ = 0;
   std::vector<Violation>& found_;
+  PairBudget& budget_;
+  const Stop& stop_;
   std::vector<Position> vertex_, member_;
   std::vector<HalfSpace> plane_;
 };
@@ -248,8 +325,9 @@ std::vector<Violation> check_hulls(const CoverView& cover, unsigned jobs, Contro
   require_partitions(cover);
   const std::size_t hulls = cover.vertex_start.size() - 1;
   std::vector<std::vector<Violation>> found(hulls);
-  parallel_chunks(hulls, 1, jobs, control, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t h = begin; h < end; ++h) HullCheck(cover, h, found[h]).run();
+  PairBudget budget;
+  parallel_chunks(hulls, 1, jobs, control, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+    for (std::size_t h = begin; h < end; ++h) HullCheck(cover, h, found[h], budget, stop).run();
   });
   std::vector<Violation> all;
   for (const auto& of_hull : found) all.insert(all.end(), of_hull.begin(), of_hull.end());
@@ -270,7 +348,7 @@ std::vector<Violation> check_occupied(std::span<const std::int32_t> member_index
   auto entries = [](std::span<const std::int32_t> rows) {
     std::vector<Entry> result(rows.size() / 3);
     for (std::size_t i = 0; i < result.size(); ++i) result[i] = {row(rows, i), static_cast<std::int64_t>(i)};
-    std::sort(result.begin(), result.end());
+    if (!std::is_sorted(result.begin(), result.end())) std::sort(result.begin(), result.end());
     return result;
   };
   const std::vector<Entry> member = entries(member_index), voxel = entries(occupied);

@@ -5,8 +5,12 @@
 #include <bit>
 #include <cmath>
 #include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
 
 #include "alula/base/parallel.hpp"
+#include "alula/cover/voxelize.hpp"
 
 namespace alula {
 
@@ -205,8 +209,6 @@ class Search {
     return clipped_block(lower, upper, range);
   }
 
-  double least_voxels() const { return set_.least_voxels(g_); }
-
   bool separated(const Block& block, bool single) {
     Vec3 lower, upper;
     bool around = true;
@@ -259,9 +261,11 @@ bool shrink_to_missing(const VoxelSet::Bits& present, Block& block) {
 template <class Touched>
 class Visitor {
  public:
-  Visitor(const VoxelSet& set, Search& search, Touched touched) : set_(set), search_(search), touched_(touched) {}
+  Visitor(const VoxelSet& set, Search& search, const Stop& stop, Touched touched)
+      : set_(set), search_(search), stop_(stop), touched_(touched) {}
 
   void visit(Block block) {
+    stop_.check();
     const auto [axis, cut] = brick_cut(block);
     if (axis == 3) {
       static constexpr VoxelSet::Bits kNothing{};
@@ -317,7 +321,28 @@ class Visitor {
 
   const VoxelSet& set_;
   Search& search_;
+  const Stop& stop_;
   Touched touched_;
+};
+
+// Limits of the touched voxels that the set lacks, counted once per ellipsoid: beyond, the set belongs to other
+// ellipsoids. Fewer than `min_overlap` ellipsoids may touch a voxel that is missing rightly.
+class MissingBudget {
+ public:
+  static constexpr std::size_t kWrong = std::size_t{1} << 25;  // a few seconds; more would find nothing new
+
+  explicit MissingBudget(std::uint32_t min_overlap)
+      : most_(kWrong + (min_overlap - 1) * std::size_t{4} * OverlapGrid::kMaxVoxels) {}
+
+  void add(std::size_t touched) {
+    if ((found_ += touched) > most_)
+      throw std::overflow_error("the ellipsoids touch more than " + std::to_string(most_) +
+                                " times a voxel that is not there");
+  }
+
+ private:
+  std::size_t most_;
+  std::atomic<std::size_t> found_{0};
 };
 
 constexpr std::size_t kSearchedShare = 980;  // of the progress; few voxels remain to be assigned an ellipsoid
@@ -335,8 +360,9 @@ std::vector<std::int64_t> first_touching(const Splats& splats, const Level& leve
       listed.upper[a] = std::max(listed.upper[a], double(voxel[3 * v + a]));
     }
   }
-  parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end, const Stop& stop) {
     for (std::size_t i = begin; i < end; ++i) {
+      stop.check();
       Search search(splats, i, level, g);
       const Block bounds = search.bounds(listed);
       if (bounds.empty()) continue;
@@ -361,19 +387,30 @@ Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_
                          Control& control) {
   check_splats(splats, level, voxel_size);
   const CropRange range = crop_range(crop, voxel_size);
+  check_each_budget(splats, level, voxel_size, range);
+  InterruptOnly unreported(control);
+  // A larger set may have been made tile by tile, and voxels that fewer ellipsoids touch may be missing.
+  if (min_overlap <= 1 && index.size() / 3 <= OverlapGrid::kMaxBricks)
+    check_budgets(splats, level, voxel_size, range, jobs, unreported);
   const VoxelSet set(index);
   OverlapGrid grid;
+  MissingBudget missing_budget(std::max(min_overlap, 1u));
   Share searching(control, 0, kSearchedShare), naming(control, kSearchedShare, Share::kWhole);
-  parallel_chunks(splats.size(), 1024, jobs, searching, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(splats.size(), 1024, jobs, searching, [&](std::size_t begin, std::size_t end, const Stop& stop) {
     OverlapGrid::Writer writer(grid);
+    std::size_t pending = 0;  // not yet in the budget, so that threads rarely meet there
+    const auto touched = [&](const Index3& v) {
+      writer.add({v[0], v[1], v[2], v[2]});
+      if (++pending == 4096) missing_budget.add(std::exchange(pending, 0));
+    };
     for (std::size_t i = begin; i < end; ++i) {
+      stop.check();
       Search search(splats, i, level, voxel_size);
       const Block block = search.bounds(range);
       if (block.empty()) continue;
-      if (!crop) check_voxel_budget(search.least_voxels());
-      const auto touched = [&](const Index3& v) { writer.add({v[0], v[1], v[2], v[2]}); };
-      Visitor(set, search, touched).visit(block);
+      Visitor(set, search, stop, touched).visit(block);
     }
+    missing_budget.add(pending);
     writer.finish();
   });
   InterruptOnly quiet(naming);

@@ -16,7 +16,8 @@ using geometry::Solid;
 using geometry::Vec3;
 
 constexpr double kUnit = 0x1p-53;
-constexpr std::size_t kParts = 512;  // target number of boxes that threads process
+constexpr std::size_t kParts = 512;   // target number of boxes that threads process
+constexpr std::size_t kLookups = 64;  // looks at a plane of a box that take about as long as a cut
 
 // A polytope that reaches into a box, with the planes that cut the box: plane[begin .. end).
 struct Reach {
@@ -126,6 +127,8 @@ class Measurer {
 
   // Adds the contribution of a box that only these polytopes reach into.
   void measure(Part& part, std::size_t depth = 0) {
+    lookups_ += part.plane.size() + part.reach.size();
+    result.is_complete = result.is_complete && lookups_ / kLookups <= options_.cuts_per_part;
     if (!result.is_complete) return;
     const Kind kind = reduce(part);
     if (kind == Kind::kEmpty) return;
@@ -258,6 +261,7 @@ class Measurer {
   MeasureOptions options_;
   double extent_, tolerance_, box_area_ = 0;
   double terms_ = 0;
+  std::size_t lookups_ = 0;
   std::deque<Part> part_;
   std::deque<Solid> solid_;
   std::vector<Reach> reach_;

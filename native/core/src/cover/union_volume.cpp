@@ -10,6 +10,7 @@ namespace alula {
 namespace {
 
 constexpr std::size_t kCuttingShare = 900;  // of the progress; lines follow only where cutting exceeds its budget
+constexpr double kManyPlanes = 1000;        // lines of hulls with more half-planes count as several
 // Lines exactly through the middle would lie in diagonal planes of the lattice, and count as inside.
 constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
@@ -61,15 +62,20 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
                      const std::vector<LatticeBox>& box, double most_lines, unsigned jobs, Control& control) {
   LatticeBox all = LatticeBox::empty();
   std::vector<ZBounds> shape(hulls.size());
-  double area = 0;
+  double area = 0, rows = 0;
   for (std::size_t h = 0; h < hulls.size(); ++h) {
     shape[h].assign(hulls[h], box[h]);
     all.add(box[h]);
-    area += (static_cast<double>(box[h].upper[0]) - box[h].lower[0]) * (box[h].upper[1] - box[h].lower[1]);
+    const double row = static_cast<double>(box[h].upper[0]) - box[h].lower[0];
+    rows += row;
+    area += row * (static_cast<double>(box[h].upper[1]) - box[h].lower[1]) *
+            std::max(1.0, static_cast<double>(hulls[h].plane.size()) / kManyPlanes);
   }
   UnionVolume result{0, 0, 4, 1};
   while (result.lines > 1 && area * result.lines * result.lines > most_lines) result.lines /= 2;
-  while (area / (static_cast<double>(result.stride) * result.stride) > most_lines) ++result.stride;
+  while (area / (static_cast<double>(result.stride) * result.stride) > most_lines ||
+         rows / result.stride > most_lines)
+    ++result.stride;
 
   // Sampled columns have x = all.lower + offset + stride * i; likewise y.
   const std::int32_t stride = result.stride, lines = result.lines, offset = stride / 2;

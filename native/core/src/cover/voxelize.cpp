@@ -52,30 +52,30 @@ struct Boxed {
     return within;
   }
 
-  double voxels() const { return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1); }
-
   // Number of axes along which the box is one voxel thick. If two, the set touches every voxel of the box.
   int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
 };
 
 class Marker {
  public:
-  Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range)
-      : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range) {}
+  Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range, const Stop& stop)
+      : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range), stop_(stop) {}
 
   // Adds the voxels of one set within the range.
   Reach mark(const Bounds& set) {
+    stop_.check();
     const Boxed boxed(set, g_, inverse_g_);
     const Block block = boxed.clipped(range_);
     if (block.empty()) return Reach::kOutside;
     const bool whole = boxed.within(crop_);
-    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(set.least_voxels(g_));
     const int thin = boxed.thin();
     bool marked = true;
     if (thin >= 2) {
-      for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x)
+      for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
+        stop_.check();
         for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
           writer_.add({x, y, block.lower[2], block.upper[2]});
+      }
     } else {
       marked = thin == 1 ? plane(boxed, block) : columns(boxed, block);
     }
@@ -107,6 +107,7 @@ class Marker {
     bool marked = false;
     Index3 at = block.lower;
     for (at[i] = block.lower[i]; at[i] <= block.upper[i]; ++at[i]) {
+      stop_.check();
       const Span along = span(at[i], centre[i]);
       const Shadow::Chord chord = shadow.first(along), other = second ? second->first(along) : Shadow::Chord{};
       std::int32_t first = 0, last = -1;  // the touched voxels of a row are one run
@@ -165,6 +166,7 @@ class Marker {
     if (const Ellipsoid* e = worthwhile(set)) second.emplace(*this, *e, kPad * e->extent(g_), block, second_y_);
     bool marked = false;
     for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
+      stop_.check();
       runs.at(x);
       if (second) second->at(x);
       for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) {
@@ -183,12 +185,13 @@ class Marker {
   OverlapGrid::Writer writer_;
   double g_, inverse_g_;
   CropRange crop_, range_;
+  const Stop& stop_;
   std::vector<Surfaces::Edge> y_, second_y_;
   std::vector<std::pair<Shadow::Chord, Shadow::Chord>> chords_;
 };
 
 constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole, before voxels are listed
-constexpr std::size_t kChunk = 4096;       // ellipsoids between two polls of a thread
+constexpr std::size_t kChunk = 4096;       // ellipsoids that a thread takes at once
 
 std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a % b < 0); }
 
@@ -200,38 +203,11 @@ std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a %
 template <class Marked>
 void mark_all(const Splats& splats, const Level& level, double g, const CropRange& outer, const CropRange& range,
               OverlapGrid& grid, unsigned jobs, Control& control, Marked&& marked) {
-  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
-    Marker marker(grid, g, outer, range);
+  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+    Marker marker(grid, g, outer, range, stop);
     for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(bounds_of(splats, i, level)));
     marker.finish();
   });
-}
-
-// Throws early if the bricks would not fit in memory, from a coarse pass with voxels of four times the edge: a brick
-// holds two coarse voxels, and every touched one holds a touched voxel. The pass runs only if the boxes are so large
-// that the limit may be exceeded.
-void refuse_early(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
-                  Control& control) {
-  double boxes = 0;
-  const double per_scale = 2 * level.sigma / g, rest = 2 * level.inflation / g + 1;
-  for (std::size_t i = 0; i < splats.size(); ++i) {
-    const float* s = &splats.scale[3 * i];
-    boxes += (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
-  }
-  // Skipped where the coarse pass would cost as much; values that are not finite are rejected later.
-  const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
-  if (!std::isfinite(boxes) || boxes < worth) return;
-  CropRange coarse = range;
-  for (std::size_t a = 0; a < 3; ++a)
-    coarse.lower[a] = std::floor(range.lower[a] / 4), coarse.upper[a] = std::floor(range.upper[a] / 4);
-  refuse_early(splats, level, 4 * g, coarse, jobs, control);
-  OverlapGrid grid(OverlapGrid::kMaxVoxels, OverlapGrid::kMaxBricks / 4);
-  InterruptOnly quiet(control);
-  try {
-    mark_all(splats, level, 4 * g, coarse, coarse, grid, jobs, quiet, [](std::size_t, Reach) {});
-  } catch (const std::overflow_error&) {  // the count so far is a lower bound
-  }
-  check_brick_budget(grid.collect(std::numeric_limits<std::uint32_t>::max(), jobs, quiet).below / 2);
 }
 
 CropRange within_tile(CropRange range, const std::optional<Block>& tile) {
@@ -244,6 +220,46 @@ CropRange within_tile(CropRange range, const std::optional<Block>& tile) {
 
 }  // namespace
 
+namespace {
+
+// Edges, product over the axes, of a box around ellipsoid i [voxels].
+double rough_box(const Splats& splats, std::size_t i, const Level& level, double g) {
+  const Level grown = level_of(splats, i, level);
+  const double per_scale = 2 * grown.sigma / g, rest = 2 * grown.inflation / g + 1;
+  const float* s = &splats.scale[3 * i];
+  return (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
+}
+
+}  // namespace
+
+void check_each_budget(const Splats& splats, const Level& level, double g, const CropRange& range) {
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    if (rough_box(splats, i, level, g) < double(OverlapGrid::kMaxVoxels)) continue;
+    const Bounds set = bounds_of(splats, i, level);
+    if (Boxed(set, g, 1 / g).within(range)) check_voxel_budget(set.least_voxels(g));
+  }
+}
+
+void check_budgets(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
+                   Control& control) {
+  double boxes = 0;
+  for (std::size_t i = 0; i < splats.size(); ++i) boxes += rough_box(splats, i, level, g);
+  // Skipped where the coarse pass would cost as much; values that are not finite are rejected later.
+  const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
+  if (!std::isfinite(boxes) || boxes < worth) return;
+  CropRange coarse = range;
+  for (std::size_t a = 0; a < 3; ++a)
+    coarse.lower[a] = std::floor(range.lower[a] / 4), coarse.upper[a] = std::floor(range.upper[a] / 4);
+  check_budgets(splats, level, 4 * g, coarse, jobs, control);
+  OverlapGrid grid(OverlapGrid::kMaxVoxels, OverlapGrid::kMaxBricks / 4);
+  InterruptOnly quiet(control);
+  try {
+    mark_all(splats, level, 4 * g, coarse, coarse, grid, jobs, quiet, [](std::size_t, Reach) {});
+  } catch (const std::overflow_error&) {  // the count so far is a lower bound
+  }
+  check_brick_budget(grid.collect(std::numeric_limits<std::uint32_t>::max(), jobs, quiet).below / 2);
+}
+
 Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
                    const std::optional<Block>& tile, std::uint32_t min_overlap, unsigned jobs, Control& control) {
   check_splats(splats, level, voxel_size);
@@ -251,7 +267,8 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
   Voxelized out;
   out.reach.resize(splats.size());
   Share marking(control, 0, kMarkedShare), collecting(control, kMarkedShare, Share::kWhole);
-  refuse_early(splats, level, voxel_size, range, jobs, marking);
+  check_each_budget(splats, level, voxel_size, outer);
+  check_budgets(splats, level, voxel_size, range, jobs, marking);
   OverlapGrid grid;
   mark_all(splats, level, voxel_size, outer, range, grid, jobs, marking,
            [&](std::size_t i, Reach reach) { out.reach[i] = static_cast<std::uint8_t>(reach); });

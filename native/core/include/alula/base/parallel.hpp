@@ -23,7 +23,22 @@ inline unsigned resolve_jobs(unsigned jobs) {
   return jobs == 0 ? available : std::min(jobs, 256u);
 }
 
-// Calls body(begin, end) for chunks that partition [0, count). Chunks are the same for every
+// Tells a body that the loop has been stopped, by an interruption or by an exception of another thread.
+class Stop {
+ public:
+  explicit Stop(const std::atomic<bool>& flag) : flag_(flag) {}
+  // Throws, to leave the body, once the loop has been stopped; the loop rethrows the cause. Costs one load.
+  void check() const {
+    if (flag_.load(std::memory_order_relaxed)) throw Stopped{};
+  }
+
+ private:
+  struct Stopped {};
+  const std::atomic<bool>& flag_;
+};
+
+// Calls body(begin, end) or body(begin, end, stop) for chunks that partition [0, count). A body that may take longer
+// than about 0.1 s calls `stop.check()` at least that often. Chunks are the same for every
 // number of threads, so a body that writes only to slots of its own items (or its own chunk,
 // begin / chunk) gives bit-identical results. The calling thread waits and polls `control`;
 // an exception from a body or from `control` stops the remaining chunks and is rethrown.
@@ -35,6 +50,7 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Contro
   if (chunks == 0) return;
   std::atomic<std::size_t> next{0}, done{0};
   std::atomic<bool> stop{false};
+  const Stop stopper(stop);
   std::exception_ptr failure;
   std::mutex mutex;
   std::condition_variable finished;
@@ -43,7 +59,11 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Contro
   auto worker = [&] {
     try {
       for (std::size_t c = next++; c < chunks && !stop; c = next++) {
-        body(c * chunk, std::min(count, (c + 1) * chunk));
+        const std::size_t begin = c * chunk, end = std::min(count, begin + chunk);
+        if constexpr (std::is_invocable_v<Body&, std::size_t, std::size_t, const Stop&>)
+          body(begin, end, stopper);
+        else
+          body(begin, end);
         ++done;
       }
     } catch (...) {

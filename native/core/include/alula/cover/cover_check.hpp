@@ -67,8 +67,10 @@ struct CoverView {
 };
 
 // Returns the faults ordered by hull: for a plane only the first vertex outside, for a member only the first plane
-// that cuts it. Throws std::invalid_argument when the starts are no partition.
-// Time O(sum over hulls of (vertices + members) * planes).
+// that cuts it. Throws std::invalid_argument when the starts are no partition, and std::overflow_error beyond 2^32
+// pairs of a plane and a vertex or extreme member. Members are sorted; of the columns of equal x, those on the convex
+// hull are extreme, and as polytopes are convex, all members are inside when these are. Time O(sum over hulls of
+// (vertices + extreme members) * planes + members).
 std::vector<Violation> check_hulls(const CoverView& cover, unsigned jobs, Control& control);
 
 // Returns the faults kNotCovered and kNotOccupied of members (W, 3) against occupied voxels (M, 3), both in any

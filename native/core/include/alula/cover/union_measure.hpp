@@ -33,7 +33,7 @@ struct UnionMeasure {
 
 struct MeasureOptions {
   double sliver = 1e-9;                  // voxels that lack no more than this volume count as whole
-  std::size_t cuts_per_part = SIZE_MAX;  // limit of each of the up to 1023 parts
+  std::size_t cuts_per_part = SIZE_MAX;  // limit of each of the up to 1023 parts; 64 planes looked at count as one
 };
 
 // Space is halved into boxes until few polytopes reach into each box. There, starting with S as the box,

@@ -58,6 +58,16 @@ struct Voxelized {
 Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
                    const std::optional<Block>& tile, std::uint32_t min_overlap, unsigned jobs, Control& control);
 
+// The budgets of `voxelize`, which the proof in `separation.hpp` shares; a refusal proves nothing. Both throw
+// std::overflow_error before the work. The first: an ellipsoid within the range touches more than
+// OverlapGrid::kMaxVoxels.
+void check_each_budget(const Splats& splats, const Level& level, double g, const CropRange& range);
+// The second: the touched voxels within the range need more than OverlapGrid::kMaxBricks. Found by a coarse pass with
+// voxels of four times the edge: a brick holds two coarse voxels, and every touched one holds a touched voxel. The
+// pass runs only if the boxes are so large that the limit may be exceeded.
+void check_budgets(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
+                   Control& control);
+
 // Ellipsoids that may touch each tile {edge t ... edge t + edge - 1}^3 of voxels, by their boxes
 // within the crop. Tiles that no ellipsoid may touch are left out.
 struct Tiles {
