@@ -1,5 +1,5 @@
 """`python -m alula.cli` is `alula`."""
 
-from alula.cli.main import main
+from alula.cli.start import main
 
 main()

@@ -43,7 +43,7 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     """
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
-    from alula.schemas.atomic import atomic_output
+    from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError
     from alula.schemas.targets import TARGETS
     from alula.stages.compression.onboard.cost import require_fit, target_facts
@@ -69,8 +69,11 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
             current(header, provenance, force=common.force)
 
         def write() -> None:
-            with atomic_output(common.output) as file:
-                file.writelines(parts)
+            targets = [common.output] if config.target == "none" else [common.output, header]
+            with atomic_outputs(*targets) as files:
+                files[0].writelines(parts)
+                if len(files) > 1:
+                    files[1].write(_header_of(b"".join(parts), provenance))
 
         what = {"hulls": "plane_start", "gaussians": "mean"}
         counts: dict[str, Any] = {
@@ -94,17 +97,23 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         _write_header(common.output, header, force=common.force)
 
 
+def _header_of(raw: bytes, provenance: Provenance) -> bytes:
+    """Contents of the C header of a map's file."""
+    from alula.stages.compression.onboard.image import decode_map
+    from alula.stages.compression.onboard.layout import image_c_header
+
+    return b"".join(image_c_header(raw[: decode_map(raw).image_bytes], provenance))
+
+
 def _write_header(output: Path, header: Path, *, force: bool) -> None:
     """Write the C header of an existing map, unless the header is up to date."""
     from alula.cli.runner import current
     from alula.schemas.atomic import atomic_output
     from alula.schemas.provenance import read_provenance
-    from alula.stages.compression.onboard.image import decode_map
-    from alula.stages.compression.onboard.layout import image_c_header
 
-    raw, provenance = output.read_bytes(), read_provenance(output)
+    provenance = read_provenance(output)
     assert provenance is not None
-    wanted = b"".join(image_c_header(raw[: decode_map(raw).image_bytes], provenance))
+    wanted = _header_of(output.read_bytes(), provenance)
     if header.exists() and header.read_bytes() == wanted:
         return
     current(header, provenance, force=force)

@@ -19,6 +19,17 @@ class InterruptedWithAdvice(KeyboardInterrupt):
     """
 
 
+@contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Context for an import that replaces signal handlers: glog, in pycolmap, would print a stack and die."""
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 class Interruption:
     """Signal handler that raises KeyboardInterrupt where the program can handle it.
 

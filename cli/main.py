@@ -179,7 +179,8 @@ def _fail(message: str, code: ExitCode, words: list[str], *, answered: bool) -> 
         if "-vv" in options or options.count("-v") + options.count("--verbose") >= 2:
             import traceback
 
-            traceback.print_exc()
+            for text in traceback.format_exc().splitlines():
+                echo(text, err=True)
         echo(f"alula: {line}", err=True)
     with suppress(OSError):
         if "--json" in options and not answered:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,13 +149,13 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
 
 def _write_all(texts: dict[Path, str]) -> None:
     """Write files so that all or none appear; the first appears last because it is the Make target."""
-    from alula.schemas.atomic import atomic_output
+    from alula.schemas.atomic import atomic_outputs
 
-    with ExitStack() as stack:
-        for path, text in texts.items():
-            file = stack.enter_context(atomic_output(path))
+    if not texts:
+        return
+    with atomic_outputs(*texts) as files:
+        for file, text in zip(files, texts.values(), strict=True):
             file.write(text.encode())
-            file.flush()
 
 
 def _check_beside(markdown: Path, table: Path, inputs: dict[str, Path], common: Common) -> None:

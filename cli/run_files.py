@@ -43,13 +43,13 @@ def write_run(
 
     import msgspec
 
-    from alula.schemas.atomic import atomic_output
+    from alula.schemas.atomic import atomic_outputs
     from alula.schemas.run import record_path
 
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     timed = msgspec.structs.replace(record, timing=machine | dict(timing))
     text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
-    with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
+    with atomic_outputs(output, record_path(output)) as (log, beside):
         write_log(log)
         beside.write(text)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 
 from alula.cli import options, runner
 from alula.cli.alignment_table import show_alignment
+from alula.cli.interruption import handlers_kept
 from alula.cli.options import FINITE_FLOAT, PATH, POINT, Common
 from alula.cli.present import print_json
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
@@ -129,6 +131,9 @@ def command(
 
     config = dataclasses.replace(config, distances=distances)
     files = Files(**paths)
+    if files.colmap is not None or files.reference is not None:
+        with handlers_kept(), suppress(ImportError):  # the stages say that it is not installed
+            import pycolmap  # noqa: F401
     _check_evidence_options(config, files)
     for name, option, path, needed in (
         ("min_fitness", "--min-fitness", files.cloud, "--cloud"),

@@ -133,8 +133,11 @@ def command(
 
 def _is_map(path: Path) -> bool:
     """Test whether a file begins like an onboard map; the reader reports a file that cannot be read."""
+    from alula.schemas.files import is_special
     from alula.stages.compression.onboard.image import is_map
 
+    if is_special(path):
+        return False
     try:
         with path.open("rb") as file:
             return is_map(file.read(4))

@@ -27,6 +27,7 @@ from alula.schemas.atomic import atomic_output
 from alula.schemas.checks import check_arrays, check_shapes, present
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
+from alula.schemas.files import READ_AT_ONCE, check_no_stream
 from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
 
@@ -231,14 +232,17 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
-    """Map an artifact's arrays into memory and check them against the manifest and the kind's rules.
+    """Read an artifact's arrays and check them against the manifest and the kind's rules.
+
+    Arrays of more than `READ_AT_ONCE` bytes are mapped: if another program cuts their file while it is
+    in use, the operating system ends this one (SIGBUS).
 
     Args:
         path: the file.
         kind: the required kind; None for any.
 
     Returns:
-        The artifact; its arrays are read-only memory maps.
+        The artifact; its arrays are read-only.
 
     Raises:
         WrongKindError: the artifact is of another kind.
@@ -288,6 +292,7 @@ def _open_archive(path: Path) -> zipfile.ZipFile:
             raise InputError(f"{path}: is a folder, not an artifact")
         if not path.exists():
             raise InputError(f"{path}: does not exist")
+        check_no_stream(path)
         if path.stat().st_size == 0:
             raise ArtifactError(f"{path}: is empty")
         return zipfile.ZipFile(path)
@@ -374,4 +379,13 @@ def _map_member(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray[Any]
         raise DamagedError(f"{path}: truncated in member {name}")
     if size == 0:
         return np.empty(shape, dtype)
-    return np.memmap(path, dtype, "r", offset, shape)
+    if size > READ_AT_ONCE:
+        return np.memmap(path, dtype, "r", offset, shape)
+    try:
+        array = np.fromfile(path, dtype, size // dtype.itemsize, offset=offset)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if array.nbytes != size:
+        raise DamagedError(f"{path}: truncated in member {name}")
+    array.flags.writeable = False
+    return array.reshape(shape)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,28 +30,56 @@ def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
     Raises:
         OutputError: the file cannot be created, written or renamed.
     """
-    # The name is set before the file exists, so that an interruption always leaves it to be removed.
-    temporary: Path | None = path.parent / f".{path.name}.{secrets.token_hex(6)}.tmp"
+    with atomic_outputs(path, is_final=is_final) as (file,):
+        yield file
+
+
+@contextmanager
+def atomic_outputs(*paths: Path, is_final: bool = True) -> Iterator[list[BinaryIO]]:
+    """Context with a binary file for each path; all replace their paths when the block ends, or none does.
+
+    All files are on the disk before the first is renamed, so a full disk replaces none. They are renamed
+    from the last to the first: the first is the Make target.
+
+    Args:
+        paths: the files to write; not folders or devices.
+        is_final: as for `atomic_output`.
+
+    Raises:
+        OutputError: a file cannot be created, written or renamed.
+    """
+    temporary: dict[Path, Path] = {}
+    at = paths[0]
     try:
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder, not a file to write")
-        if is_special(path):
-            raise OutputError(f"{path}: is a device or a pipe; outputs are files")
-        assert temporary is not None
-        with temporary.open("x+b") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
+        with ExitStack() as stack:
+            files: list[BinaryIO] = []
+            for at in paths:
+                if at.is_dir():
+                    raise OutputError(f"{at}: is a folder, not a file to write")
+                if is_special(at):
+                    raise OutputError(f"{at}: is a device or a pipe; outputs are files")
+                # The name is kept before the file exists, so that an interruption leaves it to be removed.
+                temporary[at] = at.parent / f".{at.name}.{secrets.token_hex(6)}.tmp"
+                files.append(stack.enter_context(temporary[at].open("x+b")))
+            at = paths[0]
+            yield files
+            for i, file in enumerate(files):
+                at = paths[i]
+                file.flush()
+                os.fsync(file.fileno())
+                file.close()
         with appearing() if is_final else nullcontext():
-            temporary.replace(path)
-            temporary = None
-        _sync_folder(path.parent)
+            for at in reversed(paths):
+                temporary[at].replace(at)
+                del temporary[at]
+        for folder in {path.parent for path in paths}:
+            _sync_folder(folder)
     except OSError as error:
-        raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
+        raise OutputError(f"{at}: cannot write: {error.strerror or error}") from error
     finally:
-        if temporary is not None:
+        for left in temporary.values():
             with suppress(OSError):
-                temporary.unlink()
+                left.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from alula.schemas.errors import InputError
 
+READ_AT_ONCE = 2**26  # [B]; shorter files are read, longer ones mapped: another program may cut those
+
 
 def is_special(path: Path) -> bool:
     """Test whether a path is a device, a pipe or a socket, which can be neither replaced nor mapped.
@@ -30,6 +32,27 @@ def check_no_stream(path: Path) -> None:
         raise InputError(
             f"{path}: is a pipe or a device, not a file; write it to a file first (import-splat reads -)"
         )
+
+
+def read_small(path: Path, most_bytes: int) -> bytes:
+    """Read a file of limited length; never waits for the writer of a pipe.
+
+    Args:
+        path: the file.
+        most_bytes: longer files are refused.
+
+    Raises:
+        InputError: it is a folder, a device or a pipe, is too long, or cannot be read.
+    """
+    check_no_stream(path)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(most_bytes + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if len(raw) > most_bytes:
+        raise InputError(f"{path}: is longer than {most_bytes} bytes")
+    return raw
 
 
 def printable(name: str) -> str:

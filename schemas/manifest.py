@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from alula import __version__
+from alula.schemas import contents
 
 VERSION = "1.0"
 
@@ -26,6 +27,8 @@ Margin = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Level = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
+Vector = Annotated[list[Coordinate], msgspec.Meta(min_length=3, max_length=3)]
 Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
@@ -73,8 +76,8 @@ class Similarity(msgspec.Struct, frozen=True):
     """Similarity p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
 
     scale: Annotated[float, msgspec.Meta(gt=0)]
-    rotation: list[list[float]]
-    translation_m: list[float]
+    rotation: Annotated[list[Vector], msgspec.Meta(min_length=3, max_length=3)]
+    translation_m: Vector
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,9 +112,11 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     suggested_inflation_m: Margin = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a loss that older readers would ignore."""
+        """Refuse a loss that older readers would ignore, and entries of a wrong type."""
         if ("loss" in self.arrays) != (SPLAT_LOSS in self.requires):
             raise ValueError("the array `loss` and `requires` do not agree")
+        contents.check(self.source, contents.SceneSource, "source")
+        contents.check(self.alignment, contents.SceneAlignment, "alignment")
 
 
 class LevelManifest(Manifest, frozen=True, kw_only=True):
@@ -148,13 +153,14 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     hulls: their planes support the hull and include those of its bounding box; `requires` names this too.
     """
 
-    conservativeness: float
+    conservativeness: Margin
     certificate: dict[str, Any]
     polytopes: Literal["hull", "outer"] = "hull"
 
     def __post_init__(self) -> None:
-        """Refuse outer polytopes that older readers would use as hulls."""
+        """Refuse outer polytopes that older readers would use as hulls, and entries of a wrong type."""
         super().__post_init__()
+        contents.check(self.certificate, contents.CoverRecord, "certificate")
         if (self.polytopes == "outer") != (OUTER_POLYTOPES in self.requires):
             raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
 

@@ -9,10 +9,12 @@ from typing import Any, BinaryIO, Literal, Self
 
 import msgspec
 
+from alula.schemas import contents
+from alula.schemas.contents import FenceSummary, RunParameters, RunSummary
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream
-from alula.schemas.manifest import VERSION, Guarantee
+from alula.schemas.manifest import VERSION, Guarantee, Vector
 from alula.schemas.mcap_log import MAGIC, metadata
 from alula.schemas.provenance import RUN_METADATA, Provenance
 
@@ -146,8 +148,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     index: int
-    start_m: list[float]
-    goal_m: list[float]
+    start_m: Vector
+    goal_m: Vector
     outcome: Outcome
     collision: bool
     steps: int
@@ -298,7 +300,24 @@ def read_run(log: Path) -> RunRecord:
         record = decode_json(raw[0]["record"].encode(), RunRecord, most_values=MOST_RECORD_VALUES)
     except MalformedError as error:
         raise DamagedError(f"{log}: its summary is not valid ({error})") from error
+    try:
+        _check_record(record)
+    except ValueError as error:
+        raise DamagedError(f"{log}: its record is not valid ({error})") from error
     return msgspec.structs.replace(record, timing=_timing_beside(log))
+
+
+def _check_record(record: RunRecord) -> None:
+    """Check the values that readers of a record use.
+
+    Raises:
+        ValueError: a value is missing, of the wrong type or out of range.
+    """
+    is_fenced = any(trial.fence is not None for trial in record.trials)
+    contents.check(record.summary, FenceSummary if is_fenced else RunSummary, "summary")
+    contents.check(record.provenance.parameters, RunParameters, "parameters")
+    if wild := contents.first_wild(msgspec.to_builtins(record.trials), "trials"):
+        raise ValueError(f"`{wild}` is too large to be measured")
 
 
 def _timing_beside(log: Path) -> dict[str, Any] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import inverse
@@ -107,8 +107,8 @@ def _data_warnings(text: str) -> tuple[str, ...]:
 
 def _object(text: str, name: str) -> dict[str, Any]:
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        found: Any = decode_json(text.encode(), object)
+    except MalformedError as error:
         raise InputError(f"{name}: is not JSON ({error})") from error
     if not isinstance(found, dict):
         raise InputError(f"{name}: is no JSON object")

@@ -16,6 +16,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _XYZ = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
+LARGEST = 1e12  # coordinates beyond it overflow in the sums of squares of an alignment
 _UNIT = 0.01  # maximum difference of a quaternion's length from 1
 
 
@@ -151,5 +152,7 @@ def _numbers(where: str, names: Sequence[str], words: Sequence[str]) -> list[flo
             value = math.nan
         if not math.isfinite(value):
             raise InputError(f"{where}: {name} is {word!r}, not a finite number")
+        if abs(value) > LARGEST:
+            raise InputError(f"{where}: {name} is {word!r}, beyond {LARGEST:g}")
         values.append(value)
     return values

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
+from typing import Any
 
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
+from alula.stages.alignment.tables import LARGEST
 
 _ORTHONORMAL = 1e-4
 
@@ -24,8 +26,8 @@ def parse_transform(text: str, name: str) -> Similarity:
         InputError: not JSON, of another shape, not finite, or not a proper similarity.
     """
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        found: Any = decode_json(text.encode(), object)
+    except MalformedError as error:
         raise InputError(f"{name}: is not JSON ({error})") from error
     try:
         if isinstance(found, dict) and "matrix" not in found:
@@ -60,6 +62,8 @@ def checked_similarity(linear: FloatArray, translation: FloatArray, name: str) -
         raise InputError(f"{name}: rotation must be 3x3 and translation_m of length 3")
     if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
         raise InputError(f"{name}: a value is not finite")
+    if max(np.abs(linear).max(), np.abs(translation).max()) > LARGEST:
+        raise InputError(f"{name}: a value is beyond {LARGEST:g}")
     determinant = float(np.linalg.det(linear))
     if determinant < 0:
         raise InputError(f"{name}: is a reflection (determinant {determinant:.3g}), not a similarity")

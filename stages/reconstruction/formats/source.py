@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from alula.schemas.errors import ArtifactError, InputError
-from alula.schemas.files import check_no_stream
+from alula.schemas.files import READ_AT_ONCE, check_no_stream
 
 HEAD = 4096
 
@@ -88,6 +88,10 @@ class Source:
                     file.seek(0, io.SEEK_END)
                     if file.tell() == 0:
                         raise ArtifactError("is empty")
+                    if file.tell() <= READ_AT_ONCE:
+                        file.seek(0)
+                        self._mapped[path] = memoryview(file.read())
+                        return self._mapped[path]
                     self._mapped[path] = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
             except FileNotFoundError as error:
                 if path == self.path:

@@ -14,9 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from alula.schemas.errors import InputError, LinkError
+from alula.schemas.files import read_small
 
 SIGNATURE_BYTES = 13
 KEY_BYTES = 32
+_MOST_KEY_BYTES = 1000  # of a file, which may have spaces around the digits
 
 _UNITS_PER_S = 100_000
 _EPOCH_S = 1_420_070_400  # 2015-01-01 in seconds since 1970
@@ -39,10 +41,7 @@ def read_key(path: Path) -> bytes:
     Raises:
         InputError: the file cannot be read, or does not hold a key.
     """
-    try:
-        key = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    key = read_small(path, _MOST_KEY_BYTES)
     if len(key) != KEY_BYTES:
         try:
             key = bytes.fromhex(key.decode("ascii").strip())

@@ -1,0 +1,135 @@
+"""Types of the entries that readers use in the open tables of manifests and records.
+
+Tables such as `summary` and `source` may have any further entries. The entries here are checked once, where
+a file is read, so that no reader meets another type than it expects.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from alula.schemas.decode import convert
+
+LARGEST = 1e15  # of a number that is measured or computed; larger ones overflow in figures and sums
+
+_Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+_NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
+_Whole = Annotated[int, Meta(ge=0, le=2**53)]
+_Fraction = Annotated[float, Meta(ge=0, le=1)]
+
+
+class RunSummary(msgspec.Struct, frozen=True):
+    """Summary of a run."""
+
+    trials: _Whole = 0
+    success_rate: _Fraction | None = None
+    success_interval: tuple[_Fraction, _Fraction] | None = None
+    collisions: _Whole | None = None
+    min_map_clearance_m: _Number | None = None
+    min_scene_clearance_m: _Number | None = None
+    mean_path_ratio: _NotNegative | None = None
+    sigma: _Number | None = None
+    blocked_pairs: _Whole | None = None
+    inflation_m: _Number | None = None
+    holds: _Whole | None = None
+    ended_by: str | None = None
+    notes: list[str] = []
+
+
+class FenceSummary(RunSummary, frozen=True, kw_only=True):
+    """Summary of a run in a geofence."""
+
+    min_distance_m: _Number
+    violations: _Whole
+    passed: _Whole
+    ticks: _Whole
+    worst_trial: _Whole
+    max_speed_km_h: _NotNegative
+    interventions: _Whole
+    engaged_trials: _Whole
+
+
+class RunParameters(msgspec.Struct, frozen=True):
+    """Parameters of a run."""
+
+    fence: dict[str, Any] | None = None
+    run: dict[str, Any] | None = None
+    filter_parameters: dict[str, Any] | None = None
+
+
+class SourceLoss(msgspec.Struct, frozen=True):
+    """Bounds of the loss of a splat format."""
+
+    opacity: _NotNegative | None = None
+    unbounded: dict[str, str] | None = None
+
+
+class SceneSource(msgspec.Struct, frozen=True):
+    """Source of a scene."""
+
+    removed: dict[str, _Whole] | None = None
+    loss: SourceLoss | None = None
+
+
+class SceneAlignment(msgspec.Struct, frozen=True):
+    """Alignment of a scene."""
+
+    position_error_m: _NotNegative | None = None
+
+
+class Curve(msgspec.Struct, frozen=True):
+    """Course of a merge: numbers of hulls and of half-planes, and the volume without voxels."""
+
+    hulls: list[_NotNegative] | None = None
+    excess_sum_voxels: list[_NotNegative] | None = None
+    half_planes: list[_NotNegative] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse columns of different lengths."""
+        columns = [c for c in (self.hulls, self.excess_sum_voxels, self.half_planes) if c is not None]
+        if len({len(column) for column in columns}) > 1:
+            raise ValueError("the columns of `curve` have different lengths")
+
+
+class CoverRecord(msgspec.Struct, frozen=True):
+    """Record of a cover's construction, its `certificate`."""
+
+    curve: Curve | None = None
+
+
+def check(table: dict[str, Any] | None, kind: type[msgspec.Struct], name: str) -> None:
+    """Check the entries of a table that readers use.
+
+    Args:
+        table: the table; None passes.
+        kind: its type.
+        name: of the table, for the message.
+
+    Raises:
+        ValueError: an entry has another type, or is out of range.
+    """
+    if table is None:
+        return
+    try:
+        convert(table, kind)
+    except ValueError as error:
+        raise ValueError(f"`{name}`: {error}") from error
+
+
+def first_wild(value: Any, path: str = "$") -> str | None:
+    """Path of the first number in plain values that is not finite or beyond `LARGEST`; None without one.
+
+    Args:
+        value: plain values of bounded depth.
+        path: of the value.
+    """
+    if isinstance(value, float):
+        return None if math.isfinite(value) and abs(value) <= LARGEST else path
+    if isinstance(value, int):
+        return None if abs(value) <= 2**63 else path
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return next((wild for key, item in items if (wild := first_wild(item, f"{path}.{key}"))), None)
