@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   alula simulate room.cover.npz -o room.run.mcap --trials 100 --radius 0.1
+  alula simulate room.cover.npz -o planned.run.mcap --planned
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
