@@ -18,7 +18,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
-from alula.stages.compression.ellipsoids import excluded_errors, retained, unproven_voxels
+from alula.stages.compression.ellipsoids import excluded_errors, recorded_lacks, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.progress import share
@@ -404,6 +404,7 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
         parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
     if scene is None:
         parts.append("the scene itself, which was not given")
+        parts += recorded_lacks(manifest)
     else:
         assert isinstance(scene.manifest, SceneManifest)
         parts += excluded_errors(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)
