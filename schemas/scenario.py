@@ -91,6 +91,7 @@ _KEYS = {
     "--guide": "controller.guide",
     "--catch-up": "controller.catch_up_m_s",
     "--pairs": "trials.pairs",
+    "--planned": "trials.planned",
     "--trials": "trials.count",
     "--bounds": "trials.bounds_m",
     "--margin": "trials.margin_m",
@@ -155,6 +156,7 @@ class TrialsTable(_Table, frozen=True, kw_only=True):
     separation: float | None = None
     stop_fraction: float | None = None
     pairs: Literal["any", "blocked"] | None = None
+    planned: bool | None = None
 
 
 class RunTable(_Table, frozen=True, kw_only=True):
@@ -245,6 +247,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "separation": self.trials.separation,
             "stop_fraction": self.trials.stop_fraction,
             "pairs": self.trials.pairs,
+            "planned": self.trials.planned,
             "dt_s": self.run.dt_s,
             "controller_ticks": self.run.controller_ticks,
             "filter_ticks": self.run.filter_ticks,

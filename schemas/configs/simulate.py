@@ -156,6 +156,13 @@ class SimulateConfig:
             "sphere with --inflate, moved along the straight line, meets an ellipsoid."
         },
     )
+    planned: bool = field(
+        default=False,
+        metadata={
+            "help": "Plan each pair in the cover, as alula plan does, and fly the plans; without it, every "
+            "pair is flown straight at its goal. Pairs without a plan are flown straight."
+        },
+    )
     seed: int = field(default=0, metadata={"internal": True})
     filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
     guide_parameters: Mapping[str, Any] = field(

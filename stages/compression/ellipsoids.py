@@ -13,7 +13,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import SPLAT_LOSS, SceneManifest
+from alula.schemas.manifest import SPLAT_LOSS, LevelManifest, SceneManifest
 from alula.schemas.progress import Progress
 
 
@@ -74,6 +74,27 @@ def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = Fals
     return Rows(**arrays)
 
 
+def lacks_of(scene: SceneManifest) -> list[str]:
+    """Phrases that name what a scene lacks of its capture, such as files of its level of detail.
+
+    Args:
+        scene: manifest of an `alula/scene`.
+    """
+    lacks = scene.source.get("lacks")
+    return [f"{what}, not imported" for what in lacks] if isinstance(lacks, list) else []
+
+
+def recorded_lacks(level: LevelManifest) -> list[str]:
+    """The phrases of `lacks_of` that voxels, or a cover made from them, record.
+
+    Args:
+        level: manifest of an `alula/voxels` or an `alula/cover`.
+    """
+    left_out = (level.guarantee.claims if level.guarantee is not None else {}).get("left_out")
+    lacks = left_out.get("lacks_of_capture") if isinstance(left_out, dict) else None
+    return [str(what) for what in lacks] if isinstance(lacks, list) else []
+
+
 def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool = False) -> list[str]:
     """Phrases that name the errors of a scene's ellipsoids that neither `loss` nor the inflation covers.
 
@@ -82,9 +103,7 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
         inflation_m: radius of the ball added to each ellipsoid [m].
         ignore_loss: the scene's `loss` is not used.
     """
-    source, parts = scene.source, []
-    lacks = source.get("lacks")
-    parts += [f"{what}, not imported" for what in lacks] if isinstance(lacks, list) else []
+    source, parts = scene.source, lacks_of(scene)
     removed = source.get("removed")
     if isinstance(removed, dict):
         parts += [

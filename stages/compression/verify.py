@@ -19,7 +19,7 @@ from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError, InputError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
-from alula.stages.compression.ellipsoids import excluded_errors, retained, unproven_voxels
+from alula.stages.compression.ellipsoids import excluded_errors, recorded_lacks, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.level import beyond_words, level_words, mass_within
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
@@ -472,6 +472,7 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
         parts.append(f"what lies outside the crop {exact(manifest.crop)} m")
     if scene is None:
         parts.append("the scene itself, which was not given")
+        parts += recorded_lacks(manifest)
     else:
         assert isinstance(scene.manifest, SceneManifest)
         parts += excluded_errors(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)

@@ -17,7 +17,7 @@ from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
-from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
+from alula.stages.compression.ellipsoids import excluded_errors, lacks_of, retained, rows_of
 from alula.stages.compression.forecast import (
     dominant,
     estimated_voxels,
@@ -147,6 +147,8 @@ def voxelize(
         "gaussians_outside_crop": int((marked.reach == 0).sum()),
         "gaussians_cut_by_crop": int((marked.reach == 2).sum()),
     }
+    if lacks := lacks_of(manifest):
+        left_out["lacks_of_capture"] = lacks
     return make_artifact(
         VOXELS,
         {"index": index, "overlap": overlap},

@@ -26,7 +26,7 @@ _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")
 _COLOR = {_SH0: "harmonic", _RGB: "bytes", (): "grey"}
-_SH_COLUMNS = (0, 9, 24, 45)
+_SH_COLUMNS = (0, 9, 24, 45, 72)
 _TAGS = {
     "render_mode": re.compile(r"SplatRenderMode\s*[:= ]\s*(\S+)", re.I),
     "antialiased": re.compile(r"antialiased\s*[:= ]\s*(\S+)", re.I),
@@ -139,7 +139,7 @@ def check_harmonics(names: list[str]) -> None:
         raise ArtifactError(f"PLY: coefficient f_rest_{lacking} is missing")
     if len(indices) not in _SH_COLUMNS:
         raise ArtifactError(
-            f"PLY: {len(indices)} properties f_rest; degrees 0 to 3 have {', '.join(map(str, _SH_COLUMNS))}"
+            f"PLY: {len(indices)} properties f_rest; degrees 0 to 4 have {', '.join(map(str, _SH_COLUMNS))}"
         )
 
 

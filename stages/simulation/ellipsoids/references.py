@@ -10,9 +10,11 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.progress import Progress
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+from alula.stages.simulation.planned import count_planned, plans_of
 
 
 def references_of(
@@ -22,6 +24,9 @@ def references_of(
     given: Pairs | None,
     judge: SplatJudge,
     keep_m: float,
+    cover: Artifact | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
 ) -> tuple[list[_core.ReferenceCurve], FloatArray, dict[str, int]]:
     """Make the reference curves, their goals, and the counts of sampled points and pairs.
 
@@ -35,6 +40,9 @@ def references_of(
         given: pairs to fly instead of random ones.
         judge: clearances to the scene.
         keep_m: radius of the vehicle with its inflation [m].
+        cover: plan each pair among its hulls at the distance `keep_m`; pairs without a plan stay straight.
+        jobs: threads; the result does not depend on it.
+        progress: called with (pairs planned, pairs).
 
     Returns:
         N curves, goals of shape (N, 3) in the world frame [m], and the counts by the keys of the summary.
@@ -44,18 +52,25 @@ def references_of(
         InfeasibleError: no clear pairs were found.
     """
     if plan is not None:
-        time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
-        curve = _core.ReferenceCurve(time, coefficient)
+        curve = _curve(plan)
         return [curve], curve.at(np.array([curve.duration_s]))[:, :3], {}
     assert config.speed_m_s is not None
     if given is not None:
         check_clear(given, lambda points: np.asarray(judge.distance(points, keep_m) >= keep_m))
     pairs = _sampled(config, scene, judge, keep_m) if given is None else given
+    plans = None
+    if cover is not None:
+        plans = plans_of(
+            pairs, cover, radius_m=keep_m, speed_m_s=config.speed_m_s, jobs=jobs, progress=progress
+        )
     curves = [
         _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
-        for start, goal in zip(pairs.start, pairs.goal, strict=True)
+        if own is None
+        else _curve(own)
+        for start, goal, own in zip(pairs.start, pairs.goal, plans or [None] * len(pairs.start), strict=True)
     ]
     blocked = {"blocked_pairs": int(judge.is_blocked(pairs.start, pairs.goal, keep_m).sum())}
+    blocked |= count_planned(plans)
     if given is not None:
         return curves, pairs.goal, blocked
     return (
@@ -68,6 +83,11 @@ def references_of(
             "sampled_pairs": pairs.candidates,
         },
     )
+
+
+def _curve(plan: Artifact) -> _core.ReferenceCurve:
+    time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
+    return _core.ReferenceCurve(time, coefficient)
 
 
 def _sampled(config: SimulateConfig, scene: Artifact, judge: SplatJudge, keep_m: float) -> Pairs:

@@ -25,6 +25,7 @@ from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.progress import share
 from alula.stages.simulation.ellipsoids.closed_loop import decimate, fly
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.ellipsoids.references import references_of
@@ -79,6 +80,8 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
             raise UsageError(
                 f"--plant double-integrator has no {' or '.join(alone)}, which {vehicle.name} has"
             )
+    if plan is not None and config.planned:
+        raise UsageError("--planned is for start-goal pairs; a plan is flown as it is")
     if plan is not None and config.trials not in (None, 1):
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
@@ -122,17 +125,19 @@ def simulate_splat(
     The plant is a rigid body with rotors, in steps of at most 1 ms, or an ideal double integrator, as `plant`
     says. Tracking controller, guide and filter run at every `dt_s`. A pair is joined by a straight septic
     reference from rest to rest with the peak speed `speed_m_s`, regardless of obstacles; a plan is flown as
-    it is. The map of the filters is the ellipsoids at the level `sigma`; their sphere has the vehicle's
-    radius plus `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean
-    distance of the path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that
-    reached its goal without collision.
+    it is, and with `planned` each pair follows a plan of its own among the hulls of the cover. The map of the
+    filters is the ellipsoids at the level `sigma`; their sphere has the vehicle's radius plus `inflation_m`.
+    Every flight is judged independently of the filter: exact signed Euclidean distance of the path at the
+    plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal without
+    collision.
 
     Args:
         config: see `SimulateConfig`.
         scene: metric scene.
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
-        cover: clearance to its hulls is also reported.
+        cover: clearance to its hulls is also reported; `planned` plans among them, at the distance of the
+            radius plus `inflation_m`.
         given: pairs flown instead of random ones.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
@@ -174,7 +179,13 @@ def simulate_splat(
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
-    references, goals, sampled = references_of(config, scene, plan, given, judge, keep)
+    if config.planned and cover is None:
+        raise UsageError("--planned needs a cover to plan in; give it as SOURCE, and the scene as --scene")
+    planning = share(progress, 0, 0.5) if config.planned else None
+    progress = share(progress, 0.5, 1) if config.planned else progress
+    references, goals, sampled = references_of(
+        config, scene, plan, given, judge, keep, cover if config.planned else None, jobs, planning
+    )
     lower, upper = _room(scene, references, config.dt_s)
     rules = _core.FlightRules(
         dt_s=config.dt_s,

@@ -35,8 +35,10 @@ from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.plan_samples import NO_REFERENCE, Reference, sample_plan
+from alula.stages.progress import share
 from alula.stages.simulation.hulls.closed_loop import Flown, fly
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+from alula.stages.simulation.planned import count_planned, plans_of
 from alula.stages.simulation.result import LOOP_OUTCOMES, FlightLog, RunResult, logged_ticks
 from alula.stages.verdict import UNFILTERED, head, mean_path_ratio, minimum, statement, totals
 
@@ -45,6 +47,7 @@ _STUCK_STEPS = 100
 _STUCK_FRACTION = 1e-3  # of the speed limit
 _PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
 _EXTRA_TIME_S = 10.0
+_PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
 
 
 def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | None = None) -> SimulateConfig:
@@ -62,6 +65,8 @@ def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | No
     config.check_gains()
     radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
     if plan is not None:
+        if config.planned:
+            raise UsageError("--planned is for start-goal pairs; a plan is flown as it is")
         if config.trials not in (None, 1):
             raise UsageError("--trials is for random pairs; a plan is flown once")
         radius = float(plan.manifest.radius_m)  # type: ignore[attr-defined]
@@ -97,6 +102,10 @@ def simulate(
     progress: Progress | None = None,
 ) -> RunResult:
     """Fly random or given start-goal pairs, or a plan, and judge each flight afterwards.
+
+    With `planned`, each pair follows a plan of its own, made among the hulls with the radius of the vehicle;
+    else the nominal controller flies straight at the goal, and the filter alone, which sees no way around an
+    obstacle, ends most flights in a room in front of one.
 
     The vehicle is a single integrator x' = u with exact state, under the nominal controller of eq. 16 and the
     filter. Every flight is judged independently of the filter: exact signed Euclidean distance of the
@@ -141,7 +150,9 @@ def simulate(
         radius_m=config.radius_m,
         speed_m_s=config.speed_m_s,
         dt_s=config.dt_s,
-        extent_m=_extent(hulls, bounds, reference, given) + config.radius_m + config.speed_m_s,
+        extent_m=_extent(hulls, bounds, reference, given)
+        + (_PLANNED_RADII if config.planned else 1) * config.radius_m
+        + config.speed_m_s,
         image=encode_map(cover, indexed=True, jobs=jobs) if config.onboard else b"",
     )
     safety_filter = make_filter(config.filter, world, _filter_parameters(config))
@@ -165,22 +176,40 @@ def simulate(
             lambda points: psi(points, jobs=jobs)[1],
             lambda points, hard: judge.is_clear(points, hard, config.margin_m),
         )
-    rules = _core.TrialRules(
-        dt_s=config.dt_s,
-        gain=config.gain,
-        v_max=config.speed_m_s,
-        stop_fraction=config.stop_fraction,
-        stuck_speed=_STUCK_FRACTION * config.speed_m_s,
-        stuck_steps=_STUCK_STEPS,
-        max_steps=math.ceil((config.max_time_s or allowed_s) / config.dt_s),
-    )
+
+    def rules_of(time_s: float) -> _core.TrialRules:
+        assert config.speed_m_s is not None
+        return _core.TrialRules(
+            dt_s=config.dt_s,
+            gain=config.gain,
+            v_max=config.speed_m_s,
+            stop_fraction=config.stop_fraction,
+            stuck_speed=_STUCK_FRACTION * config.speed_m_s,
+            stuck_steps=_STUCK_STEPS,
+            max_steps=math.ceil(time_s / config.dt_s),
+        )
+
+    rules = rules_of(config.max_time_s or allowed_s)
+    plans = None
+    if config.planned:
+        planning, progress = share(progress, 0, 0.5), share(progress, 0.5, 1)
+        speed = config.speed_m_s / _PLAN_SPEED_FACTOR
+        plans = plans_of(
+            pairs, cover, radius_m=config.radius_m, speed_m_s=speed, jobs=jobs, progress=planning
+        )
     start_margin_m = psi(np.ascontiguousarray(pairs.start), jobs=jobs)[1] - config.radius_m
     trials: list[TrialResult] = []
     flights: list[FlightLog] = []
     seconds: list[NDArray[np.float32]] = []
-    for begin in range(0, len(pairs.start), _BATCH):
-        end = min(begin + _BATCH, len(pairs.start))
-        batch = fly(safety_filter, pairs.start[begin:end], pairs.goal[begin:end], rules, reference, jobs=jobs)
+    step = _BATCH if plans is None else 1
+    for begin in range(0, len(pairs.start), step):
+        end = min(begin + step, len(pairs.start))
+        mine, limits = reference, rules
+        if plans is not None and (own := plans[begin]) is not None:
+            mine = sample_plan(own, config.dt_s)
+            planned_s = (len(mine.position_world) - 1) * config.dt_s + _EXTRA_TIME_S
+            limits = rules_of(config.max_time_s or planned_s)
+        batch = fly(safety_filter, pairs.start[begin:end], pairs.goal[begin:end], limits, mine, jobs=jobs)
         for index, flown in enumerate(batch, begin):
             margin = float(start_margin_m[index])
             trials.append(judge.trial(index, pairs.goal[index], flown, config.dt_s, margin))
@@ -194,7 +223,7 @@ def simulate(
         vehicle=f"{named}sphere of radius {exact(config.radius_m)} m, single integrator up to "
         f"{exact(config.speed_m_s)} m/s",
         trials=trials,
-        summary=_summary(trials, pairs, safety_filter),
+        summary=_summary(trials, pairs, safety_filter) | count_planned(plans),
         guarantee=_guarantee(config, cover, trials, safety_filter),
         flights=flights,
         map=cover,

@@ -109,6 +109,8 @@ def test_a_part_is_named_in_every_guarantee_after_it(tmp_path, capsys):
     capsys.readouterr()
     assert run("verify", files[3], "--voxels", files[2], "--scene", files[1]) == 0
     assert f"{words}, not imported" in capsys.readouterr().out
+    assert run("verify", files[3]) == 0
+    assert f"{words}, not imported" in capsys.readouterr().out
 
 
 def test_all_parts_together_are_the_level(tmp_path):

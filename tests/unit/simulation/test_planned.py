@@ -1,0 +1,110 @@
+"""Pairs flown along plans of their own, where the straight flight ends in front of a wall."""
+
+import numpy as np
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.artifact import read_artifact, write_artifact
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.kinds import COVER
+from alula.schemas.run import read_run
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.simulation.ellipsoids.simulate import simulate_splat
+from alula.stages.simulation.hulls.simulate import simulate
+from alula.stages.simulation.pairs import Pairs
+from support.small_scenes import ball_scene, box_cover, line_plan
+
+# Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
+SHELL = [
+    ((-1, -1, -1), (81, 41, 0)),
+    ((-1, -1, 20), (81, 41, 21)),
+    ((-1, -1, 0), (81, 0, 20)),
+    ((-1, 40, 0), (81, 41, 20)),
+    ((-1, 0, 0), (0, 40, 20)),
+    ((80, 0, 0), (81, 40, 20)),
+]
+WALL = [((40, 0, 0), (42, 28, 20))]
+SEALED = [((40, 0, 0), (42, 40, 20))]
+BOUNDS = (0.0, 0.0, 0.0, 8.0, 4.0, 2.0)
+
+
+def pairs():
+    """Four pairs with the wall between them, and one within a room."""
+    rng = np.random.default_rng(1)
+    start = rng.uniform([0.5, 0.5, 0.5], [3, 2, 1.5], (5, 3))
+    goal = rng.uniform([5, 0.5, 0.5], [7.5, 2, 1.5], (5, 3))
+    goal[4] = (3.0, 3.5, 1.0)
+    return Pairs(start, goal, 0, 0)
+
+
+def quick(**options):
+    return SimulateConfig(**{"trials": 5, "bounds": BOUNDS, "radius_m": 0.3, "margin_m": 0.0, **options})
+
+
+def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
+    cover = box_cover(SHELL + WALL)
+    straight = simulate(quick(), cover, given=pairs())
+    planned = simulate(quick(planned=True), cover, given=pairs())
+    assert straight.summary["reached"] <= 1
+    assert "planned_pairs" not in straight.summary
+    assert planned.summary["reached"] == 5
+    assert planned.summary["collisions"] == 0
+    assert planned.summary["planned_pairs"] == 5
+    assert planned.summary["unplanned_pairs"] == 0
+    for trial, given in zip(planned.trials, pairs().goal, strict=True):
+        np.testing.assert_array_equal(trial.goal_m, given)
+        assert trial.max_speed_m_s <= 1 + 1e-6
+
+
+def test_pairs_without_a_plan_are_flown_straight_and_counted():
+    cover = box_cover(SHELL + SEALED)
+    straight, planned = (simulate(quick(planned=flag), cover, given=pairs()) for flag in (False, True))
+    assert planned.summary["planned_pairs"] == 1
+    assert planned.summary["unplanned_pairs"] == 4
+    assert planned.summary["collisions"] == 0
+    assert [t.outcome for t in straight.trials[:4]] == [t.outcome for t in planned.trials[:4]]
+
+
+def test_references_among_ellipsoids_follow_the_plans():
+    """The wall as balls of 0.1 m; the plans keep from the hulls around them."""
+    y, z = np.meshgrid(np.arange(0.1, 2.8, 0.2), np.arange(0.1, 2, 0.2))
+    balls = np.column_stack([np.full(y.size, 4.1), y.ravel(), z.ravel()])
+    scene, cover = ball_scene(balls, 0.1), box_cover(SHELL + WALL)
+    config = {
+        "filter": "none",
+        "plant": "double-integrator",
+        "radius_m": 0.3,
+        "speed_m_s": 1.0,
+        "max_time_s": 40.0,
+    }
+    straight = simulate_splat(quick(**config), scene, FASTBRIDGE, given=pairs())
+    assert straight.summary["collisions"] == 4
+    planned = simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, cover=cover, given=pairs())
+    assert planned.summary["collisions"] == 0
+    assert planned.summary["reached"] == 5
+    assert planned.summary["planned_pairs"] == 5
+    assert planned.summary["min_map_clearance_m"] > -0.02  # the controller tracks the plan that closely
+    with pytest.raises(UsageError, match="--planned needs a cover to plan in"):
+        simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, given=pairs())
+
+
+def test_a_plan_is_not_planned_again():
+    with pytest.raises(UsageError, match="--planned is for start-goal pairs"):
+        simulate(SimulateConfig(planned=True), box_cover(SHELL), plan=line_plan((1, 1, 1), (3, 1, 1)))
+
+
+def test_the_command_plans_the_pairs_of_another_run(tmp_path, capsys):
+    cover = tmp_path / "rooms.cover.npz"
+    write_artifact(cover, box_cover(SHELL + WALL))
+    assert read_artifact(cover, COVER) is not None
+    box = [str(value) for value in BOUNDS]
+    first, second = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap"
+    words = ["simulate", str(cover), "-q", "-o"]
+    assert run([*words, str(first), "--trials", "3", "--bounds", *box, "--radius", "0.3"]) == 0
+    assert run([*words, str(second), "--pairs-from", str(first), "--planned", "--radius", "0.3"]) == 0
+    one, two = read_run(first), read_run(second)
+    assert [t.goal_m for t in one.trials] == [t.goal_m for t in two.trials]
+    assert two.summary["reached"] == 3 > one.summary["reached"]
+    assert two.summary["collisions"] == 0
+    assert two.provenance.parameters["planned"] is True
