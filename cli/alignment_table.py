@@ -82,6 +82,8 @@ def _evidence(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         text += f", seed {found['seed']}" if "seed" in found else ""
     if found.get("unused"):
         text += f"; {found['unused']} cameras without a reference"
+    if found.get("unmatched"):
+        text += f"; {len(found['unmatched'])} references without a camera"
     yield "evidence", text
     if "fitness" in found:
         yield "fitness", f"{found['fitness']:.1%} of the scene, {found['cloud_fitness']:.1%} of the cloud"

@@ -34,7 +34,15 @@ SECTIONS = {
     "By numbers": ("transform", "scale"),
     "Level the frame": ("up", "floor"),
     "Check the alignment": (
-        *("threshold_m", "max_angle_deg", "max_rms_m", "max_scale_sigma", "min_inliers", "min_fitness"),
+        *(
+            "threshold_m",
+            "max_angle_deg",
+            "max_rms_m",
+            "max_scale_sigma",
+            "min_inliers",
+            "min_matched",
+            "min_fitness",
+        ),
     ),
 }
 
@@ -138,6 +146,7 @@ def command(
     for name, option, path, needed in (
         ("min_fitness", "--min-fitness", files.cloud, "--cloud"),
         ("max_angle_deg", "--angle-threshold", files.poses, "--poses"),
+        ("min_matched", "--min-matched", files.reference or files.poses, "--reference or --poses"),
     ):
         if path is None and options.is_given(context, name):
             raise UsageError(f"{option} goes with {needed}")
@@ -253,7 +262,7 @@ def _cameras(config: ScaleAlignConfig, files: Files) -> Correspondences:
     else:
         assert files.colmap is not None
         found = colmap.read_model(files.colmap)
-    points = evidence.match(found, wanted, orientations=oriented)
+    points = evidence.match(found, wanted, orientations=oriented, min_matched=config.min_matched)
     if files.nerfstudio is None:
         return points
     frame = _training_frame(files.nerfstudio)

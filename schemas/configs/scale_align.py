@@ -61,6 +61,13 @@ class ScaleAlignConfig:
         default=None,
         metadata={"help": "Minimum number of inliers; fail below it; default: more than half of all."},
     )
+    min_matched: float = field(
+        default=0.5,
+        metadata={
+            "help": "Minimum fraction of the rows of --reference or --poses whose image is a camera of the "
+            "scene; the others are skipped."
+        },
+    )
     min_fitness: float = field(
         default=0.3,
         metadata={
@@ -81,6 +88,8 @@ class ScaleAlignConfig:
                 raise UsageError(f"{name} must be between 1e-9 and 1e9, not {value}")
         if not (0 < self.max_angle_deg <= 90):
             raise UsageError(f"--angle-threshold must be above 0 and at most 90, not {self.max_angle_deg}")
+        if not (0 < self.min_matched <= 1):
+            raise UsageError(f"--min-matched must be above 0 and at most 1, not {self.min_matched}")
         if not (0 < self.min_fitness <= 1):
             raise UsageError(f"--min-fitness must be above 0 and at most 1, not {self.min_fitness}")
         if self.min_inliers is not None and self.min_inliers < 1:

@@ -125,6 +125,7 @@ def _by_correspondences(
         "count": len(items),
         "inliers": int(fit.inlier.sum()),
         "unused": evidence.unused,
+        "unmatched": list(evidence.unmatched),
         "threshold_m": config.threshold_m,
         "seed": seed,
         **_statistics(fit.residual[fit.inlier], "m"),

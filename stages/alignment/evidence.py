@@ -24,6 +24,7 @@ class Correspondences:
         scene: positions, shape (n, 3), scene frame and units.
         world: the same positions, shape (n, 3), world frame [m].
         unused: number of cameras without a reference.
+        unmatched: images of the reference that are no cameras of the scene; their rows were skipped.
         R_scene: axes of the cameras as columns, shape (n, 3, 3), scene frame; None when orientations are no
             evidence.
         R_world: axes of the same cameras, shape (n, 3, 3), world frame; None as above.
@@ -35,6 +36,7 @@ class Correspondences:
     scene: FloatArray
     world: FloatArray
     unused: int = 0
+    unmatched: tuple[str, ...] = ()
     R_scene: FloatArray | None = None
     R_world: FloatArray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -60,27 +62,53 @@ class Positions:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def match(cameras: Positions, reference: Positions, *, orientations: bool = False) -> Correspondences:
+def match(
+    cameras: Positions, reference: Positions, *, orientations: bool = False, min_matched: float = 0.5
+) -> Correspondences:
     """Pair positions, or with `orientations` poses, by the names of the images.
+
+    A row of the reference whose image is no camera is skipped and counted: COLMAP seldom registers all
+    photographs. Few matches mean that the names or the files are wrong.
 
     Args:
         cameras: cameras in the scene's frame; those without a reference are counted as unused.
         reference: cameras in the world frame [m].
         orientations: pair the axes of the cameras too; both sides must have them.
+        min_matched: minimum fraction of the reference's rows whose image is a camera.
 
     Raises:
-        InputError: a reference names an unknown image, or two positions are equal.
+        InputError: too few rows of the reference name a camera, or two positions are equal.
     """
     index = {name: i for i, name in enumerate(cameras.names)}
-    for name, row in zip(reference.names, reference.rows, strict=True):
-        if name not in index:
-            raise InputError(f"{row}: no camera has an image of that name")
+    known = np.array([name in index for name in reference.names])
+    unmatched = tuple(name for name in reference.names if name not in index)
+    if known.mean() < min_matched or not known.any():
+        first = reference.rows[int(np.argmin(known))]
+        raise InputError(
+            f"{first}: no camera has an image of that name; {len(unmatched)} of {len(known)} rows name none, "
+            f"and {min_matched:.0%} must name one (--min-matched)"
+        )
+    warnings: tuple[str, ...] = ()
+    if unmatched:
+        some = ", ".join(unmatched[:3]) + (", ..." if len(unmatched) > 3 else "")
+        warnings = (
+            f"{len(unmatched)} of {len(known)} rows were skipped: no camera has their image ({some})",
+        )
+    reference = dataclasses.replace(
+        reference,
+        names=tuple(name for name in reference.names if name in index),
+        position=reference.position[known],
+        rows=tuple(row for row, found in zip(reference.rows, known, strict=True) if found),
+        axes=None if reference.axes is None else reference.axes[known],
+    )
     chosen = [index[name] for name in reference.names]
     found = Correspondences(
         rows=reference.rows,
         scene=cameras.position[chosen],
         world=reference.position,
         unused=len(cameras.names) - len(chosen),
+        unmatched=unmatched,
+        warnings=warnings,
         facts={**cameras.facts, **reference.facts},
     )
     if orientations:

@@ -81,7 +81,7 @@ def scale_align(
     found = estimate(config, scene, evidence, seed, box)
     if config.levels:
         known = manifest.frame == "world" or isinstance(evidence, Similarity)
-        found = _levelled(config, found, mean, box, seed, frame_is_known=known)
+        found = _levelled(config, found, mean, box, frame_is_known=known)
 
     similarity = found.similarity
     matrix = np.eye(4)
@@ -162,7 +162,6 @@ def _levelled(
     found: Estimate,
     mean: FloatArray,
     box: tuple[FloatArray, FloatArray],
-    seed: int,
     *,
     frame_is_known: bool,
 ) -> Estimate:
@@ -176,7 +175,7 @@ def _levelled(
     if config.up is not None:
         up = np.array(found.similarity.rotation) @ np.array(config.up)
     if config.floor:
-        level = level_by_floor(transform_points(found.similarity, mean), up, config.threshold_m, seed)
+        level = level_by_floor(transform_points(found.similarity, mean), up, config.threshold_m)
     else:
         level = level_by_direction(up)
     similarity = compose(level.motion, found.similarity)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.run import TrialResult
+from alula.stages.filtering.registry import NO_FILTER
 from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import (
     NOT_JUDGED,
@@ -40,7 +41,11 @@ class Card:
 
 
 def headline(material: Material) -> dict[str, Any]:
-    """State compression, conservativeness, coverage, success and minimum clearance as plain values."""
+    """State compression, conservativeness, coverage, success and minimum clearance as plain values.
+
+    `flights` and `least_clearance_m` are of the flights behind a filter, `baseline` and
+    `baseline_least_clearance_m` of those without one.
+    """
     found: dict[str, Any] = {}
     if counted := chain(material):
         found["compression"] = " → ".join(f"{count} {what}" for count, what in counted)
@@ -48,24 +53,54 @@ def headline(material: Material) -> dict[str, Any]:
         found["conservativeness"] = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
     if material.cover is not None or material.certificate is not None:
         found["obstacles_covered"] = coverage(material.certificate)
-    trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
-    if trials:
-        static = [trial for _, trial in trials if trial.obstacles is None and trial.fence is None]
-        moving = [trial for _, trial in trials if trial.obstacles is not None]
-        fenced = [trial for _, trial in trials if trial.fence is not None]
-        verdicts = [_verdict(part) for part in (static, moving, fenced) if part]
-        collisions = sum(trial.collision for _, trial in trials if trial.fence is None)
-        found["flights"] = "; ".join(verdicts) + (f", {collisions} collided" if static or moving else "")
+    judged = [run for run in material.runs if run.record.filter != NO_FILTER]
+    baselines = [run for run in material.runs if run.record.filter == NO_FILTER]
+    for key, runs in (("flights", judged), ("baseline", baselines)):
+        if verdicts := _verdicts(runs):
+            found[key] = "; ".join(verdicts)
     ends = [(r.label, r.record.summary["ended_by"]) for r in material.runs if "ended_by" in r.record.summary]
     if ends:
         found["ended_by"] = "; ".join(end if len(ends) == 1 else f"{label}: {end}" for label, end in ends)
-    if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
-        found["least_clearance_m"] = min(known)
+    for key, runs in (("least_clearance_m", judged), ("baseline_least_clearance_m", baselines)):
+        trials = [trial for run in runs for trial in run.record.trials]
+        if known := [clearance for trial in trials if (clearance := clearance_of(trial)) is not None]:
+            found[key] = min(known)
     if notes := [
         f"{run.label}: {note}" for run in material.runs for note in run.record.summary.get("notes", ())
     ]:
         found["notes"] = notes
     return found
+
+
+def _verdicts(runs: Sequence[Run]) -> list[str]:
+    """Verdicts on flights of one kind behind one filter with one set of parameters, each named by its filter.
+
+    Flights behind different filters are not added up. The names of the runs are added where one filter
+    flew with several sets of parameters.
+    """
+    groups: dict[tuple[str, str, int], list[tuple[str, TrialResult]]] = {}
+    for run in runs:
+        settings = _settings(run)
+        for trial in run.record.trials:
+            kind = 2 if trial.fence is not None else 1 if trial.obstacles is not None else 0
+            groups.setdefault((run.record.filter, settings, kind), []).append((run.label, trial))
+    several = {name for name, _, _ in groups if len({s for n, s, _ in groups if n == name}) > 1}
+    found = []
+    for (name, _, kind), flown in sorted(groups.items(), key=lambda group: group[0][2]):
+        labels = f" ({', '.join(dict.fromkeys(label for label, _ in flown))})" if name in several else ""
+        trials = [trial for _, trial in flown]
+        collided = "" if kind == 2 else f", {text(sum(trial.collision for trial in trials))} collided"
+        shown = "no filter" if name == NO_FILTER else name
+        found.append(f"{shown}{labels}: {_verdict(trials)}{collided}")
+    return found
+
+
+def _settings(run: Run) -> str:
+    """Parameters of a run's filter as text; empty where the record has none."""
+    parameters = run.record.provenance.parameters
+    table = parameters.get("filter")
+    inner = table.get("parameters") if isinstance(table, dict) else None
+    return repr((parameters.get("filter_parameters"), inner))
 
 
 def _verdict(trials: Sequence[TrialResult]) -> str:
@@ -93,7 +128,9 @@ def cards(material: Material) -> list[tuple[str, list[Card]]]:
     if material.cover is not None or material.certificate is not None:
         groups.append(("Map", _map_cards(material)))
     for run in material.runs:
-        groups.append((run.label if len(material.runs) > 1 else "Flights", _run_cards(run)))
+        title = run.label if len(material.runs) > 1 else "Flights"
+        baseline = " (baseline: no filter)" if run.record.filter == NO_FILTER else ""
+        groups.append((title + baseline, _run_cards(run)))
     return groups
 
 

@@ -115,10 +115,13 @@ def test_a_gate_that_does_not_hold_exits_4_and_writes_nothing(demo, tmp_path, ca
 
 def test_wrong_references_exit_3_and_name_the_row(demo, tmp_path, capsys):
     reference = tmp_path / "poses.csv"
-    reference.write_text((demo / "poses.csv").read_text() + "nowhere.jpg,1,2,3\n")
     words = ["--cameras", str(demo / "cameras.csv"), "--reference", str(reference)]
+    nowhere = "".join(f"nowhere{i}.jpg,1,2,{i}\n" for i in range(61))
+    reference.write_text((demo / "poses.csv").read_text() + nowhere)
     assert align(demo, tmp_path, *words) == 3
-    assert "poses.csv row 62 (nowhere.jpg): no camera has an image of that name" in error(capsys)
+    assert "poses.csv row 62 (nowhere0.jpg): no camera has an image of that name; 61 of 121 rows" in error(
+        capsys
+    )
     reference.write_bytes(b"\xff\xfe")
     assert align(demo, tmp_path, *words) == 3
     assert "is not text in UTF-8" in error(capsys)
@@ -128,6 +131,19 @@ def test_wrong_references_exit_3_and_name_the_row(demo, tmp_path, capsys):
     reference.write_text("\n".join(mirrored))
     assert align(demo, tmp_path, *words) == 3
     assert "mirror images" in error(capsys)
+
+
+def test_photographs_that_were_not_registered_are_skipped_and_counted(demo, tmp_path, capsys):
+    reference = tmp_path / "poses.csv"
+    reference.write_text((demo / "poses.csv").read_text() + "nowhere.jpg,1,2,3\n")
+    words = ["--cameras", str(demo / "cameras.csv"), "--reference", str(reference)]
+    assert align(demo, tmp_path, *words, "--min-matched", "0.99") == 3
+    assert "1 of 61 rows name none, and 99% must name one (--min-matched)" in error(capsys)
+    assert align(demo, tmp_path, *words) == 0
+    found = read_artifact(tmp_path / "m.scene.npz").manifest.alignment
+    assert found["count"] == 60
+    assert found["unmatched"] == ["nowhere.jpg"]
+    assert "1 of 61 rows were skipped: no camera has their image (nowhere.jpg)" in found["warnings"]
 
 
 def test_pairs_distances_and_transforms_work(demo, tmp_path):

@@ -58,8 +58,25 @@ def test_cameras_are_matched_by_name_in_the_order_of_the_reference():
     np.testing.assert_array_equal(found.scene[:, 0], [2, 0])
     np.testing.assert_array_equal(found.world[:, 0], [5, 6])
     assert found.unused == 2
-    with pytest.raises(InputError, match=r"t.csv row 3 \(e\): no camera has an image of that name"):
-        match(positions("a", "b"), positions("a", "e"))
+    assert found.unmatched == ()
+    assert found.warnings == ()
+
+
+def test_rows_without_a_camera_are_skipped_and_counted_down_to_a_fraction():
+    found = match(positions("a", "b", "c"), positions("a", "e", "c", "b", start=5.0))
+    assert found.rows == ("t.csv row 2 (a)", "t.csv row 4 (c)", "t.csv row 5 (b)")
+    np.testing.assert_array_equal(found.scene[:, 0], [0, 2, 1])
+    np.testing.assert_array_equal(found.world[:, 0], [5, 7, 8])
+    assert found.unmatched == ("e",)
+    assert found.warnings == ("1 of 4 rows were skipped: no camera has their image (e)",)
+    assert len(match(positions("a"), positions("a", "e", start=5.0)).rows) == 1
+    refused = (
+        r"t.csv row 3 \(e\): no camera has an image of that name; 2 of 3 rows name none, and 50% must name"
+    )
+    with pytest.raises(InputError, match=refused):
+        match(positions("a", "b"), positions("a", "e", "f", start=5.0))
+    with pytest.raises(InputError, match="1 of 4 rows name none, and 80% must name one"):
+        match(positions("a", "b", "c"), positions("a", "e", "c", "b", start=5.0), min_matched=0.8)
 
 
 def test_equal_points_are_refused_by_row():

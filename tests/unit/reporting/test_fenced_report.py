@@ -68,7 +68,7 @@ def test_a_fence_that_was_left_is_no_collision_but_outside():
     run = run_of([1.0, -1.0, 2.0])
     assert is_fenced(run)
     assert [outcome_of(t) for t in run.record.trials] == ["inside", "outside", "inside"]
-    assert headline(Material("t", runs=(run,)))["flights"] == "2 of 3 stayed in the fence"
+    assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
     ((title, found),) = cards(Material("t", runs=(run,)))
     assert title == "Flights"
     assert (found[0].label, found[0].value, found[0].good) == ("left the fence", "1", False)
@@ -134,7 +134,9 @@ def test_other_runs_beside_keep_their_words():
     plain = msgspec.structs.replace(other.record.trials[0], fence=None, outcome="reached")
     record = msgspec.structs.replace(other.record, trials=[plain])
     both = Material("t", runs=(run_of([1.0, -1.0]), Run("p", record, {0: flight(5.0)})))
-    assert headline(both)["flights"] == "1 of 1 reached the goal; 1 of 2 stayed in the fence, 0 collided"
+    assert headline(both)["flights"] == (
+        "geofence: 1 of 1 reached the goal, 0 collided; geofence: 1 of 2 stayed in the fence"
+    )
     assert "Below 0 is a collision" in next(f.alt for f in all_figures(both) if f.name == "clearance")
     names = [figure.name for figure in all_figures(both)]
     assert names == ["map-1", "map-2", "side-1", "fence-1", "clearance", "path-ratio", "worst"]

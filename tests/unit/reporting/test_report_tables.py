@@ -169,7 +169,10 @@ def test_the_headline_adds_up_the_runs():
     trials = [trial for run in runs for trial in run.record.trials]
     reached = sum(trial.outcome == "reached" and not trial.collision for trial in trials)
     collisions = sum(trial.collision for trial in trials)
-    assert facts["flights"] == f"{reached} of {len(trials)} reached the goal, {collisions} collided"
+    assert (
+        facts["flights"]
+        == f"polytope-cbf: {reached} of {len(trials)} reached the goal, {collisions} collided"
+    )
     assert facts["least_clearance_m"] == min(t.map_clearance_m for t in trials)
     assert facts["obstacles_covered"] == "not verified"
     assert facts["compression"].endswith("bytes of half-planes")
@@ -185,12 +188,43 @@ def test_flights_past_moving_obstacles_need_not_reach_a_goal():
         for i, (outcome, clearance) in enumerate(kinds)
     ]
     facts = headline(Material("t", runs=(run_of("m", passed),)))
-    assert facts["flights"] == "2 of 3 touched nothing, 1 collided"
+    assert facts["flights"] == "polytope-cbf: 2 of 3 touched nothing, 1 collided"
     groups = dict(cards(Material("t", runs=(run_of("m", passed),))))
     (success,) = (card for card in groups["Flights"] if card.label == "success rate")
     assert success.detail.startswith("2 of 3 touched nothing")
     both = headline(Material("t", runs=(run_of("a"), run_of("m", passed))))
-    assert both["flights"] == "1 of 4 reached the goal; 2 of 3 touched nothing, 2 collided"
+    assert both["flights"] == (
+        "polytope-cbf: 1 of 4 reached the goal, 1 collided; polytope-cbf: 2 of 3 touched nothing, 1 collided"
+    )
+
+
+def flown_with(label, filter_name, parameters=(), trials=TRIALS):
+    record = make_record(trials, filter_name=filter_name)
+    provenance = msgspec.structs.replace(record.provenance, parameters={"filter_parameters": parameters})
+    return Run(label, msgspec.structs.replace(record, provenance=provenance))
+
+
+def test_the_headline_never_adds_up_different_filters():
+    clear = [make_trial(i, clearance=0.25) for i in range(5)]
+    runs = [
+        flown_with("bare", "none", trials=[make_trial(0, clearance=-0.5), make_trial(1, clearance=0.125)]),
+        flown_with("a", "cone-backup", trials=clear),
+        flown_with("b", "safer-splat", ["alpha=1"]),
+        flown_with("c", "safer-splat", ["alpha=10"], clear),
+        flown_with("d", "cone-backup", trials=clear),
+    ]
+    facts = headline(Material("t", runs=tuple(runs)))
+    assert facts["flights"] == (
+        "cone-backup: 10 of 10 reached the goal, 0 collided; "
+        "safer-splat (b): 1 of 4 reached the goal, 1 collided; "
+        "safer-splat (c): 5 of 5 reached the goal, 0 collided"
+    )
+    assert facts["baseline"] == "no filter: 1 of 2 reached the goal, 1 collided"
+    assert facts["least_clearance_m"] == -0.03125
+    assert facts["baseline_least_clearance_m"] == -0.5
+    only = headline(Material("t", runs=tuple(runs[:1])))
+    assert "flights" not in only
+    assert "least_clearance_m" not in only
 
 
 def test_only_the_named_tables_are_kept():
