@@ -869,13 +869,14 @@ class EllipsoidIndex:
 class Pruning:
     """Selection of the ellipsoids that become rows of a tick."""
 
-    def __init__(self, *, reaction_time_s: float = 0.3, max_deceleration: float = 6.0, floor_m: float = 0.5, count: int = 64, gate: bool = True, approach: bool = True, sweep: bool = True) -> None:
+    def __init__(self, *, reaction_time_s: float = 0.3, max_deceleration: float = 6.0, floor_m: float = 0.5, count: int = 64, prune_ticks: int = 1, gate: bool = True, approach: bool = True, sweep: bool = True) -> None:
         """
         Args:
             reaction_time_s: reaction time t of the distance gate [s]
             max_deceleration: deceleration a of the distance gate [m/s^2]
             floor_m: minimum of the distance gate [m]
             count: maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate
+            prune_ticks: calls of the filter for which the candidates are kept before the gate looks for new ones
             gate: use the distance gate; false: every ellipsoid of the map, for ablations
             approach: only ellipsoids that the vehicle approaches, r^T A v >= 0
             sweep: rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position
@@ -897,6 +898,12 @@ class Pruning:
     def count(self) -> int:
         """
         maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate
+        """
+
+    @property
+    def prune_ticks(self) -> int:
+        """
+        calls of the filter for which the candidates are kept before the gate looks for new ones
         """
 
     @property
@@ -1728,11 +1735,13 @@ class FlightVehicle:
 class FlightRules:
     """Timing of a flight and its end conditions."""
 
-    def __init__(self, *, dt_s: float = 0.01, plant_steps: int | None = None, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None:
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int | None = None, controller_ticks: int = 1, filter_ticks: int = 1, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None:
         """
         Args:
             dt_s: a tick of controller and filter [s]
             plant_steps: steps of the plant in a tick; default: as many as make none longer than 1 ms
+            controller_ticks: ticks for which the controller's command is held
+            filter_ticks: ticks for which the filter's input is held
             stop_fraction: reached within this fraction of the start-goal distance
             stop_floor_m: or within this distance [m]
             stop_speed: slower than this, with the reference at its end [m/s]
@@ -1759,6 +1768,11 @@ class FlightTrial:
     def nominal(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], float, float, NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
         """
         Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.
+        """
+
+    def is_filtered(self) -> bool:
+        """
+        Whether the filter runs in this tick; in the others its last answer is flown again.
         """
 
     def advance(self, u: NDArray[numpy.float64], *, status: int, margin: float, active: int = -1, thrust_rate: float = 0.0, infeasible: bool = False, certified: bool = False, filter_s: float = 0.0) -> int:
@@ -2215,19 +2229,19 @@ def half_space_projections(rows: Annotated[NDArray[numpy.float64], dict(shape=(N
 
 def early_warning(position: Sequence[float], velocity: Sequence[float], track: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], relative_acceleration: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], options: Mapping[str, float] = {}) -> float:
     """
-    Maximum CVaR of Z over five times plus eps L_Z, or an upper bound on it that is below 0 [m].
+    Maximum over five times of the CVaR of Z, rounded up, plus eps L_Z [m].
     """
 
-def early_warning_samples() -> NDArray[numpy.float32]:
-    """
-    Standard normal points (32, 6); each is also used with the opposite sign.
-    """
+def early_warning_tails(tail: float) -> tuple[float, float]:
+    """CVaR of a standard normal variable and of its square, rounded up."""
 
 def acceleration_envelope(velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], options: Mapping[str, float] = {}) -> NDArray[numpy.float32]:
     """z1 and ahat (k, 4) after each of the velocities (k, 3)."""
 
-def allocate_risk(distance: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closing: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], total: float) -> NDArray[numpy.float32]:
-    """Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0."""
+def allocate_risk(distance: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closing: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], total: float, receding: bool = False) -> NDArray[numpy.float32]:
+    """
+    Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0 unless `receding`.
+    """
 
 def row_bound(distance: float, closing: float, horizon_s: float, lambda_: float, *, radius_m: float = 0.3, envelope: float = 1.0, sigma2_p: float = 0.0, sigma2_v: float = 0.0, options: Mapping[str, float] = {}) -> float:
     """b(H) of a row [m/s^2]."""
@@ -2499,6 +2513,11 @@ class Fence:
         Minimum distance of a segment from the forbidden region; negative inside it.
         """
 
+    def braking_distance(self, deciding: int, p: Sequence[float], v: Sequence[float]) -> float:
+        """
+        Distance of a point from the constraint that decides a filter's result; where no face and no map decides, from the face that a straight flight with this velocity meets first.
+        """
+
 class Geofence:
     """
     The onboard geofence: an implicit control barrier function by simulating the backup controller.
@@ -2507,6 +2526,12 @@ class Geofence:
     """
 
     def __init__(self, fence: Fence, model: RacerModel = ..., parameters: Mapping[str, float] = {}) -> None: ...
+
+    @staticmethod
+    def conditions(model: RacerModel = ..., parameters: Mapping[str, float] = {}) -> dict[str, float]:
+        """
+        Conditions of the guarantee, see alula_geofence_conditions, also where they do not hold.
+        """
 
     @property
     def hover_throttle(self) -> float: ...
