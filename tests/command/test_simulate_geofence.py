@@ -77,7 +77,7 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
         "worst_trial": 0, "max_speed_km_h": 108.602, "interventions": 1, "engaged_trials": 1, "ticks": 2000,
         "passed": 88, "blended": 1912, "backup": 0, "no_pilot": 0, "hand_over": 0, "refused": 0,
         "altered_passes": 0, "out_of_range": 0, "longest_backup_s": 0, "min_lambda": 0.0098958,
-        "min_h_i_m": 0.0292147, "brake_distance_m": 19.2852, "stop_distance_m": 0.306034,
+        "min_h_i_m": 0.0292147, "brake_distance_m": 22.7283, "stop_distance_m": 0.306034,
         "start_h_i_m": 18.9962,
     }  # fmt: skip
     summary = said["summary"]
@@ -294,4 +294,4 @@ def test_the_run_can_be_explained_and_reported(here, capsys):
         "1",
         "88",
     )
-    assert float(rows[9]["fence_brake_distance_m"]) == pytest.approx(19.2852, rel=1e-3)
+    assert float(rows[9]["fence_brake_distance_m"]) == pytest.approx(22.7283, rel=1e-3)
