@@ -211,6 +211,8 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
             "`$.trials.start_box_m`: no start in the box is safe",
         ),
         (["--set", "vehicle.gust_m_s=1,1,1"], 2, "`$.vehicle`: wind and gusts act through drag"),
+        (["--set", "beta=1000"], 2, "beta = 1000 takes over too late: at most 5.61 with ticks of 0.0025 s"),
+        (["--set", "steps=10"], 2, "the horizon of 0.3 s ends before the backup controller has stopped"),
         (["--set", "fence.cover=none.npz"], 3, "none.npz: cannot read"),
         (["--set", "vehicle.file=none.toml"], 3, "none.toml: cannot read"),
         (["--vehicle", str(FASTBRIDGE)], 2, "vehicle fastbridge: `$.throttle`"),
@@ -229,6 +231,16 @@ def test_what_is_wrong_is_one_line(here, capsys, words, code, said):
     assert error.count("\n") == 1
     assert said in error
     assert not list(Path().glob("r.run*"))
+
+
+def test_the_printed_guarantee_names_its_conditions_and_that_it_is_no_proof(here):
+    assert run([*WORDS, "--trials", "1", "-q"]) == 0
+    said = record().guarantee.statement
+    assert "the horizon reaches rest" in said
+    assert "β D / v_c <= 1" in said
+    assert "not a proof" in said
+    # without a regulation function its condition does not matter
+    assert run([*WORDS, "--trials", "1", "-q", "-f", "--set", "beta=1000", "--filter", "none"]) in (0, 4)
 
 
 def test_a_dry_run_writes_nothing(here, capsys):
