@@ -197,7 +197,7 @@ class WallTable(_Table, frozen=True, kw_only=True):
 
 
 class TrialsTable(_Table, frozen=True, kw_only=True):
-    """Number of trials, their seed, and the number of trials in the log."""
+    """Number of trials, their seed, and the number of first trials in the log, besides the closest one."""
 
     count: Annotated[int, msgspec.Meta(ge=1, le=MOST_TRIALS)] = 100
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] = 0

@@ -77,7 +77,7 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
         "worst_trial": 0, "max_speed_km_h": 108.602, "interventions": 1, "engaged_trials": 1, "ticks": 2000,
         "passed": 88, "blended": 1912, "backup": 0, "no_pilot": 0, "hand_over": 0, "refused": 0,
         "altered_passes": 0, "out_of_range": 0, "longest_backup_s": 0, "min_lambda": 0.0098958,
-        "min_h_i_m": 0.0292147, "brake_distance_m": 19.2852, "stop_distance_m": 0.306034,
+        "min_h_i_m": 0.0292147, "brake_distance_m": 22.7283, "stop_distance_m": 0.306034,
         "start_h_i_m": 18.9962,
     }  # fmt: skip
     summary = said["summary"]
@@ -211,6 +211,8 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
             "`$.trials.start_box_m`: no start in the box is safe",
         ),
         (["--set", "vehicle.gust_m_s=1,1,1"], 2, "`$.vehicle`: wind and gusts act through drag"),
+        (["--set", "beta=1000"], 2, "beta = 1000 takes over too late: at most 5.61 with ticks of 0.0025 s"),
+        (["--set", "steps=10"], 2, "the horizon of 0.3 s ends before the backup controller has stopped"),
         (["--set", "fence.cover=none.npz"], 3, "none.npz: cannot read"),
         (["--set", "vehicle.file=none.toml"], 3, "none.toml: cannot read"),
         (["--vehicle", str(FASTBRIDGE)], 2, "vehicle fastbridge: `$.throttle`"),
@@ -229,6 +231,16 @@ def test_what_is_wrong_is_one_line(here, capsys, words, code, said):
     assert error.count("\n") == 1
     assert said in error
     assert not list(Path().glob("r.run*"))
+
+
+def test_the_printed_guarantee_names_its_conditions_and_that_it_is_no_proof(here):
+    assert run([*WORDS, "--trials", "1", "-q"]) == 0
+    said = record().guarantee.statement
+    assert "the horizon reaches rest" in said
+    assert "β D / v_c <= 1" in said
+    assert "not a proof" in said
+    # without a regulation function its condition does not matter
+    assert run([*WORDS, "--trials", "1", "-q", "-f", "--set", "beta=1000", "--filter", "none"]) in (0, 4)
 
 
 def test_a_dry_run_writes_nothing(here, capsys):
@@ -294,4 +306,4 @@ def test_the_run_can_be_explained_and_reported(here, capsys):
         "1",
         "88",
     )
-    assert float(rows[9]["fence_brake_distance_m"]) == pytest.approx(19.2852, rel=1e-3)
+    assert float(rows[9]["fence_brake_distance_m"]) == pytest.approx(22.7283, rel=1e-3)

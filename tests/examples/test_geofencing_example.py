@@ -41,10 +41,13 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
     assert "- disturbance mass: without reserve " in printed
     out = folder / "out"
     tables = {"pendulum-time", "pendulum-gains", "wall", "engaged", "fences", "robustness"}
-    assert {path.stem for path in out.glob("*.csv")} == tables | {"passes"}
+    assert {path.stem for path in out.glob("*.csv")} == tables | {"passes", "verdicts"}
     figures = {"pendulum", "chatter", "wall", "engaged", "robustness"}
     assert {path.stem for path in out.glob("*.svg")} == figures
     assert "Figure 8: repeated engagement of walls and floor" in (out / "geofencing.html").read_text()
+    verdicts = {row["item"]: row["verdict"] for row in rows_of(out / "verdicts.csv")}
+    assert verdicts["Figure 3"] == "reproduced"
+    assert verdicts["Figure 6, V-A"] == "not available here"
     wall = {row["variant"]: row for row in rows_of(out / "wall.csv")}
     assert 104 < float(wall["from-40"]["peak speed [km/h]"]) < 115
     assert (wall["from-40"]["fence"], wall["from-40-none"]["fence"]) == ("held", "left")

@@ -46,6 +46,12 @@ def test_other_compilations_of_the_geofence_give_the_same_bits(tmp_path, level):
     filter_ = ctypes.create_string_buffer(8192)
     assert c.alula_geofence_init(filter_, ctypes.byref(fence), ctypes.byref(config)) == 0
 
+    found = (ctypes.c_float * 6)()
+    assert c.alula_geofence_examine(ctypes.byref(config), found) == 0
+    conditions = _core.Geofence.conditions()
+    names = ("rest_m_s", "most_rest_m_s", "upright", "least_upright", "lost_s", "most_beta")
+    assert list(found) == [conditions[name] for name in names]
+
     geofence = _core.Geofence(_core.Fence(box=model.BOX))
     rng, seen = np.random.default_rng(0), set()
     states = model.random_states(300, 11, speed=25, tilt=2.5).astype(np.float32)

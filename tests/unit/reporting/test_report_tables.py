@@ -11,6 +11,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
+from alula.schemas.run import ObstacleResult
 from alula.stages.reporting import curves
 from alula.stages.reporting.headline import cards, chain, headline
 from alula.stages.reporting.material import Material, Run, coverage, is_covered, proof
@@ -283,6 +284,30 @@ def test_the_worst_flight_is_the_closest_one():
     assert worst.trouble.sum() == 1
     assert worst.statuses == ("recovering",)
     assert curves.worst_flight([Run("a", make_record(TRIALS))]) is None
+
+
+def test_the_worst_encounter_is_known_from_the_run_and_not_from_its_samples():
+    """Samples are rare: 0.89 m between spheres where the minimum of the run is 0.343 m."""
+
+    def met(index, closest_m):
+        found = ObstacleResult(
+            closest_m=closest_m, separation_m=None, closing_m_s=None, detected_s=None, warned_s=None,
+            reaction_s=None, avoid_s=None, collision=False,
+        )  # fmt: skip
+        return msgspec.structs.replace(make_trial(index), map_clearance_m=None, obstacles=[found])
+
+    record = make_record(TRIALS)
+    made = msgspec.structs.replace(
+        record.provenance, parameters={"vehicle": {"radius_m": 0.3}, "obstacles": [{"radius_m": 0.5}]}
+    )
+    record = msgspec.structs.replace(
+        record, provenance=made, trials=[met(0, 1.9), met(1, 1.143), met(2, 1.1)]
+    )
+    run = Run("a", record, {0: flight(margin=0.95), 1: flight(margin=0.89)})
+    worst = curves.worst_flight([run])
+    assert (worst.trial, worst.clearance_m) == (1, pytest.approx(0.343))
+    assert worst.logged == 2  # the third one came closer and was not logged
+    assert curves.worst_flight([Run("a", record, {2: flight()})]).logged is None
 
 
 def test_the_map_shows_the_hulls_at_the_heights_that_were_flown():

@@ -50,6 +50,23 @@ def test_the_wall_of_the_paper_is_met_at_100_km_h_and_not_passed(wall):
     assert wall["longest_backup_s"] < 0.1
 
 
+def test_braking_is_measured_to_the_wall_and_not_to_the_floor_that_is_nearer():
+    """The floor is 20 m below the start, the wall 40 m ahead of it."""
+    log = fly(((-100.0, -100, 0), (40.0, 100, 100)), start=at(0, 20), keeps_trace=True)[0]
+    first = int(np.argmax(log["figure"][:, 0] < 0.5))
+    x, z = log["state"][first, 0], log["state"][first, 2]
+    assert log["brake_distance_m"] == pytest.approx(40 - x, abs=1e-9)
+    assert z < 40 - x - 1
+    assert log["stop_distance_m"] < 1
+    fence = _core.Fence(box=WALL, faces=np.array([[0.6, 0.8, 0, 20.0]]))
+    assert fence.braking_distance(3, (10, 0, 5), (0, 0, -9)) == pytest.approx(30)
+    assert fence.braking_distance(6, (10, 0, 5), (0, 0, -9)) == pytest.approx(14)
+    assert fence.braking_distance(2**32 - 2, (10, 0, 5), (0, 0, -9)) == pytest.approx(
+        5
+    )  # the end speed decides
+    assert fence.braking_distance(2**32 - 1, (10, 0, 5), (0, 0, 0)) == pytest.approx(5)
+
+
 def test_it_reaches_150_km_h_and_stops_as_well():
     log = fly(((-100.0, -100, 0), (85.0, 100, 100)), start=at(0, 50))[0]
     assert log["max_speed_m_s"] * 3.6 > 150
