@@ -285,9 +285,9 @@ class SaferSplatParameters(Options, frozen=True, kw_only=True):
     brute: Annotated[bool, Meta(description='measure every ellipsoid instead of querying the index')] = False
     max_braking: Annotated[float, Meta(gt=0, description='deceleration of the fallback [m/s^2]')] = 6.0
     max_acceleration: Annotated[float, Meta(gt=0, description='maximum acceleration on each axis [m/s^2]')] = float("inf")
-    reaction_time_s: Annotated[int, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 2
+    reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 2.0
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
-    floor_m: Annotated[int, Meta(ge=0, description='minimum of the distance gate [m]')] = 3
+    floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 3.0
     count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 1024
     prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True

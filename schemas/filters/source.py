@@ -148,6 +148,8 @@ def load(folder: Path) -> dict[str, Struct]:
                 Part(name=key, struct=add(keys.pop("schema", key.replace("_", "-"))), **keys)
                 for key, keys in ((key, dict(keys)) for key, keys in parts.items())
             ]
+            for part in made:
+                _check_defaults(name, part)
             own = [_parameter(name, key, keys) for key, keys in tables.items()]
             structs[name] = Struct(name=name, parameters=own, parts=made, **head)
         return structs[name]
@@ -160,6 +162,17 @@ def load(folder: Path) -> dict[str, Struct]:
 def filters(structs: dict[str, Struct]) -> dict[str, Struct]:
     """The filters by name, each with the struct that has its parameters."""
     return {s.filter: structs[s.parameters_of or s.name] for s in structs.values() if s.filter}
+
+
+def _check_defaults(struct: str, part: Part) -> None:
+    """Refuse a default of a part that the part has no parameter for, or of another type."""
+    known = {parameter.name: parameter.default for parameter in part.struct.parameters}
+    for name, value in part.defaults.items():
+        if name not in known:
+            raise ValueError(f"{struct}.toml: {part.name} has no parameter {name}")
+        if type(value) is not type(known[name]):
+            words = type(known[name]).__name__
+            raise ValueError(f"{struct}.toml: {name}: the default {value!r} must be a {words}")
 
 
 def _parameter(struct: str, name: str, keys: dict[str, Any]) -> Parameter:

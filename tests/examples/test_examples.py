@@ -239,10 +239,10 @@ def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
 def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     folder = tmp_path / "fastbridge"
     shutil.copytree(EXAMPLES / "fastbridge", folder, ignore=shutil.ignore_patterns("out"))
-    swept = "ideal-di cone-di safer-splat safer-splat-gated safer-splat-gated-3m ecbf-gate-3m cone-ecbf"
-    paper = "none printed-backup-d printed-ecbf-14-clf cone-backup-rates printed-backup-split"
+    swept = "ideal-di cone-di safer-splat safer-splat-gated cone-ecbf cone-backup cone-ecbf-tuned"
+    paper = "none printed-backup-d printed-ecbf-14-clf printed-backup-split"
     words = [f"PYTHON={sys.executable} -P", "GAUSSIANS=20000", "TRIALS=2", "SPEEDS=2.1", "FLIGHT_SPEEDS=2.1"]
-    words += [f"SWEPT={swept} cone-backup cone-ecbf-tuned safer-splat-gated-tuned", f"PAPER_VARIANTS={paper}"]
+    words += [f"SWEPT={swept}", f"PAPER_VARIANTS={paper}"]
     words += [
         "ABLATION_SPEED=2.1",
         "ABLATIONS=ecbf-inflate-5cm backup-no-shield",
@@ -269,7 +269,7 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     assert "cone-ecbf against safer-splat (a row for every ellipsoid in the second): mean jerk" in done.stdout
     out = folder / "out"
     flown = {path.name.split("@")[0] for path in (out / "room").glob("*.run.mcap")}
-    assert flown == {*f"{swept} {paper} cone-backup cone-ecbf-tuned safer-splat-gated-tuned".split()}
+    assert flown == {*swept.split(), *paper.split()}
     best = next(row for row in tried if (row["method"], row["best"]) == ("cone-ecbf", "yes"))
     tuned = json.loads((out / "room/cone-ecbf-tuned@2.1.run.json").read_text())
     parameters = tuned["provenance"]["parameters"]["filter_parameters"]
@@ -288,7 +288,7 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     assert len(starts) == 1
     rows = (out / "figure-4.csv").read_text().splitlines()
     assert rows[-1].startswith("published")
-    of_the_paper = {"printed-backup-d", "printed-ecbf-14-clf", "cone-backup-rates", "printed-backup-split"}
+    of_the_paper = {"printed-backup-d", "printed-ecbf-14-clf", "printed-backup-split"}
     assert len(rows) == 1 + len(flown - {"ideal-di"} - of_the_paper) + 1
     assert "Figure 3" in (out / "fastbridge.html").read_text()
     verdicts = (out / "verdicts.csv").read_text().splitlines()
@@ -303,8 +303,6 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
         *("changed", "policy cone-escape", "–", "shield no", "–", "inflation_m 0.05"),
     ]
     assert len({*starts, *_starts(out)}) == 1  # also with another inflation
-    fewer = make(folder, *words, "SPEEDS=3.1")
-    assert commands_in(fewer).count("simulate") == 10  # of the new speed
 
 
 def _starts(out):

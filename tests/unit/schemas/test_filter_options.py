@@ -189,3 +189,14 @@ def test_the_source_is_checked(tmp_path):
     ):
         with pytest.raises(ValueError, match=f"one.toml: a: .*{wrong}"):
             load(text)
+
+
+@pytest.mark.parametrize(
+    ("defaults", "words"), [("{ wait_s = 2 }", "must be a float"), ("{ wait = 2.0 }", "no parameter wait")]
+)
+def test_a_default_of_a_part_has_the_type_that_the_part_gives_it(tmp_path, defaults, words):
+    """A whole number would make an option that takes seconds refuse fractions."""
+    (tmp_path / "gate.toml").write_text('[struct]\ndoc = "x"\n[wait_s]\ndefault = 0.3\ndoc = "x"\n')
+    (tmp_path / "a.toml").write_text(f'[struct]\ndoc = "x"\n[parts.gate]\ndefaults = {defaults}\n')
+    with pytest.raises(ValueError, match=words):
+        source.load(tmp_path)

@@ -347,7 +347,7 @@ struct SaferSplatOptions {
   double max_braking = 6.0;
   // maximum acceleration on each axis [m/s^2]
   double max_acceleration = std::numeric_limits<double>::infinity();
-  Pruning pruning{.reaction_time_s = 2, .floor_m = 3, .count = 1024};
+  Pruning pruning{.reaction_time_s = 2.0, .floor_m = 3.0, .count = 1024};
 };
 
 }  // namespace alula::flight
