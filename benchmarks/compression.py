@@ -139,8 +139,8 @@ def inputs(sizes: Sizes) -> Iterator[tuple[str, float, Callable[[], Artifact]]]:
 def compare(sizes: Sizes, scene: str, voxels: Path, mesh: Path, kept: Kept) -> dict[str, Figures]:
     """Run all tools on the obstacles of a scene.
 
-    V-HACD, ours and the paper's rule get the number of hulls of CoACD on the voxels, or else on the surface of
-    the density, and ours gets the latter too.
+    V-HACD, ours and the paper's rule get the number of hulls of CoACD on the voxels, or else on the surface
+    of the density, and ours gets the latter too.
 
     Args:
         sizes: tools and limits.
