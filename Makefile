@@ -128,7 +128,7 @@ bench: setup ## time the stages, and covers against those of other tools, side b
 	$(BIN)/python -P benchmarks/pipeline.py
 	$(BIN)/python -P benchmarks/compression.py --quick
 
-bench-compression: setup ## the latter in full, up to half an hour, into docs/results/benchmarks.md
+bench-compression: setup ## the latter in full, one to two hours, into docs/results/benchmarks.md
 	$(BIN)/python -P benchmarks/compression.py --markdown docs/results/benchmarks.md
 
 bench-formats: setup ## readers of splat formats against those of others, some minutes, into docs/results/benchmarks-formats.md
