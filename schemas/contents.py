@@ -53,10 +53,17 @@ class FenceSummary(RunSummary, frozen=True, kw_only=True):
     engaged_trials: _Whole
 
 
+class FenceShape(msgspec.Struct, frozen=True):
+    """Fence of a run, as in its scenario."""
+
+    box_m: tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = None
+    faces: list[tuple[_Number, _Number, _Number, _Number]] = []
+
+
 class RunParameters(msgspec.Struct, frozen=True):
     """Parameters of a run."""
 
-    fence: dict[str, Any] | None = None
+    fence: FenceShape | None = None
     run: dict[str, Any] | None = None
     filter_parameters: dict[str, Any] | None = None
 
