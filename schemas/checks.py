@@ -73,6 +73,8 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
         finite = np.isfinite(array)
         if not finite.all():
             return f"not finite in row {_first_row(~finite)}"
+    if rule.largest is not None and not (good := np.abs(array) <= rule.largest).all():
+        return f"beyond {rule.largest:g} in row {_first_row(~good)}"
     match rule.rule:
         case "not_negative":
             if not (good := array >= 0).all():
@@ -93,6 +95,11 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
             total = len(arrays[rule.indexes])
             if len(array) == 0 or array[0] != 0 or array[-1] != total or (np.diff(array) < 0).any():
                 return f"does not partition the {total} rows of {rule.indexes}"
+        case "knots":
+            if len(array) < 2 or array[0] != 0:
+                return "does not begin at 0, or has no second knot"
+            if not (good := np.diff(array) > 0).all():
+                return f"not strictly increasing at row {_first_row(~good) + 1}"
         case "strictly_increasing":
             if not (good := _lexicographically_increasing(array)).all():
                 return f"not sorted and unique at row {_first_row(~good) + 1}"

@@ -53,10 +53,39 @@ class FenceSummary(RunSummary, frozen=True, kw_only=True):
     engaged_trials: _Whole
 
 
+class RunTiming(msgspec.Struct, frozen=True):
+    """Measured times of a run that tables compare [s], and counts."""
+
+    filter_calls: _NotNegative | None = None
+    filter_total_s: _NotNegative | None = None
+    filter_p50_s: _NotNegative | None = None
+    filter_p99_s: _NotNegative | None = None
+    filter_max_s: _NotNegative | None = None
+    filter_mean_s: _NotNegative | None = None
+    filter_std_s: _NotNegative | None = None
+    tick_mean_s: _NotNegative | None = None
+    tick_p50_s: _NotNegative | None = None
+    tick_p99_s: _NotNegative | None = None
+    tick_max_s: _NotNegative | None = None
+    overruns: _NotNegative | None = None
+    ticks: _NotNegative | None = None
+    trials_flown: _NotNegative | None = None
+    wall_s: _NotNegative | None = None
+    command_mean_s: list[_NotNegative | None] | _NotNegative | None = None
+    reaction_mean_s: list[_NotNegative | None] | _NotNegative | None = None
+
+
+class FenceShape(msgspec.Struct, frozen=True):
+    """Fence of a run, as in its scenario."""
+
+    box_m: tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = None
+    faces: list[tuple[_Number, _Number, _Number, _Number]] = []
+
+
 class RunParameters(msgspec.Struct, frozen=True):
     """Parameters of a run."""
 
-    fence: dict[str, Any] | None = None
+    fence: FenceShape | None = None
     run: dict[str, Any] | None = None
     filter_parameters: dict[str, Any] | None = None
 

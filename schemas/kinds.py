@@ -15,7 +15,15 @@ from alula.schemas.manifest import (
 )
 
 Rule = Literal[
-    "finite", "not_negative", "positive", "unit_interval", "unit_norm", "starts", "strictly_increasing", "any"
+    "finite",
+    "not_negative",
+    "positive",
+    "unit_interval",
+    "unit_norm",
+    "starts",
+    "strictly_increasing",
+    "knots",
+    "any",
 ]
 
 
@@ -32,6 +40,7 @@ class ArrayRule:
         rule: check of the values.
         indexes: name of the array that the values index along its first axis.
         optional: the array may be missing.
+        largest: maximum absolute value, for arrays whose values become lengths of other arrays or sums.
     """
 
     name: str
@@ -42,6 +51,7 @@ class ArrayRule:
     rule: Rule = "any"
     indexes: str | None = None
     optional: bool = False
+    largest: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +117,22 @@ COVER = Kind(
     ),
 )
 
+LONGEST_PLAN_S = 1e4
+
 PLAN = Kind(
     "alula/plan",
     ".plan.npz",
     PlanManifest,
     (
-        ArrayRule("time", "<f8", ("K+1",), "s", "knots, strictly increasing from 0", "strictly_increasing"),
+        ArrayRule(
+            "time",
+            "<f8",
+            ("K+1",),
+            "s",
+            "knots, strictly increasing from 0",
+            "knots",
+            largest=LONGEST_PLAN_S,
+        ),
         ArrayRule(
             "coefficient",
             "<f8",
@@ -120,8 +140,11 @@ PLAN = Kind(
             "m, rad",
             "x, y, z, yaw: coefficient of (t - t_k)^j",
             "finite",
+            largest=1e15,
         ),
-        ArrayRule("waypoint", "<f8", ("W", 4), "m, rad", "x, y, z, yaw passed through", "finite"),
+        ArrayRule(
+            "waypoint", "<f8", ("W", 4), "m, rad", "x, y, z, yaw passed through", "finite", largest=1e12
+        ),
     ),
 )
 

@@ -324,6 +324,8 @@ def _timing_beside(log: Path) -> dict[str, Any] | None:
     try:
         beside = record_path(log)
         check_no_stream(beside)
-        return decode_json(beside.read_bytes(), RunRecord, most_values=MOST_RECORD_VALUES).timing
-    except (OSError, InputError, MalformedError):
+        timing = decode_json(beside.read_bytes(), RunRecord, most_values=MOST_RECORD_VALUES).timing
+        contents.check(timing, contents.RunTiming, "timing")
+        return timing
+    except (OSError, InputError, ValueError):  # measured times of another format are none
         return None

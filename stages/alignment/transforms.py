@@ -31,7 +31,8 @@ def parse_transform(text: str, name: str) -> Similarity:
         raise InputError(f"{name}: is not JSON ({error})") from error
     try:
         if isinstance(found, dict) and "matrix" not in found:
-            linear = float(found["scale"]) * np.array(found["rotation"], np.float64)
+            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused below
+                linear = float(found["scale"]) * np.array(found["rotation"], np.float64)
             if not float(found["scale"]) > 0:
                 raise InputError(f"{name}: the scale must be positive, not {found['scale']}")
             translation = np.array(found["translation_m"], np.float64)

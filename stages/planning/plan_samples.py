@@ -8,6 +8,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
 from alula.stages.planning.trajectory import evaluate
 
 
@@ -22,6 +23,7 @@ class Reference:
     velocity_world: FloatArray
 
 
+MOST_SAMPLES = 2_000_000
 NO_REFERENCE = Reference(np.empty((0, 3)), np.empty((0, 3)))
 
 
@@ -33,10 +35,17 @@ def sample_plan(plan: Artifact, dt_s: float) -> Reference:
     Args:
         plan: an `alula/plan`.
         dt_s: interval of the samples [s].
+
+    Raises:
+        UsageError: that would be more than `MOST_SAMPLES`.
     """
     knots = np.asarray(plan["time"], np.float64)
     coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
     steps = int(np.ceil(knots[-1] / dt_s - 1e-9))
+    if steps > MOST_SAMPLES:
+        raise UsageError(
+            f"the plan of {knots[-1]:g} s has {steps} ticks, more than {MOST_SAMPLES}; raise --dt"
+        )
     time = np.minimum(np.arange(steps + 1) * dt_s, knots[-1])
     position, velocity = (evaluate(knots, coefficient, time, derivative) for derivative in (0, 1))
     return Reference(position, velocity)
