@@ -39,14 +39,15 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     map, and the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, otherwise default
     parameters): the maximum over positions all over the map, its fraction of the period of each control rate,
     and a bound for any position (every hull counts). A map that does not fit ends with exit code 5 and the
-    number of bytes that would fit.
+    number of bytes that would fit. A map whose tick takes longer than the period of the control rate (--rate)
+    ends with exit code 4. Neither writes a file.
     """
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError
     from alula.schemas.targets import TARGETS
-    from alula.stages.compression.onboard.cost import require_fit, target_facts
+    from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
     from alula.stages.compression.onboard.layout import map_facts
     from alula.stages.reporting.export import export
@@ -64,7 +65,10 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
             raise type(error)(f"{artifact}: {error}") from error
 
         if config.target != "none":
-            require_fit(parts[0], decode_map(parts[0]), TARGETS[config.target])
+            image, target = decode_map(parts[0]), TARGETS[config.target]
+            require_fit(parts[0], image, target)
+            facts = target_facts(parts[0], image, target)
+            require_rate(facts, len(image), target, config.rate_hz)
             check_output(header, {"input": artifact})
             current(header, provenance, force=common.force)
 
@@ -85,7 +89,7 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
             image = decode_map(parts[0])
             counts |= map_facts(image)
             if config.target != "none":
-                counts |= {"header": str(header), **target_facts(parts[0], image, TARGETS[config.target])}
+                counts |= {"header": str(header), **facts}
         if name in SCENE_ENCODERS:
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:

@@ -19,6 +19,7 @@ class Target:
         clock_hz: clock of the core, 0 where it is not known.
         cycles_per_instruction: upper bound; a tick takes its instructions times this over the clock.
         rates_hz: rates at which the control loop may call a filter.
+        rate_hz: rate at which its firmware calls polytope-cbf by default, 0 where it is not known.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Target:
     clock_hz: float
     cycles_per_instruction: float
     rates_hz: tuple[int, ...]
+    rate_hz: float = 0.0
 
     @property
     def map_room(self) -> int:
@@ -37,7 +39,7 @@ class Target:
 TARGETS = {
     target.name: target
     for target in (
-        Target("crazyflie", 724_000, 36_000, 168e6, 2.0, (1000, 500, 250, 125, 100, 50)),
+        Target("crazyflie", 724_000, 36_000, 168e6, 2.0, (1000, 500, 250, 125, 100, 50), 100.0),
         Target("teensy", 7_900_000, 480_000, 600e6, 2.0, (1000, 500, 250, 100)),
         Target("c", 0, 0, 0.0, 2.0, ()),
     )

@@ -37,6 +37,14 @@ class ExportConfig:
             " prints the worst time of a tick. A map that does not fit is refused; c has no limits."
         },
     )
+    rate_hz: float | None = field(
+        default=None,
+        metadata={
+            "option": "--rate",
+            "help": "Rate at which the target calls polytope-cbf [Hz]; a map whose worst tick takes longer "
+            "than its period is refused with exit code 4; default: 100 on a crazyflie, no check elsewhere.",
+        },
+    )
     largest_normal: int = field(
         default=127,
         metadata={
@@ -59,6 +67,10 @@ class ExportConfig:
         """Refuse a bound that does not fit a signed byte, and unsupported versions."""
         if not 1 <= self.largest_normal <= 127:
             raise UsageError(f"--largest-normal must be 1 to 127, not {self.largest_normal}")
+        if self.rate_hz is not None and not 0 < self.rate_hz <= 1e6:
+            raise UsageError(f"--rate must be above 0 and at most 1e6 Hz, not {self.rate_hz:g}")
+        if self.rate_hz is not None and self.target in ("none", "c"):
+            raise UsageError("--rate goes with a --target whose clock is known: crazyflie or teensy")
         if self.spz_version not in (2, 3, 4):
             raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
 

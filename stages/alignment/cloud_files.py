@@ -12,6 +12,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.stages.alignment.cloud_counts import check_cloud, check_member
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts", ".npz")
 _KEYS = ("points", "xyz", "positions")
@@ -56,6 +57,7 @@ def _npz(path: Path) -> FloatArray:
             keys = [key for key in _KEYS if key in found.files]
             if not keys:
                 raise InputError(f"{path}: has no array {' or '.join(_KEYS)}, only {', '.join(found.files)}")
+            check_member(found.zip, keys[0], path)
             return np.asarray(found[keys[0]], np.float64)
     except InputError:
         raise
@@ -84,6 +86,7 @@ def _native_stdout_discarded() -> Iterator[None]:
 
 
 def _open3d(path: Path) -> FloatArray:
+    check_cloud(path)
     with _native_stdout_discarded():
         try:
             import open3d

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from alula.schemas.errors import InputError
+from alula.stages.alignment.colmap_counts import check_counts
 from alula.stages.alignment.evidence import Positions
 
 MODEL_PARTS = ("cameras", "frames", "images", "points3D", "rigs")
@@ -51,6 +52,7 @@ def read_model(folder: Path) -> Positions:
         import pycolmap
     except ImportError as error:
         raise InputError("reading COLMAP models needs pycolmap; --cameras takes a CSV instead") from error
+    check_counts(model_files(folder))
     try:
         pycolmap.logging.minloglevel = 3
         model = pycolmap.Reconstruction(str(folder))

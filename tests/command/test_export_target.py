@@ -67,6 +67,25 @@ def test_what_a_tick_takes_is_told_for_each_rate(here, capsys):
     assert not {"tick_us", "bytes_left"} & plain.keys()
 
 
+def test_a_map_that_is_too_slow_for_its_rate_exits_4_and_writes_nothing(here, capsys, monkeypatch):
+    words = ["export", "tiny.cover.npz", "-o", "a.map.bin", "--target", "crazyflie", "--json"]
+    assert run([*words, "--rate", "50", "-n"]) == 0
+    tick_us = json.loads(capsys.readouterr().out)["summary"]["tick_us"]
+    before = {path.name for path in here.iterdir()}
+    assert run([*words, "--rate", str(3.5e6 / tick_us)]) == 4
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "3.5 times its period" in line
+    assert "merge to fewer hulls, or give --rate below" in line
+    slow = Target("crazyflie", 724_000, 36_000, 80 * tick_us, 2.0, (1000, 50), 100.0)  # a tick of 2.1 s
+    monkeypatch.setitem(TARGETS, "crazyflie", slow)
+    assert run(words) == 4
+    assert "at 100 Hz" in capsys.readouterr().err
+    assert {path.name for path in here.iterdir()} == before
+    for target in ("none", "c"):
+        assert run(["export", "tiny.cover.npz", "-o", "b.bin", "--target", target, "--rate", "50"]) == 2
+        assert "--rate goes with a --target" in capsys.readouterr().err
+
+
 def test_the_bound_holds_wherever_the_vehicle_is(here):
     cover = read_artifact(Path("tiny.cover.npz"))
     raw = encode_map(cover, indexed=True)

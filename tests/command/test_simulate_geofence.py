@@ -291,7 +291,9 @@ def test_the_run_can_be_explained_and_reported(here, capsys):
     assert json.loads(capsys.readouterr().out)["summary"]["trials"] == 9
     assert run(["report", "r.run.mcap", "wall.run.mcap", "-o", "page.html", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)["summary"]
-    assert said["flights"] == "10 of 10 stayed in the fence"
+    assert said["flights"] == (
+        "geofence (r): 9 of 9 stayed in the fence; geofence (wall): 1 of 1 stayed in the fence"
+    )
     page, markdown = Path("page.html").read_text(), Path("page.md").read_text()
     for title in ("From above: r", "From the side: wall", "The closest flight: wall, trial 0"):
         assert title in page

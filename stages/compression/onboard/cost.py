@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.errors import InfeasibleError
+from alula.schemas.errors import CheckError, InfeasibleError
 from alula.schemas.targets import Target
 from alula.stages.compression.onboard.image import HEADER_BYTES, HULL_BYTES, MapImage
 from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
@@ -126,6 +127,28 @@ def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
     raise InfeasibleError(
         f"{len(image)} hulls take {len(raw)} bytes, {target.name} has room for {target.map_room} beside the"
         f" filters' code; merge this cover with --max-bytes {largest_budget(target.map_room, len(image))}"
+    )
+
+
+def require_rate(facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: float | None) -> None:
+    """Refuse a map whose worst tick takes longer than the period of its control rate.
+
+    Args:
+        facts: see `target_facts`.
+        hulls: number of hulls of the map.
+        target: the microcontroller.
+        rate_hz: the control rate; None is the default of the target's firmware.
+
+    Raises:
+        CheckError: the tick takes too long; the message has the fraction of the period.
+    """
+    rate = rate_hz or target.rate_hz
+    if not rate or "tick_us" not in facts or (share := 1e-6 * facts["tick_us"] * rate) <= 1:
+        return
+    tick, fast = facts["tick_us"] / 1000, 1e6 / facts["tick_us"]
+    raise CheckError(
+        f"a tick of polytope-cbf on {hulls} hulls takes up to {tick:.3g} ms on {target.name}, {share:.3g} "
+        f"times its period at {rate:g} Hz; merge to fewer hulls, or give --rate below {fast:.3g}"
     )
 
 

@@ -217,7 +217,7 @@ def test_files_that_are_no_cloud_are_refused(tmp_path, capfd):
 
     refused("a.las", b"", "clouds end in .ply")
     refused("none.ply", None, "cannot read")
-    refused("bad.ply", b"ply\nnonsense", "holds no points")
+    refused("bad.ply", b"ply\nnonsense", "PLY: truncated, or no line 'end_header'")
     refused("bad.npz", b"no zip", "no readable .npz")
     refused("keys.npz", {"colors": np.ones((3, 3))}, "has no array points or xyz or positions, only colors")
     refused("flat.npz", {"points": np.ones((3, 2))}, r"shape \(n, 3\), not \(3, 2\)")
