@@ -40,7 +40,7 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     clf_kp: Annotated[float, Meta(gt=0, description='position gain of the closed loop that defines V [1/s^2]')] = 3.0
     clf_kv: Annotated[float, Meta(gt=0, description='velocity gain of the closed loop that defines V [1/s]')] = 2.0
     substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
-    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that an accepted manoeuvre keeps [m]')] = 0.02
+    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
     max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
     escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
     escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
@@ -49,6 +49,7 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
     rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
     rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
+    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.3
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -132,7 +133,7 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     clf_kp: Annotated[float, Meta(gt=0, description='position gain of the closed loop that defines V [1/s^2]')] = 3.0
     clf_kv: Annotated[float, Meta(gt=0, description='velocity gain of the closed loop that defines V [1/s]')] = 2.0
     substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
-    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that an accepted manoeuvre keeps [m]')] = 0.02
+    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
     max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
     escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
     escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
@@ -141,6 +142,7 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
     rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
     rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
+    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.6
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -315,7 +317,7 @@ FILTERS: dict[str, type[Options]] = {
 PARTS: dict[str, tuple[Part, ...]] = {
     "cone-backup": (
         Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'motor_time_constant_s')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
@@ -326,7 +328,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     "cone-ecbf": (
         Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
         Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'wish_attitude_rad_s', 'wish_position_rad_s', 'wish_catch_up_m_s', 'wish_acceleration', 'wish_speed_m_s', 'wish_cone_rate_1_s')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'motor_time_constant_s')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),

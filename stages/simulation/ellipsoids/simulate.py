@@ -316,19 +316,51 @@ def _model(vehicle: Vehicle) -> str:
     return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
 
 
+_SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on
+
+
+def _kept(shield: dict[str, Any]) -> str:
+    """Distance that a certified manoeuvre keeps until it rests, in words."""
+    margin = shield.get("margin_m")
+    return (
+        f"the radius and half of margin_m, {exact(margin / 2)} m,"
+        if isinstance(margin, float)
+        else "the radius"
+    )
+
+
+def _tested(shield: dict[str, Any]) -> str:
+    """What of a certificate is tested and not proven, in words."""
+    drift = shield.get("rest_drift_m")
+    if not isinstance(drift, float):  # a filter of another package
+        return ""
+    words = (
+        f" At rest the linear loop about hover drifts by at most {exact(drift)} m; that the nonlinear loop "
+        "stays within half of margin_m is tested, not proven."
+    )
+    if shield.get("early_end"):
+        words += (
+            " So is the early end of rollouts, where twice the excursion of the linear loop is free "
+            "(early_end=false rolls all out to rest)."
+        )
+    return words
+
+
 def _guarantee(
     config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
 ) -> Guarantee:
     """State what the run shows, and in how many steps the filter proved a backup; the log has the steps."""
     hits = sum(t.collision for t in trials)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
+    shield = {name: config.filter_parameters.get(name) for name in _SHIELD} if certified else {}
     proven = "all" if certified == steps else f"{certified} of {steps}"
     if config.filter == NO_FILTER:
         beforehand = UNFILTERED
     elif certified:
         beforehand = (
-            f"In {proven} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
-            f"radius from every ellipsoid, for {_model(vehicle)}."
+            f"In {proven} steps the filter proved, by a rollout, that a backup manoeuvre from the end of the "
+            f"step keeps {_kept(shield)} from every ellipsoid until it rests, for {_model(vehicle)}."
+            f"{_tested(shield)}"
         )
         if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
             beforehand += f" These flights had {', '.join(outside)}, which that model leaves out."
@@ -357,6 +389,7 @@ def _guarantee(
             "certified_steps": certified,
             "steps": steps,
             "every_step_certified": certified == steps,
+            "shield": shield,
             "continuous_time": True,
             "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
             "sigma": config.sigma,

@@ -181,6 +181,29 @@ def test_rollouts_of_our_vehicles_end_early(name):
     assert not _core.Shield(_core.BackupPolicy(body, "brake"), index, lagging).ends_early
 
 
+def test_rollouts_need_not_end_early():
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    assert not _core.Shield(policy, empty_scene().index, _core.ShieldOptions(early_end=False)).ends_early
+
+
+@pytest.mark.parametrize("early_end", [True, False])
+def test_certified_flights_keep_half_the_margin_and_not_all_of_it(early_end):
+    """A new manoeuvre keeps the margin, but at rest it drifts, and one that is flown keeps half."""
+    least = np.inf
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng)
+        policy, options = _core.BackupPolicy(VEHICLE, "brake"), _core.ShieldOptions(early_end=early_end)
+        shield = _core.Shield(policy, scene.index, options)
+        flown = _core.ConeBackup(policy, scene.index, _core.ConeBackupOptions(shield_options=options))
+        for _ in range(6):
+            flown.reset()
+            flight = Flight(scene, VEHICLE, flown, admissible_start(rng, shield), wild(rng), 80)
+            assert all(report["certified"] for report in flight.reports)
+            least = min(least, flight.clearance)
+    assert 0.01 <= least < 0.02
+
+
 def test_to_hover_turned_away_is_no_rest():
     """The regulator's spring on the heading makes it turn, and sway meanwhile."""
     turned = np.array([0, 0, 0, 0, 0, np.tan(3 / 4), 0, 0, 0, 0, 0, 0])

@@ -50,7 +50,7 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
-  ends_early_ = keeps_to_excursion();
+  ends_early_ = o.early_end && keeps_to_excursion();
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }

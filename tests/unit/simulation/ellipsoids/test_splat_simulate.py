@@ -132,6 +132,23 @@ def test_starts_and_goals_are_clear_and_the_log_says_what_was_flown():
     assert result.map is FIELD
 
 
+@pytest.mark.parametrize("early_end", [True, False])
+def test_the_guarantee_names_the_margin_that_is_kept_and_what_is_only_tested(early_end):
+    chosen = {"margin_m": 0.03, "early_end": early_end}
+    config = quick(trials=1, filter="cone-backup", filter_parameters=chosen)
+    found = simulate_splat(config, FIELD, FASTBRIDGE).guarantee
+    assert found.claims["every_step_certified"]
+    assert found.claims["shield"] == {"margin_m": 0.03, "rest_drift_m": 0.008, "early_end": early_end}
+    assert (
+        "keeps the radius and half of margin_m, 0.015 m, from every ellipsoid until it rests"
+        in found.statement
+    )
+    assert "drifts by at most 0.008 m; that the nonlinear loop" in found.statement
+    assert ("early end of rollouts" in found.statement) == early_end
+    assert "at 1 sigma (19.8 % of a Gaussian's mass)" in found.statement
+    assert found.claims["mass_fraction"] == pytest.approx(0.19875, abs=1e-5)
+
+
 def test_the_alignment_s_inflation_is_added_to_what_filters_see():
     manifest = msgspec.structs.replace(FIELD.manifest, suggested_inflation_m=0.07)
     grown = Artifact(manifest, FIELD.arrays)

@@ -108,7 +108,7 @@ struct Fields<flight::ShieldOptions> {
   static constexpr std::tuple all{
       Field{"tick_s", &flight::ShieldOptions::tick_s, "how long an input is held [s]", Limits{.above = 0.0, .max = 1.0}},
       Field{"substeps", &flight::ShieldOptions::substeps, "minimum number of RK4 steps in a tick; no step is longer than 10 ms", Limits{.min = 1.0}},
-      Field{"margin_m", &flight::ShieldOptions::margin_m, "distance beyond the radius that an accepted manoeuvre keeps [m]", Limits{.above = 0.0}},
+      Field{"margin_m", &flight::ShieldOptions::margin_m, "distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]", Limits{.above = 0.0}},
       Field{"max_time_s", &flight::ShieldOptions::max_time_s, "a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]", Limits{.above = 0.0}},
       Field{"escape_time_s", &flight::ShieldOptions::escape_time_s, "how long the policy cone-escape holds a velocity [s]", Limits{.min = 0.0}},
       Field{"escape_tries", &flight::ShieldOptions::escape_tries, "maximum number of velocities that cone-escape tries, smallest turn first", Limits{.min = 0.0}},
@@ -117,6 +117,7 @@ struct Fields<flight::ShieldOptions> {
       Field{"rest_rate_rad_s", &flight::ShieldOptions::rest_rate_rad_s, "angular rate below which the vehicle can count as at rest [rad/s]", Limits{.above = 0.0}},
       Field{"rest_tilt_rad", &flight::ShieldOptions::rest_tilt_rad, "tilt below which the vehicle can count as at rest [rad]", Limits{.above = 0.0}},
       Field{"rest_drift_m", &flight::ShieldOptions::rest_drift_m, "maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]", Limits{.above = 0.0}},
+      Field{"early_end", &flight::ShieldOptions::early_end, "end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest", Limits{}},
       Field{"motor_time_constant_s", &flight::ShieldOptions::motor_time_constant_s, "assumed time constant of the rotors; 0: rotors follow a command at once [s]", Limits{.min = 0.0, .max = 10.0}}};
 };
 

@@ -112,7 +112,8 @@ struct ShieldOptions {
   double tick_s = 0.01;
   // minimum number of RK4 steps in a tick; no step is longer than 10 ms
   int substeps = 1;
-  // distance beyond the radius that an accepted manoeuvre keeps [m]
+  // distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down
+  // to half of it, and the radius is what is guaranteed [m]
   double margin_m = 0.02;
   // a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]
   double max_time_s = 8.0;
@@ -130,6 +131,9 @@ struct ShieldOptions {
   double rest_tilt_rad = 0.05;
   // maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
   double rest_drift_m = 0.008;
+  // end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not
+  // proven; false: every manoeuvre is rolled out to rest
+  bool early_end = true;
   // assumed time constant of the rotors; 0: rotors follow a command at once [s]
   double motor_time_constant_s = 0.0;
 };
