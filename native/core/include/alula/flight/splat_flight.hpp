@@ -32,7 +32,7 @@ struct FlightRules {
   double dt_s = 0.01;                 // a tick of controller and filter
   std::int64_t plant_steps = 10;      // of the plant in a tick
   std::int64_t controller_ticks = 1;  // the nominal command of the controller is held for this many ticks,
-  std::int64_t filter_ticks = 1;      // and the filter's input for this many
+  std::int64_t filter_ticks = 1;      // and the filter's input for this many; an acceleration waits for the controller
   double stop_fraction = 0.01;        // goal reached: within this fraction of the start-goal distance,
   double stop_floor_m = 0.05;         // or within this distance,
   double stop_speed = 0.1;            // and slower than this, with the reference at its end [m/s]
