@@ -18,6 +18,7 @@ LARGEST = 1e15  # of a number that is measured or computed; larger ones overflow
 
 _Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 _NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
+_Voxels = Annotated[float, Meta(ge=0, le=1e30)]  # a sum of volumes; hulls may be 2^17 voxels long
 _Whole = Annotated[int, Meta(ge=0, le=2**53)]
 _Fraction = Annotated[float, Meta(ge=0, le=1)]
 
@@ -114,7 +115,7 @@ class Curve(msgspec.Struct, frozen=True):
     """Course of a merge: numbers of hulls and of half-planes, and the volume without voxels."""
 
     hulls: list[_NotNegative] | None = None
-    excess_sum_voxels: list[_NotNegative] | None = None
+    excess_sum_voxels: list[_Voxels] | None = None
     half_planes: list[_NotNegative] | None = None
 
     def __post_init__(self) -> None:

@@ -1291,12 +1291,12 @@ class BackupFlow:
 class ShieldOptions:
     """Options of the check of a manoeuvre to rest."""
 
-    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, motor_time_constant_s: float = 0.0) -> None:
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0) -> None:
         """
         Args:
             tick_s: how long an input is held [s]
             substeps: minimum number of RK4 steps in a tick; no step is longer than 10 ms
-            margin_m: distance beyond the radius that an accepted manoeuvre keeps [m]
+            margin_m: distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]
             max_time_s: a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]
             escape_time_s: how long the policy cone-escape holds a velocity [s]
             escape_tries: maximum number of velocities that cone-escape tries, smallest turn first
@@ -1305,6 +1305,7 @@ class ShieldOptions:
             rest_rate_rad_s: angular rate below which the vehicle can count as at rest [rad/s]
             rest_tilt_rad: tilt below which the vehicle can count as at rest [rad]
             rest_drift_m: maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
+            early_end: end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
             motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
         """
 
@@ -1318,7 +1319,9 @@ class ShieldOptions:
 
     @property
     def margin_m(self) -> float:
-        """distance beyond the radius that an accepted manoeuvre keeps [m]"""
+        """
+        distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]
+        """
 
     @property
     def max_time_s(self) -> float:
@@ -1356,6 +1359,12 @@ class ShieldOptions:
     def rest_drift_m(self) -> float:
         """
         maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
+        """
+
+    @property
+    def early_end(self) -> bool:
+        """
+        end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
         """
 
     @property

@@ -38,7 +38,7 @@ def test_what_voxelize_refuses_verify_refuses_too(count, radius_m, crop):
     scene = balls(count, radius_m, spread_m=30.0)
     begin = time.process_time()
     with pytest.raises(InputError, match="the scene would need"):
-        voxelize(VoxelizeConfig(size_m=0.05, crop=crop), scene)
+        voxelize(VoxelizeConfig(size_m=0.05, crop=crop, max_voxels=2**27), scene)
     with pytest.raises(InputError, match="the scene would need"):
         unproven_voxels(scene, FEW, voxel_size_m=0.05, sigma=1.0, crop=crop)
     assert time.process_time() - begin < MOST_CPU_S
