@@ -200,7 +200,7 @@ def largest_share(ellipsoids: Ellipsoids, voxels: int) -> tuple[int, float] | No
     semi = ellipsoids.scale.astype(np.float64) * ellipsoids.sigma + ellipsoids.inflation_m
     volume = 4 / 3 * math.pi * np.prod(semi / ellipsoids.voxel_size_m, axis=1)
     row = int(np.argmax(volume))
-    return row, float(volume[row]) / voxels
+    return row, min(float(volume[row]) / voxels, 1.0)
 
 
 def named(rows: tuple[int, ...]) -> str:

@@ -90,19 +90,19 @@ def marked_volume(
     origin = low - _MARGIN * edge
     size = np.ceil((high - low) / edge).astype(int) + 2 * _MARGIN + 1
     steps = sorted({float(limit) for limit in limits}, reverse=True)
-    grid = np.full(
-        size, len(steps), np.uint8
-    )  # number of limits above the opacity of the most opaque Gaussian
+    # Of each cell: the number of limits above the opacity of the most opaque Gaussian that touches it.
+    grid = np.full(size, len(steps), np.uint8)
     touched = np.zeros(size, np.bool_)
     counts = np.zeros(len(steps) + 1, np.int64)
     for start in range(0, len(mean), _CHUNK):
         part = slice(start, start + _CHUNK)
-        columns = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
+        centre, semi, quat, alpha = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
         # Number of limits above the opacity, compared in single precision as the import does.
-        band = np.sum([columns[3] < np.float32(step) for step in steps], axis=0, dtype=np.intp)
+        band = np.sum([alpha < np.float32(step) for step in steps], axis=0, dtype=np.intp)
         counts += np.bincount(band, minlength=len(steps) + 1)
         for number in np.unique(band).tolist():
-            index = _touched(*(column[band == number] for column in columns[:3]), origin, edge, size)
+            mine = band == number
+            index = _touched(centre[mine], semi[mine], quat[mine], origin, edge, size)
             at = tuple(index.T)
             touched[at] = True
             grid[at] = np.minimum(grid[at], number)

@@ -197,9 +197,10 @@ def _volume(config: ImportSplatConfig, splats: Splats, removal: NDArray[np.uint8
     rows = (removal == 0) | (removal == 1 + _REASONS.index("min_opacity"))
     if not (splats.opacity[rows] < np.float32(max(limits))).any():
         return None
-    whole = rows.all()
-    columns = (splats.mean, splats.scale, splats.quat_wxyz, splats.opacity)
-    return marked_volume(*(column if whole else column[rows] for column in columns), sorted(limits))
+    mean, scale, quat, opacity = splats.mean, splats.scale, splats.quat_wxyz, splats.opacity
+    if not rows.all():
+        mean, scale, quat, opacity = mean[rows], scale[rows], quat[rows], opacity[rows]
+    return marked_volume(mean, scale, quat, opacity, sorted(limits))
 
 
 def _opacity_notes(
