@@ -44,9 +44,11 @@
  *                     from which the horizon suffices, forward (level, and tilted as far as u_B tilts, both ways), up
  *                     and down, by no or full throttle and no or full pitch rate.
  *
- * These are samples of an upright vehicle, not a bound. Upside down D can be 3 m, because a turn of almost 180 degrees
- * has no preferred axis; also a tick can raise |v_N| above v_B at high speed. Neither is excluded by the conditions:
- * that the fence holds there is shown by random flights only. Effects that the model omits (mass, wind, delay) must be covered by `reserve_m`. The bound is to leading order, not
+ * These are samples of an upright vehicle, not a bound. Upside down D can be some metres, because a turn of almost
+ * 180 degrees has no preferred axis; and at high speed a tick can raise |v_N| above v_B. The conditions exclude
+ * neither: that the fence holds there is shown by random flights only.
+ *
+ * Effects that the model omits (mass, wind, delay) must be covered by `reserve_m`. The bound is to leading order, not
  * an enclosure.
  *
  * Without a pilot (null, or a number that is not finite) u_B is flown, with the hold from the time of the loss.
