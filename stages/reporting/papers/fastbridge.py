@@ -49,6 +49,7 @@ SAME_RADIUS, TUNED = ("ecbf-gate-3m", "safer-splat-gated-3m"), ("cone-ecbf-tuned
 PAIRED = {
     SAME_RADIUS: "the same radius of 3 m, as in the paper",
     ("cone-ecbf", "safer-splat-gated"): "each its own gate",
+    ("cone-ecbf", "safer-splat-gated-cones"): "the gate of the cones",
     TUNED: "each tuned, its own gate",
     ("cone-backup-tuned", "safer-splat-gated-tuned"): "each tuned, its own gate",
     ("cone-di-tuned", "safer-splat-gated-tuned"): "each tuned, its own gate",
@@ -344,7 +345,8 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
             speeds = speeds_of(sweeps, scene, pair)
             if not speeds:
                 continue
-            found = compare(*(_at_all(sweeps, scene, variant, speeds) for variant in pair))
+            ours, theirs = (_at_all(sweeps, scene, variant, speeds) for variant in pair)
+            found = compare(ours, theirs)
             parts = []
             if (jerk := found.mean_jerk) is not None:
                 parts.append(f"mean jerk × {jerk.value:.2f}{_interval(jerk, '.2f')}")

@@ -24,9 +24,11 @@ from alula.stages.reporting.table import Table
 from alula.stages.verdict import wilson_interval
 
 PRINTED = ("printed-ecbf-14-clf", "safer-splat-gated-3m")  # the paper's program, with the CLF and our lambda
+CONES = ("cone-ecbf", "safer-splat-gated-cones")
 _WHOSE = {
     SAME_RADIUS: "ours against SAFER-Splat, published gains, the same radius of 3 m",
     PRINTED: "the paper's program (λ = 14, ours) against SAFER-Splat, published gains, 3 m",
+    CONES: "ours against SAFER-Splat, published gains, the gate of the cones, where SAFER-Splat collides",
     TUNED: "ours against SAFER-Splat, both tuned by the same search, each its own gate",
 }
 _HARDWARE = "needs the vehicle, its radio link and the motion capture"
@@ -199,7 +201,8 @@ def _comparison(here: Sequence[Sweep]) -> list[PaperRow]:
         speeds = speeds_of(here, here[0].scene, pair) if here else []
         if not speeds:
             continue
-        found = compare(*([find(here, here[0].scene, v, w) for w in speeds] for v in pair))  # type: ignore[arg-type]
+        ours, theirs = ([s for w in speeds if (s := find(here, here[0].scene, v, w))] for v in pair)
+        found = compare(ours, theirs)
         at = f"{', '.join(f'{w:g}' for w in speeds)} m/s"
         for words, value, published in (
             ("mean jerk, ratio", found.mean_jerk, p["mean_jerk_ratio"]),
@@ -473,7 +476,7 @@ def _ends(
         if mean is None:
             return None
         found.append((sweep.speed_m_s, mean))
-    return (found[0], found[1]) if len(found) == 2 else None
+    return (found[0], found[1]) if len(found) == 2 and found[0][0] < found[1][0] else None
 
 
 def _above(high: Estimate, low: Estimate) -> bool:
