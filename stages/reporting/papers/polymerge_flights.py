@@ -88,8 +88,9 @@ def from_record(record: Mapping[str, Any]) -> Flights:
     Raises:
         InputError: a field is missing or unknown.
     """
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
     try:
-        return Flights(**{k: tuple(v) if isinstance(v, list) else v for k, v in record.items()})
+        return Flights(**values)
     except TypeError as error:
         raise InputError(f"a record of flights: {error}") from error
 

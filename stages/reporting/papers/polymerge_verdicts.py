@@ -210,12 +210,12 @@ def _without_coacd(scenes: Sequence[SceneMaps]) -> list[PaperRow]:
     return [
         PaperRow(
             "Table I, Figures 4a and 5",
-            "surface + CoACD: " + ", ".join(s.name for s in without),
+            "surface + CoACD",
             "nine scenes",
             "",
             "",
             "not available here",
-            "; ".join(dict.fromkeys(s.coacd_note for s in without)),
+            "; ".join(f"{s.name}: {s.coacd_note}" for s in without),
         )
     ]
 
