@@ -112,6 +112,15 @@ def test_more_success_is_reproduced_only_if_the_interval_says_so(ours, theirs, v
     assert row.verdict == verdict
 
 
+@pytest.mark.parametrize(
+    ("good", "verdict"), [(31, "not comparable"), (52, "reproduced"), (97, "not comparable")]
+)
+def test_success_is_reproduced_inside_the_interval_of_the_ten_published_flights(good, verdict):
+    found = rows_of(table=[flights(hulls=30, good=good, n=100)], item="Table II")
+    (row,) = (r for r in found if r.quantity.startswith("success with 30"))
+    assert row.verdict == verdict
+
+
 def test_a_collision_of_a_covered_map_would_be_a_refutation():
     found = rows_of(table=[flights(hulls=10), flights(hulls=150, close=1)], item="Table II")
     (row,) = (r for r in found if r.quantity.startswith("minimum distance with 150"))
