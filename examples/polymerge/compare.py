@@ -47,6 +47,12 @@ def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
     return Polytopes(count, planes, growth, path.stat().st_size, found, len(encode_map(cover)))
 
 
+def why_no_coacd(path: Path) -> str:
+    """Say why a file of coacd_parts.py has no parts."""
+    limit_s = float(np.load(path)["limit_s"])
+    return f"no parts in {limit_s:g} s of CPU" if limit_s > 0 else "CoACD was not run"
+
+
 def of_coacd(path: Path, index: np.ndarray) -> Polytopes | None:
     """Read the output of coacd_parts.py; None when it had no CoACD."""
     with np.load(path) as arrays:
@@ -78,6 +84,7 @@ def maps_of(name: str) -> SceneMaps:
         voxels.manifest.voxel_size_m,
         same if theirs is None else {**same, "coacd": theirs},
         curves,
+        why_no_coacd(folder / f"{name}.coacd.npz"),
     )
 
 

@@ -48,6 +48,7 @@ class SceneMaps:
         voxel_size_m: their edge [m].
         same_count: by method "default", "paper" or "coacd", maps with about the same number of polytopes.
         curves: by method, maps with decreasing numbers of polytopes.
+        coacd_note: why there are no parts of CoACD.
     """
 
     name: str
@@ -57,6 +58,7 @@ class SceneMaps:
     voxel_size_m: float
     same_count: Mapping[str, Polytopes]
     curves: Mapping[str, Sequence[Polytopes]] = field(default_factory=dict)
+    coacd_note: str = "CoACD was not run"
 
 
 def sizes_table(scenes: Sequence[SceneMaps]) -> Table:

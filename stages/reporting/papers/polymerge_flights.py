@@ -29,7 +29,8 @@ class Flights:
         map_distance_m: the same to the finest cover, which the paper takes for the truth; or empty [m].
         path_m: length of the flown path [m].
         radius_m: of the vehicle [m].
-        inside: number of pairs whose start or goal is closer to the map than the radius.
+        inside: whether the pair's start or goal is closer to the map than the radius, where the filter
+            guarantees nothing.
         steps: of each flight.
         filter_us: time of the filter per step, mean of the fastest 99 %, on one thread [us].
         tolerance: of the goal, in words.
@@ -44,14 +45,15 @@ class Flights:
     map_distance_m: tuple[float, ...]
     path_m: tuple[float, ...]
     radius_m: float
-    inside: int
+    inside: tuple[bool, ...]
     steps: tuple[int, ...]
     filter_us: float
     tolerance: str
 
     def __post_init__(self) -> None:
         """Refuse lists of different lengths."""
-        if len({len(self.reached), len(self.distance_m), len(self.path_m), len(self.steps)}) > 1:
+        lists = (self.reached, self.distance_m, self.path_m, self.steps, self.inside)
+        if len({len(each) for each in lists}) > 1:
             raise InputError(f"{self.scene}, {self.method}: the lists of flights have different lengths")
 
     @property
@@ -65,6 +67,16 @@ class Flights:
         return tuple(r and not c for r, c in zip(self.reached, self.collided, strict=True))
 
     @property
+    def outside(self) -> tuple[int, ...]:
+        """Numbers of the pairs with both ends outside the map."""
+        return tuple(i for i, is_inside in enumerate(self.inside) if not is_inside)
+
+    @property
+    def collided_outside(self) -> int:
+        """Number of collisions of pairs with both ends outside the map."""
+        return sum(self.collided[i] for i in self.outside)
+
+    @property
     def success(self) -> Rate:
         """Fraction of the flights that succeeded [%]."""
         return rate(self.succeeded)
@@ -76,8 +88,9 @@ def from_record(record: Mapping[str, Any]) -> Flights:
     Raises:
         InputError: a field is missing or unknown.
     """
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
     try:
-        return Flights(**{k: tuple(v) if isinstance(v, list) else v for k, v in record.items()})
+        return Flights(**values)
     except TypeError as error:
         raise InputError(f"a record of flights: {error}") from error
 
@@ -87,6 +100,11 @@ def path_ratio(theirs: Flights, ours: Flights, among: Sequence[Flights]) -> Esti
     each = [all(row) for row in zip(*(f.succeeded for f in among), strict=True)]
     pick = [i for i, good in enumerate(each) if good]
     return ratio_estimate([theirs.path_m[i] for i in pick], [ours.path_m[i] for i in pick])
+
+
+def nearest(flights: Flights, distance_m: Sequence[float]) -> float | None:
+    """Minimum distance over the pairs with both ends outside the map; None without such pairs [m]."""
+    return min((distance_m[i] for i in flights.outside if distance_m), default=None)
 
 
 def flight_ms(flights: Flights) -> float:
@@ -114,13 +132,14 @@ def figure_5_table(flights: Sequence[Flights]) -> Table:
             rows.append(
                 (
                     *(scene, f.method, f.hulls, len(f.reached)),
-                    *(sum(f.reached), sum(f.collided), f.inside, *f.success.cells),
+                    *(sum(f.reached), sum(f.collided), f.collided_outside, sum(f.inside), *f.success.cells),
                     *(min(f.distance_m), f.filter_us, flight_ms(f)),
                     *((path.value, path.low, path.high, path.n) if path is not None else (*_NO_ENDS, None)),
                 )
             )
     columns = (
-        *("scene", "method", "hulls", "flights", "reached", "collided", "start or goal inside the map"),
+        *("scene", "method", "hulls", "flights", "reached", "collided", "of these, from outside the map"),
+        "start or goal inside the map",
         *("success [%]", LOW, HIGH, "minimum distance to an ellipsoid [m]", "filter per step [µs]"),
         *("filter per flight [ms]", "path / ours", LOW, HIGH, "pairs"),
     )
@@ -146,21 +165,25 @@ def table_2(flights: Sequence[Flights]) -> Table:
         typical = mean_estimate([f.distance_m[i] for i in reached])
         rows.append(
             (
-                *(f.hulls, f.rate_hz, *printed[1:], len(f.reached), f.inside, sum(f.collided)),
+                *(f.hulls, f.rate_hz, *printed[1:], len(f.reached), sum(f.inside)),
+                *(sum(f.collided), f.collided_outside),
                 *f.success.cells,
-                *(min(f.distance_m), None if not f.map_distance_m else min(f.map_distance_m)),
+                *(nearest(f, f.distance_m), nearest(f, f.map_distance_m)),
                 *((typical.value, typical.low, typical.high) if typical is not None else _NO_ENDS),
             )
         )
     columns = (
         *("hulls", "rate [Hz]", "published: success", "published: minimum distance [m]", "flights"),
-        *("start or goal inside the map", "collided", "success [%]", LOW, HIGH),
+        *("start or goal inside the map", "collided", "of these, from outside the map"),
+        *("success [%]", LOW, HIGH),
         *("minimum distance to an ellipsoid [m]", "minimum distance to the 150 hulls [m]"),
         *("distance of closest approach, mean of successes [m]", LOW, HIGH),
     )
     note = (
-        "Pairs whose straight line meets an ellipsoid, the same for every number of hulls, clear of the 150 "
-        "hulls. Success: within 5 cm of the goal. The paper measures to its 150 polytopes, over ten flights "
-        "for each number."
+        "Pairs whose straight line meets an ellipsoid, the same for every number of hulls, clear of the "
+        "150 hulls. Success: within 5 cm of the goal. Minimum distances are over the flights with both "
+        "ends outside the map: inside a coarse hull the filter guarantees nothing, and a flight that "
+        "leaves it may touch what the hull covers. The paper measures to its 150 polytopes, over ten "
+        "flights for each number."
     )
     return Table("table-2", "Table II: flights over the number of hulls", columns, tuple(rows), note)

@@ -35,7 +35,7 @@ def flights(method=OURS, *, hulls=300, good=10, close=0, n=10, path=2.0, us=1.0,
         map_distance_m=(),
         path_m=tuple(path + 0.01 * i for i in range(n)),
         radius_m=0.1,
-        inside=0,
+        inside=(False,) * n,
         steps=(steps,) * n,
         filter_us=us,
         tolerance="1 % of the distance",
@@ -74,7 +74,7 @@ def test_the_tables_show_what_was_flown():
     assert flight_ms(ours) == pytest.approx(0.2)
     second = table_2([flights(hulls=10, good=7), flights(hulls=149)])
     assert [row[:4] for row in second.rows] == [(10, 100.0, 0.7, 0.268), (149, 100.0, 0.9, 0.097)]
-    assert second.columns[8:10] == (LOW, HIGH)
+    assert second.columns[9:11] == (LOW, HIGH)
 
 
 def test_every_row_has_a_verdict_and_the_table_keeps_the_order():
@@ -93,7 +93,7 @@ def test_every_row_has_a_verdict_and_the_table_keeps_the_order():
         "Table II",
     ):
         assert item in items
-    assert sum(row.verdict == "not available here" for row in rows) == 3
+    assert sum(row.verdict == "not available here" for row in rows) == 4
 
 
 @pytest.mark.parametrize(("us", "verdict"), [(30.0, "refuted"), (100.0, "reproduced"), (300.0, "bounded")])
@@ -112,10 +112,37 @@ def test_more_success_is_reproduced_only_if_the_interval_says_so(ours, theirs, v
     assert row.verdict == verdict
 
 
+@pytest.mark.parametrize(
+    ("good", "verdict"), [(31, "not comparable"), (52, "reproduced"), (97, "not comparable")]
+)
+def test_success_is_reproduced_inside_the_interval_of_the_ten_published_flights(good, verdict):
+    found = rows_of(table=[flights(hulls=30, good=good, n=100)], item="Table II")
+    (row,) = (r for r in found if r.quantity.startswith("success with 30"))
+    assert row.verdict == verdict
+
+
 def test_a_collision_of_a_covered_map_would_be_a_refutation():
     found = rows_of(table=[flights(hulls=10), flights(hulls=150, close=1)], item="Table II")
     (row,) = (r for r in found if r.quantity.startswith("minimum distance with 150"))
     assert row.verdict == "refuted"
+
+
+def test_a_collision_from_inside_a_hull_is_counted_but_refutes_nothing():
+    flown = flights(hulls=150, close=3, good=9)
+    flown = dataclasses.replace(flown, inside=(True,) * 3 + (False,) * 7)
+    assert (sum(flown.collided), flown.collided_outside) == (3, 0)
+    rows = rows_of(table=[flights(hulls=10), flown], item="Table II")
+    (row,) = (r for r in rows if r.quantity.startswith("minimum distance with 150"))
+    assert row.verdict == "bounded"
+    assert row.ours == "0.2 to the ellipsoids"
+    (row,) = (r for r in rows if r.quantity.startswith("success with 150"))
+    assert "3 collided, 0 of them from outside the map" in row.why
+
+
+def test_a_baseline_that_did_not_finish_is_a_row_that_says_so():
+    (row,) = (r for r in rows_of() if r.quantity == "surface + CoACD")
+    assert row.verdict == "not available here"
+    assert row.why == "tree <&>: CoACD was not run"
 
 
 def test_paths_are_compared_over_the_pairs_that_both_fly():
