@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def difficulty_table(flown: Sequence[Flown]) -> Table | None:
     """Tabulate success over difficulty for every compared method; None without runs."""
     rows = []
     for level in levels(flown):
-        row = [AXES[level.axis][0], level.value]
+        row: list[Any] = [AXES[level.axis][0], level.value]
         row.append(", ".join(text(n) for n in sorted({len(f.record.trials) for f in level.runs.values()})))
         for method in COMPARED:
             f = level.runs.get(method)
