@@ -507,6 +507,16 @@ def _projection(times: Times) -> list[PaperRow]:
     return rows
 
 
+def _scaled(
+    get: Callable[[ObstacleResult], float | None], factor: float
+) -> Callable[[ObstacleResult], float | None]:
+    def scaled(met: ObstacleResult) -> float | None:
+        value = get(met)
+        return None if value is None else factor * value
+
+    return scaled
+
+
 def _hardware(flown: Sequence[Flown]) -> list[PaperRow]:
     rows = []
     values: tuple[tuple[str, str, Callable[[ObstacleResult], float | None], float], ...] = (
@@ -526,10 +536,9 @@ def _hardware(flown: Sequence[Flown]) -> list[PaperRow]:
             if f is None:
                 rows.append(_missing(item, quantity, f"{text(printed[name][0])}{unit}"))
                 continue
+            printed_value = printed[name][0]
             row = _mean_row(
-                *(item, quantity, printed[name][0], f),
-                lambda m, get=get, factor=factor: None if (v := get(m)) is None else factor * v,
-                *(_HARDWARE, i, unit),
+                item, quantity, printed_value, f, _scaled(get, factor), _HARDWARE, obstacle=i, unit=unit
             )
             rows.append(
                 PaperRow(
