@@ -158,7 +158,7 @@ def ticks_side_by_side(
         for name, backend in backends().items()
     }
     times: dict[str, list[float]] = {name: [] for name in filters}
-    means: dict[str, list[float]] = {name: [] for name in filters}  # of each trial
+    typical: dict[str, list[float]] = {name: [] for name in filters}  # median of each trial
     end = time.perf_counter() + seconds
     for number, ticks in enumerate(trials):
         names = list(filters) if number % 2 == 0 else list(filters)[::-1]
@@ -166,7 +166,7 @@ def ticks_side_by_side(
             took = through(filters[name], ticks, repeats if "_qp_" not in name else 1)
             times[name] += took
             if took:
-                means[name].append(float(np.mean(took)))
+                typical[name].append(float(np.median(took)))
         if time.perf_counter() > end:
             break
     figures: Figures = {"active_ticks": len(times["tick"])}
@@ -174,17 +174,19 @@ def ticks_side_by_side(
         for key, value in zip(("p50", "p99"), np.percentile(taken, [50, 99]), strict=True):
             figures[f"{name}_{key}_us"] = 1e6 * float(value)
         figures[f"{name}_mean_us"] = 1e6 * float(np.mean(taken))
-    figures["saved"] = {name: saving(means["tick"], of) for name, of in means.items() if name != "tick"}
+    figures["saved"] = {name: saving(typical["tick"], of) for name, of in typical.items() if name != "tick"}
     for name in ("quadprog", "clarabel"):
         figures.setdefault(f"general_qp_{name}_tick_p50_us", None)
     return figures
 
 
 def saving(ours: list[float], theirs: list[float]) -> dict[str, float | None]:
-    """Fraction of another filter's mean time per active tick that `dr-acbf` saves, with its 95 % interval.
+    """Fraction of another filter's time per active tick that `dr-acbf` saves, with its 95 % interval.
+
+    Medians of trials are compared, because a mean has the ticks in which another program took the processor.
 
     Args:
-        ours: mean time of each trial [s].
+        ours: median time of each trial's active ticks [s].
         theirs: of the other filter, in the same trials.
     """
     found = ratio_estimate(ours, theirs)

@@ -63,6 +63,7 @@ facts = (
     | {"flown": dracbf.effort(flown)}
     | dracbf_analysis.in_short(flown)
     | dracbf_difficulty.crossings(flown)
+    | dracbf_difficulty.hard_facts(flown)
 )
 write_comparison(
     folder / "dr-acbf",
@@ -73,5 +74,6 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. Times were measured during the trials.",
+    head=f"{WRITTEN} on {this_machine()}. The tables name the numbers of trials. Times of Tables I to V were "
+    "measured during the trials.",
 )

@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from alula.stages.reporting.papers.dracbf import BASE, Flown, find, select, success
+from alula.stages.reporting.papers.dracbf import BASE, PRINTED, Flown, find, select, success
 from alula.stages.reporting.statistics import Estimate, Rate, difference_estimate, mean_of, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 
@@ -91,7 +92,7 @@ def difficulty_table(flown: Sequence[Flown]) -> Table | None:
     """Tabulate success over difficulty for every compared method; None without runs."""
     rows = []
     for level in levels(flown):
-        row = [AXES[level.axis][0], level.value]
+        row: list[Any] = [AXES[level.axis][0], level.value]
         row.append(", ".join(text(n) for n in sorted({len(f.record.trials) for f in level.runs.values()})))
         for method in COMPARED:
             f = level.runs.get(method)
@@ -121,9 +122,7 @@ def crossings(flown: Sequence[Flown]) -> dict[str, str]:
         if not at:
             continue
         found = {method: crossing(at, method) for method in COMPARED}
-        words = [
-            f"{m} {'not down to ' + text(at[-1].value) if x is None else text(x)}" for m, x in found.items()
-        ]
+        words = [f"{m} {'stays above' if x is None else text(x)}" for m, x in found.items()]
         facts[f"falls to {PUBLISHED[1]:g} % at a {name} of"] = ", ".join(words)
     return facts
 
@@ -138,20 +137,27 @@ class Tried:
 
 
 def tried(flown: Sequence[Flown], method: str) -> list[Tried]:
-    """Success of every setting of a method over all conditions of the tuning, in the order they are flown."""
+    """Success of every setting of a method over all conditions of the tuning, the default first."""
     groups: dict[str, list[Flown]] = {}
     for f in flown:
         name, _, setting = f.variant.rsplit("_", 2)
         if name == method:
             groups.setdefault(setting, []).append(f)
     result = []
-    for runs in groups.values():
+    for name in sorted(groups, key=_order):
+        runs = groups[name]
         values = flat(runs[0].record.provenance.parameters)
         options = tuple(f"{key}={values[key]:g}" for key in (*SHARED, GAINS[method]))
         result.append(
             Tried(method, options, rate(not trial.collision for f in runs for trial in f.record.trials))
         )
     return result
+
+
+def _order(setting: str) -> tuple[float, float, int]:
+    """Place of a setting BRAKING-CLEARANCE-GAIN: the defaults are the larger values and the first gain."""
+    braking, clearance, gain = setting.split("-")
+    return -float(braking), -float(clearance), int(gain)
 
 
 def chosen(flown: Sequence[Flown], method: str) -> Tried:
@@ -210,7 +216,10 @@ def hard_table(flown: Sequence[Flown]) -> Table | None:
                 f.variant.rsplit("_", 2)[0]: f for f in runs if f.variant.endswith(f"_{condition}_{setting}")
             }
             base = here.get(BASE)
-            for method, f in here.items():
+            for method in (*COMPARED, *PRINTED[1:]):
+                f = here.get(method)
+                if f is None:
+                    continue
                 gap = None if base is None or f is base else paired(f, base)
                 rows.append(
                     (
@@ -237,6 +246,24 @@ def hard_table(flown: Sequence[Flown]) -> Table | None:
         "are those of the table on them."
     )
     return Table("hard", "The methods in the hard conditions", columns, tuple(rows), note)
+
+
+def hard_facts(flown: Sequence[Flown]) -> dict[str, str]:
+    """State in words how the methods differ from `dr-acbf` in the hard conditions."""
+    facts = {}
+    for condition, name in CONDITIONS.items():
+        for setting in ("default", "tuned"):
+            base = find(flown, "hard", f"{BASE}_{condition}_{setting}")
+            if base is None:
+                continue
+            words = [f"{BASE} {success(base)}"]
+            for method in COMPARED[1:]:
+                f = find(flown, "hard", f"{method}_{condition}_{setting}")
+                gap = None if f is None else paired(f, base)
+                if gap is not None:
+                    words.append(f"{method} {gap.value:+.3g} points ({text(gap.low)} to {text(gap.high)})")
+            facts[f"{name}, {setting}, runs"] = ", ".join(words)
+    return facts
 
 
 def _side(gap: Estimate | None) -> str:
