@@ -408,6 +408,7 @@ def describe(mission: Mission) -> str:
     """
     vehicle = mission.vehicle
     sphere = f"a sphere of radius {exact(vehicle.body.radius_m)} m"
+    assert vehicle.body.mass_kg is not None
     return f"{vehicle.name}: a real quadrotor of {exact(vehicle.body.mass_kg)} kg in {sphere}"
 
 

@@ -282,6 +282,7 @@ def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
     if config.plant == "double-integrator":
         return f"{vehicle.name}: {sphere}, double integrator{guided}{disturbed}"
     command = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
+    assert vehicle.body.mass_kg is not None
     body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}"
     return f"{vehicle.name}: {body}, commanded by {command}{guided}{disturbed}"
 
