@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Hashable
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -55,7 +56,8 @@ def json_decoder(kind: type[T]) -> msgspec.json.Decoder[T]:
     Args:
         kind: type of the messages.
     """
-    return _json_decoder(kind)
+    decoder: msgspec.json.Decoder[T] = _json_decoder(cast(Hashable, kind))
+    return decoder
 
 
 def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
@@ -64,7 +66,8 @@ def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
     Args:
         kind: type of the messages.
     """
-    return _msgpack_decoder(kind)
+    decoder: msgspec.msgpack.Decoder[T] = _msgpack_decoder(cast(Hashable, kind))
+    return decoder
 
 
 def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) -> T:
@@ -85,7 +88,7 @@ def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) ->
     if json_depth(raw) > MOST_DEPTH:
         raise MalformedError(f"JSON with more than {MOST_DEPTH} levels")
     try:
-        return _json_decoder(kind).decode(raw)
+        return json_decoder(kind).decode(raw)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise MalformedError(str(error)) from error
 
