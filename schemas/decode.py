@@ -81,16 +81,38 @@ def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) ->
     Raises:
         MalformedError: the text is too long, too deep, not JSON, or of another type.
     """
+    _check_extent(raw, most_values)
+    try:
+        return json_decoder(kind).decode(raw)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise MalformedError(str(error)) from error
+
+
+def _check_extent(raw: bytes, most_values: int) -> None:
     if len(raw) > MOST_TEXT:
         raise MalformedError(f"{len(raw)} bytes of JSON, more than {MOST_TEXT}")
     if sum(map(raw.count, (b",", b"[", b"{"))) > most_values:
         raise MalformedError(f"JSON with more than {most_values} values")
     if json_depth(raw) > MOST_DEPTH:
         raise MalformedError(f"JSON with more than {MOST_DEPTH} levels")
+
+
+def decode_plain_json(raw: bytes) -> Any:
+    """Decode JSON as people write it, with NaN and Infinity, into plain values.
+
+    Args:
+        raw: the text in UTF-8.
+
+    Raises:
+        MalformedError: the text is too long, has too many values, is too deep or is not JSON.
+    """
+    import json
+
+    _check_extent(raw, MOST_VALUES)
     try:
-        return json_decoder(kind).decode(raw)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise MalformedError(str(error)) from error
+        return json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise MalformedError(str(error).partition("; use sys.")[0]) from error
 
 
 def json_depth(raw: bytes) -> int:
