@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Hashable
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -55,7 +56,8 @@ def json_decoder(kind: type[T]) -> msgspec.json.Decoder[T]:
     Args:
         kind: type of the messages.
     """
-    return _json_decoder(kind)
+    decoder: msgspec.json.Decoder[T] = _json_decoder(cast(Hashable, kind))
+    return decoder
 
 
 def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
@@ -64,7 +66,8 @@ def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
     Args:
         kind: type of the messages.
     """
-    return _msgpack_decoder(kind)
+    decoder: msgspec.msgpack.Decoder[T] = _msgpack_decoder(cast(Hashable, kind))
+    return decoder
 
 
 def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) -> T:
@@ -78,16 +81,38 @@ def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) ->
     Raises:
         MalformedError: the text is too long, too deep, not JSON, or of another type.
     """
+    _check_extent(raw, most_values)
+    try:
+        return json_decoder(kind).decode(raw)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise MalformedError(str(error)) from error
+
+
+def _check_extent(raw: bytes, most_values: int) -> None:
     if len(raw) > MOST_TEXT:
         raise MalformedError(f"{len(raw)} bytes of JSON, more than {MOST_TEXT}")
     if sum(map(raw.count, (b",", b"[", b"{"))) > most_values:
         raise MalformedError(f"JSON with more than {most_values} values")
     if json_depth(raw) > MOST_DEPTH:
         raise MalformedError(f"JSON with more than {MOST_DEPTH} levels")
+
+
+def decode_plain_json(raw: bytes) -> Any:
+    """Decode JSON as people write it, with NaN and Infinity, into plain values.
+
+    Args:
+        raw: the text in UTF-8.
+
+    Raises:
+        MalformedError: the text is too long, has too many values, is too deep or is not JSON.
+    """
+    import json
+
+    _check_extent(raw, MOST_VALUES)
     try:
-        return _json_decoder(kind).decode(raw)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise MalformedError(str(error)) from error
+        return json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise MalformedError(str(error).partition("; use sys.")[0]) from error
 
 
 def json_depth(raw: bytes) -> int:

@@ -127,7 +127,7 @@ def _unpack(chunk: Chunk, budget: int) -> int:
     """Decompress a chunk in place; return its length."""
     if chunk.uncompressed_size > budget:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes is too large for a log of this size")
-    most = chunk.uncompressed_size
+    most: int = chunk.uncompressed_size
     if chunk.compression == "zstd":
         import zstandard
 

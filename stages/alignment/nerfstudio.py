@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.decode import MalformedError, decode_json
+from alula.schemas.decode import MalformedError, decode_plain_json
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import inverse
@@ -107,7 +107,7 @@ def _data_warnings(text: str) -> tuple[str, ...]:
 
 def _object(text: str, name: str) -> dict[str, Any]:
     try:
-        found: Any = decode_json(text.encode(), object)
+        found: Any = decode_plain_json(text.encode())
     except MalformedError as error:
         raise InputError(f"{name}: is not JSON ({error})") from error
     if not isinstance(found, dict):

@@ -152,7 +152,7 @@ def _numbers(where: str, names: Sequence[str], words: Sequence[str]) -> list[flo
             value = math.nan
         if not math.isfinite(value):
             raise InputError(f"{where}: {name} is {word!r}, not a finite number")
-        if abs(value) > LARGEST:
+        if abs(value) > LARGEST and name not in GEODETIC:  # those have limits of their own
             raise InputError(f"{where}: {name} is {word!r}, beyond {LARGEST:g}")
         values.append(value)
     return values

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.decode import MalformedError, decode_json
+from alula.schemas.decode import MalformedError, decode_plain_json
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.tables import LARGEST
@@ -26,7 +26,7 @@ def parse_transform(text: str, name: str) -> Similarity:
         InputError: not JSON, of another shape, not finite, or not a proper similarity.
     """
     try:
-        found: Any = decode_json(text.encode(), object)
+        found: Any = decode_plain_json(text.encode())
     except MalformedError as error:
         raise InputError(f"{name}: is not JSON ({error})") from error
     try:

@@ -8,13 +8,13 @@ import msgspec
 
 from alula.schemas.decode import decode_json
 from alula.schemas.manifest import parse_version
-from alula.stages.compression.verify import SCHEMA, VERSION, Certificate
+from alula.stages.compression.verify import VERSION, Certificate
 
 
 class _Stored(Certificate, frozen=True, kw_only=True):
     """A certificate with the kind and version that its file has."""
 
-    schema: Literal["alula/certificate"] = SCHEMA
+    schema: Literal["alula/certificate"]
     version: str = VERSION
 
 

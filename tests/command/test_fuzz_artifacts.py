@@ -20,5 +20,5 @@ def test_mutated_artifacts_are_read_or_refused_by_every_command(tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     ends = {line.strip().partition("  ")[2]: int(line.split()[0]) for line in done.stdout.splitlines()}
     assert sum(ends.values()) == 1000
-    assert ends["exit 0"] > 200  # mutants that reach the commands' own work
+    assert ends["exit 0"] > 150  # mutants that reach the commands' own work
     assert ends["exit 3"] > 200

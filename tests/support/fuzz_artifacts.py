@@ -625,6 +625,11 @@ def preload() -> None:
         *("alula.stages.simulation.hulls.simulate", "alula.stages.simulation.ellipsoids.simulate"),
         *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
         *("alula.cli.simulate.geofence", "alula.cli.simulate.encounters", "alula.stages.reporting.tables"),
+        *(
+            "alula.stages.alignment.transforms",
+            "alula.stages.alignment.nerfstudio",
+            "alula.stages.alignment.colmap",
+        ),
         *("alula.stages.simulation.geofence.simulate", "alula.stages.simulation.encounters.simulate"),
     ):
         importlib.import_module(name)
@@ -698,4 +703,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    status = main()
+    sys.stdout.flush()
+    os._exit(status)  # the end of the interpreter would list what the imports hold
