@@ -1,8 +1,9 @@
 """Coverage of the intervals of `scale-align` in many regimes, and the time of a fit.
 
 Cameras stand like those of a synthetic COLMAP model; 40 % of their surveyed positions are gross errors
-and the others have normal noise. The nominal coverage is 95 % for each interval, and at least 95 % for
-the bound of the box. Times are not tested.
+and the others have normal noise. With drift, the cameras are on a path, and all have a random walk along it
+instead. The nominal coverage is 95 % for each interval, and at least 95 % for the bound of the box. Times are
+not tested.
 """
 
 from __future__ import annotations
@@ -67,6 +68,22 @@ def surveyed(world: Array, sigma: float, outliers: float, rng: np.random.Generat
     return np.asarray(measured, np.float64)
 
 
+def on_a_path(count: int, rng: np.random.Generator) -> Array:
+    """Positions of a flight around a scene, 0.6 to 1.4 rounds."""
+    t = np.linspace(0, 2 * np.pi, count, endpoint=False) * rng.uniform(0.6, 1.4)
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    return np.stack(
+        [3 * np.cos(t + phase[0]), 2 * np.sin(t + phase[1]), 0.6 * np.sin(2 * t + phase[2])], axis=1
+    )
+
+
+def drifted(world: Array, sigma: float, rng: np.random.Generator) -> Array:
+    """World positions with a random walk along the path, with a standard deviation of sigma."""
+    walk = np.cumsum(rng.normal(size=world.shape), axis=0)
+    walk -= walk.mean(axis=0)
+    return np.asarray(world + sigma / walk.std() * walk, np.float64)
+
+
 def held(fit: Fit, truth: Similarity, source: Array) -> Array:
     """Return whether the intervals contain scale, three angles and three shifts, and the bound the box."""
     record = fit.uncertainty.record(fit.similarity)
@@ -97,8 +114,11 @@ def regime(way: str, count: int, sigma: float, outliers: float, seeds: int) -> F
         truth = truth_of(rng)
         world = transform_points(truth, source)
         measured = surveyed(world, sigma, outliers, rng)
+        if way == "drift":
+            source = on_a_path(count, rng)
+            measured = drifted(transform_points(truth, source), sigma, rng)
         begin = time.perf_counter()
-        if way == "positions":
+        if way != "poses":
             fit = fit_similarity(source, measured, THRESHOLD_M, 0)
         else:
             axes = Rotation.from_rotvec(3 * rng.normal(size=(count, 3))).as_matrix()
@@ -128,6 +148,8 @@ def regimes(seeds: int) -> Iterator[Figures]:
     """Measure all regimes."""
     for count, sigma in product(COUNTS, NOISE_M):
         yield regime("positions", count, sigma, 0.4, seeds)
+    for count in (6, 20, 60):
+        yield regime("drift", count, 0.02, 0.0, seeds)
     for count, sigma in product((12, 60), (0.001, 0.01)):
         yield regime("poses", count, sigma, 0.4, seeds)
 

@@ -32,22 +32,70 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg, unused-ignore]
         return number
 
 
-class Point(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """A point written as one argument: "x y z" or "x,y,z"."""
+class Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """A fixed count of finite numbers, separated by spaces or commas; see `NumbersOption`.
 
-    name = "xyz"
+    Args:
+        count: how many.
+    """
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float, float]:
-        """Parse three finite numbers."""
+    name = "numbers"
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Parse the numbers of one text."""
         if isinstance(value, tuple):
-            return typing.cast(tuple[float, float, float], value)
-        parts = str(value).replace(",", " ").split()
-        if len(parts) != 3:
-            self.fail(f'{value!r} is not a point; write "x y z"', param, ctx)
-        x, y, z = (FINITE_FLOAT.convert(part, param, ctx) for part in parts)
-        return x, y, z
+            return value
+        parts = _parts(str(value))
+        if len(parts) != self.count or not parts:
+            form = _FORM.get(self.count, "x ...")
+            self.fail(
+                f"{str(value)!r} is not {self.count} numbers; write {self.count} words, or one in quotes: "
+                f'"{form}"',
+                param,
+                ctx,
+            )
+        return tuple(FINITE_FLOAT.convert(part, param, ctx) for part in parts)
+
+
+_FORM = {3: "x y z", 4: "x y z r", 6: "x0 y0 z0 x1 y1 z1", 7: "x0 y0 z0 x1 y1 z1 metres"}
+
+
+def _parts(text: str) -> list[str]:
+    return text.replace(",", " ").split()
+
+
+def _are_numbers(text: str) -> bool:
+    try:
+        return all(math.isfinite(float(part)) for part in _parts(text)) and bool(text.strip(" ,"))
+    except ValueError:
+        return False
+
+
+class NumbersOption(click.Option):
+    """An option of type `Numbers`: one word in quotes, several words, or a mixture of both."""
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        """Let the option take further words that are numbers until it has all of its numbers."""
+        super().add_to_parser(parser, ctx)
+        count = typing.cast(Numbers, self.type).count
+        for name in self.opts:
+            # click has no public way to let an option take a varying number of words.
+            entry = (parser._long_opt if name.startswith("--") else parser._short_opt)[name]
+            if getattr(entry, "takes_words", False):
+                continue
+
+            def process(value: Any, state: Any, before: Any = entry.process) -> None:
+                words = [str(value)]
+                taken = len(_parts(words[0])) if _are_numbers(words[0]) else count
+                while taken < count and state.rargs and _are_numbers(state.rargs[0]):
+                    words.append(state.rargs.pop(0))
+                    taken += len(_parts(words[-1]))
+                before(" ".join(words), state)
+
+            entry.process, entry.takes_words = process, True
 
 
 class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
@@ -89,7 +137,7 @@ class FilePath(click.Path):
 
 
 FINITE_FLOAT = FiniteFloat()
-POINT = Point()
+POINT = Numbers(3)
 PATH = FilePath()
 JOBS = Whole(0, 256)
 
@@ -213,9 +261,7 @@ def _type_of(hint: Any) -> dict[str, Any]:
         arguments = typing.get_args(hint)
         if arguments[-1] is Ellipsis:
             return {**_type_of(arguments[0]), "multiple": True}
-        if arguments == (float, float, float):
-            return {"type": POINT}
-        return {"type": FINITE_FLOAT, "nargs": len(arguments)}
+        return {"type": Numbers(len(arguments)), "cls": NumbersOption}
     if hint is bool:
         return {"is_flag": True}
     if hint is float:

@@ -12,7 +12,7 @@ import click
 from alula.cli import options, runner
 from alula.cli.alignment_table import show_alignment
 from alula.cli.interruption import handlers_kept
-from alula.cli.options import FINITE_FLOAT, PATH, POINT, Common
+from alula.cli.options import PATH, Common, Numbers, NumbersOption
 from alula.cli.present import print_json
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import InputError, UsageError
@@ -101,7 +101,8 @@ class Files:
 @click.option(
     "--distance",
     "distances",
-    type=(POINT, POINT, FINITE_FLOAT),
+    type=Numbers(7),
+    cls=NumbersOption,
     multiple=True,
     metavar="'X Y Z' 'X Y Z' METRES",
     help="Two points of the scene and their distance; repeatable; determines the scale alone.",
@@ -121,7 +122,7 @@ def command(
     context: click.Context,
     /,
     scene: Path,
-    distances: tuple[Distance, ...],
+    distances: tuple[tuple[float, ...], ...],
     config: ScaleAlignConfig,
     common: Common,
     **paths: Path | None,
@@ -137,7 +138,10 @@ def command(
     from alula.stages.alignment import colmap, nerfstudio
     from alula.stages.alignment.scale_align import scale_align
 
-    config = dataclasses.replace(config, distances=distances)
+    pairs: tuple[Distance, ...] = tuple(
+        ((a, b, c), (d, e, f), metres) for a, b, c, d, e, f, metres in distances
+    )
+    config = dataclasses.replace(config, distances=pairs)
     files = Files(**paths)
     if files.colmap is not None or files.reference is not None:
         with handlers_kept(), suppress(ImportError):  # the stages say that it is not installed

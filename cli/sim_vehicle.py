@@ -77,6 +77,7 @@ _CRTP = "udp://"
 @click.option(
     "--mocap-start",
     type=options.POINT,
+    cls=options.NumbersOption,
     default="0 0 0",
     show_default=True,
     help="Initial position in the frame of motion capture, east north up [m].",

@@ -64,6 +64,7 @@ Examples:
 @click.option(
     "--origin",
     type=options.POINT,
+    cls=options.NumbersOption,
     default="0 0 0",
     show_default=True,
     help="Origin of the map in the vehicle's local frame, east north up [m].",

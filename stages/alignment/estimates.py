@@ -122,6 +122,7 @@ def _by_correspondences(
         **fit.uncertainty.record(fit.similarity),
         "scale_leave_one_out": list(fit.leave_one_out),
         "sigma_m": fit.sigma,
+        "correlated_probability": fit.correlated,
         "count": len(items),
         "inliers": int(fit.inlier.sum()),
         "unused": evidence.unused,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
+from alula.stages.alignment.correlation import with_correlation
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
 from alula.stages.alignment.similarity import is_collinear, transform_points
 from alula.stages.alignment.uncertainty import (
@@ -268,16 +269,19 @@ def _evaluate(
         without = leave_one_out(x, y, scale)
     else:
         without = _leave_one_out_given(x, y, rotation, scale)
+    independent = uncertainty_of_points(
+        mapped, spread.fit, spread.freedom, information, positions_turn=turning
+    )
+    uncertainty, correlated = with_correlation(independent, mapped, mapped - y, spread.fit)
     return Fit(
         similarity=similarity,
         inlier=inlier,
         residual=np.linalg.norm(transform_points(similarity, source) - target, axis=1),
         sigma=spread.error,
-        uncertainty=uncertainty_of_points(
-            mapped, spread.fit, spread.freedom, information, positions_turn=turning
-        ),
+        uncertainty=uncertainty,
         leave_one_out=without,
         singular_values=singular,
+        correlated=correlated,
         angle=angles(R_target, np.array(similarity.rotation) @ R_source),
         warnings=tuple(warnings),
     )

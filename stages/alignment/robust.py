@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
+from alula.stages.alignment.correlation import with_correlation
 from alula.stages.alignment.similarity import COLLINEAR, from_moments, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import (
     Uncertainty,
@@ -48,6 +49,7 @@ class Fit:
         singular_values: of the centred inliers in the source, decreasing.
         angle: angle between each target's orientation and its mapped source's [rad], shape (n,); None for
             points without orientations.
+        correlated: probability that the errors of neighbours are correlated; the uncertainty contains it.
         warnings: weaknesses of the evidence, one sentence each.
     """
 
@@ -59,6 +61,7 @@ class Fit:
     leave_one_out: tuple[float, float]
     singular_values: FloatArray
     angle: FloatArray | None = None
+    correlated: float = 0.0
     warnings: tuple[str, ...] = ()
 
 
@@ -70,8 +73,9 @@ def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, see
     their inliers until these no longer change; the smallest cost wins. The result depends on the arguments
     only.
 
-    The covariance assumes that the errors of the targets' coordinates are independent, normal and of equal
-    variance. It is corrected for the truncation of errors at the threshold (see `untruncated`).
+    The covariance assumes that the errors of the targets' coordinates are normal and of equal variance. It is
+    corrected for the truncation of errors at the threshold (see `untruncated`) and for a correlation of
+    neighbours' errors that the residuals show (see `with_correlation`).
 
     Args:
         source: points in the source frame, shape (n, 3), any units.
@@ -231,14 +235,17 @@ def _evaluate(source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_],
     spread = untruncated(observed, freedom, threshold)
     singular_values = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
     mapped = transform_points(similarity, x)
+    independent = uncertainty_of_points(mapped, spread.fit, spread.freedom)
+    uncertainty, correlated = with_correlation(independent, mapped, mapped - y, spread.fit)
     return Fit(
         similarity=similarity,
         inlier=inlier,
         residual=residual,
         sigma=spread.error,
-        uncertainty=uncertainty_of_points(mapped, spread.fit, spread.freedom),
+        uncertainty=uncertainty,
         leave_one_out=leave_one_out(x, y, similarity.scale),
         singular_values=singular_values,
+        correlated=correlated,
         warnings=(
             *shape_warnings(singular_values),
             *threshold_warnings(spread.error, threshold),

@@ -240,7 +240,7 @@ def correlation_warnings(where: FloatArray, error: FloatArray) -> list[str]:
         return []
     return [
         f"residuals of neighbours are alike (correlation {correlation:.2f}), as when one side drifts: errors "
-        "are not independent, and intervals and the position error are too small"
+        "are not independent; intervals and the position error were widened for it"
     ]
 
 

@@ -12,7 +12,7 @@ from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.maps import walls_message
-from alula.stages.runlog.messages import UPRIGHT, entity, number, scene_message, sphere, xyz
+from alula.stages.runlog.messages import UPRIGHT, entity, number, pose_message, scene_message, sphere, xyz
 from alula.stages.runlog.schemas import ENCOUNTER_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
 from alula.stages.simulation.result import EncounterFlight
@@ -68,7 +68,9 @@ def _logged(
     gap = np.linalg.norm(obstacles - vehicle[:, None, :3], axis=2) - reach
 
     def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
-        yield "/state", {"position_m": xyz(vehicle[i, :3]), "velocity_m_s": xyz(vehicle[i, 3:6])}
+        position = xyz(vehicle[i, :3])
+        yield "/pose", pose_message(position, UPRIGHT, frame, now_s)
+        yield "/state", {"position_m": position, "velocity_m_s": xyz(vehicle[i, 3:6])}
         status = FilterStatus(flight.status[i])
         margin = number(gap[i].min(initial=np.inf))
         yield (

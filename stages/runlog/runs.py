@@ -9,8 +9,8 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.maps import map_message
-from alula.stages.runlog.messages import DECIMALS, number, pose_message, quaternion_of_mrp, xyz
-from alula.stages.runlog.schemas import ELLIPSOID_CHANNELS, HULL_CHANNELS
+from alula.stages.runlog.messages import DECIMALS, UPRIGHT, number, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
 from alula.stages.simulation.result import FlightLog, SplatFlightLog
 
@@ -30,17 +30,16 @@ def write_log(
         flown_through: the map, an `alula/cover` or an `alula/scene`.
         frame: name of the frame of all positions.
     """
-    rigid = any(isinstance(flight, SplatFlightLog) for flight in flights)
     map_ = map_message(flown_through, record.summary, [flight.position for flight in flights], frame)
     trials = (_logged(*pair, frame) for pair in zip(record.trials, flights, strict=True))
-    write_trials(stream, ELLIPSOID_CHANNELS if rigid else HULL_CHANNELS, record, map_, trials, frame)
+    write_trials(stream, FLIGHT_CHANNELS, record, map_, trials, frame)
 
 
 def _logged(trial: TrialResult, flight: AnyFlight, frame: str) -> LoggedTrial:
     def messages(i: int, now_s: float) -> Messages:
         if isinstance(flight, SplatFlightLog):
             return _among_ellipsoids(flight, i, frame, now_s)
-        return _among_hulls(flight, i)
+        return _among_hulls(flight, i, frame, now_s)
 
     return LoggedTrial(
         trial, _words(trial), trial.outcome == "reached", flight.time_s, flight.position, messages
@@ -55,8 +54,10 @@ def _words(trial: TrialResult) -> str:
     return words if clearance is None else f"{words}, minimum clearance {clearance:.4f} m"
 
 
-def _among_hulls(flight: FlightLog, i: int) -> Messages:
-    yield "/state", {"position_m": xyz(flight.position[i]), "velocity_m_s": xyz(flight.velocity[i])}
+def _among_hulls(flight: FlightLog, i: int, frame: str, now_s: float) -> Messages:
+    position = xyz(flight.position[i])
+    yield "/pose", pose_message(position, UPRIGHT, frame, now_s)
+    yield "/state", {"position_m": position, "velocity_m_s": xyz(flight.velocity[i])}
     status = FilterStatus(int(flight.status[i]))
     yield (
         "/safety",

@@ -5,18 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 # Schemas by topic. Their order is that in the file.
-HULL_CHANNELS = {
+FLIGHT_CHANNELS = {
     "/map": "foxglove.SceneUpdate",
     "/path": "foxglove.PosesInFrame",
     "/state": "alula.State",
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",
+    "/pose": "foxglove.PoseInFrame",
 }
-ELLIPSOID_CHANNELS = HULL_CHANNELS | {"/pose": "foxglove.PoseInFrame"}
 ENCOUNTER_CHANNELS = {
     "/map": "foxglove.SceneUpdate",
     "/obstacles": "foxglove.SceneUpdate",
     "/path": "foxglove.PosesInFrame",
+    "/pose": "foxglove.PoseInFrame",
     "/state": "alula.State",
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",

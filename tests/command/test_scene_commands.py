@@ -92,7 +92,7 @@ def test_the_table_goes_to_stderr_and_json_to_stdout(demo, tmp_path, capsys):
         (["--cameras", "c.csv"], 2, "--reference and --poses need"),
         (["--scale", "2", "--max-rms", "1"], 2, "need measurements; a given similarity has none"),
         (["--scale", "nan"], 2, "is not finite"),
-        (["--distance", "0 0", "1 0 0", "2"], 2, "is not a point"),
+        (["--distance", "0 0", "1 0 0", "2"], 2, "'0 0 1 0 0 2' is not 7 numbers; write 7 words, or one in"),
         (["--correspondences", "none.csv"], 3, "cannot read"),
         (["--transform", "none.json"], 3, "cannot read"),
         (["--colmap", "none", "--reference", "none.csv"], 3, "is no COLMAP model: does not exist"),

@@ -96,6 +96,7 @@ def test_the_log_holds_what_the_record_says(cover, tmp_path):
     assert counts == {
         ("/map", "foxglove.SceneUpdate"): 1,
         ("/path", "foxglove.PosesInFrame"): 3,
+        ("/pose", "foxglove.PoseInFrame"): samples,
         ("/state", "alula.State"): samples,
         ("/safety", "alula.Safety"): samples,
         ("/log", "foxglove.Log"): 3,
@@ -106,6 +107,9 @@ def test_the_log_holds_what_the_record_says(cover, tmp_path):
     for trial in record.trials:
         states = [m for topic, *_, m in found if topic == "/state" and m["trial"] == trial.index]
         assert list(states[0]["position_m"].values()) == pytest.approx(trial.start_m, abs=1e-6)
+        poses = [m["pose"] for topic, _, time, m in found if topic == "/pose"]
+        assert states[0]["position_m"] in [pose["position"] for pose in poses]
+        assert all(pose["orientation"] == {"x": 0, "y": 0, "z": 0, "w": 1} for pose in poses)
         assert states[-1]["time_s"] == pytest.approx(trial.duration_s)
         end = list(states[-1]["position_m"].values())
         if trial.outcome == "reached":

@@ -21,12 +21,12 @@ def test_the_study_runs_in_all_regimes():
     done = run("--seeds", "4", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert {row["way"] for row in found["rows"]} == {"positions", "poses"}
-    assert len(found["rows"]) == 20
+    assert {row["way"] for row in found["rows"]} == {"positions", "poses", "drift"}
+    assert len(found["rows"]) == 23
     for row in found["rows"]:
-        assert 0.7 < row["sigma_ratio"] < 1.3
+        assert 0.7 < row["sigma_ratio"] < 1.3 or row["way"] == "drift"
         assert 0.5 <= row["scale"] <= 1
-    assert sum(row["scale"] for row in found["rows"]) / 20 > 0.8
+    assert sum(row["scale"] for row in found["rows"]) / 23 > 0.8
     assert [entry["count"] for entry in found["speed"]] == [1_000, 10_000, 100_000]
 
 
