@@ -278,17 +278,19 @@ def _limits(here: Sequence[Sweep]) -> list[PaperRow]:
             )
         )
     for variant in (
-        *("safer-splat-gated-3m", "safer-splat-gated-tuned", BASELINE, f"{BASELINE}-tuned"),
+        *("safer-splat-gated", "safer-splat-gated-3m", "safer-splat-gated-cones", "safer-splat-gated-tuned"),
+        *(BASELINE, f"{BASELINE}-tuned"),
         *("cone-ecbf", "cone-ecbf-tuned", "printed-ecbf-14-clf"),
     ):
         flown = [t for s in here if s.variant == variant for t in s.run.record.trials]
         if not flown:
             continue
         hits = sum(t.collision for t in flown)
+        speeds = ", ".join(f"{w:g}" for w in sorted({s.speed_m_s for s in here if s.variant == variant}))
         rows.append(
             _row(
                 "IV-B",
-                f"collisions of {variant}, all speeds",
+                f"collisions of {variant} at {speeds} m/s",
                 "none",
                 f"{hits} of {len(flown)} flights",
                 "reproduced" if hits == 0 else "refuted",
