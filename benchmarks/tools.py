@@ -112,10 +112,10 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float, wall_s: fl
         except subprocess.TimeoutExpired as late:
             spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
             return Outcome(note=f"over {late.timeout:.0f} s", figures={"cpu_s": spent})
-        if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL) and not answer.exists():
-            spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
-            if spent >= limit_s:
-                return Outcome(note=too_slow, figures={"cpu_s": spent})
+        spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
+        is_stopped = done.returncode == -signal.SIGXCPU
+        if is_stopped or (done.returncode == -signal.SIGKILL and spent > 0.9 * limit_s):
+            return Outcome(note=too_slow, figures={"cpu_s": spent})
         if not answer.exists():
             last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             return Outcome(note=f"failed: {last}")

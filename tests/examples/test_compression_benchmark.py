@@ -157,7 +157,7 @@ assert slow.note == "over 0 s" and slow.figures["cpu_s"] >= 0
 (folder / "burn.py").write_text("while True: pass")
 tools.HERE = str(folder)
 burnt = tools.run_child("burn", {}, 1.0)
-assert burnt.note == "over 1 s of CPU" and 1 <= burnt.figures["cpu_s"] < 5, burnt
+assert burnt.note == "over 1 s of CPU" and 0.9 < burnt.figures["cpu_s"] < 5, burnt
 tools.HERE = sys.argv[1]
 wrong = tools.run_tool("merge", voxels, 60.0, hulls=-3)
 assert wrong.note.startswith("failed: ") and "--hulls" in wrong.note, wrong
