@@ -56,6 +56,11 @@ class Rate:
         """Value, low and high end, as cells of a table."""
         return self.value, self.low, self.high
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval; 0 and 100, which exclude nothing, where there is none."""
+        return 0.0 if self.low is None else self.low, 100.0 if self.high is None else self.high
+
     def __str__(self) -> str:
         if self.low is None:
             return f"{text(self.value)} %"

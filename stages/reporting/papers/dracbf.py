@@ -326,7 +326,7 @@ def sensitivity_table(flown: Sequence[Flown], scenario: str) -> Table | None:
     for f in runs:
         per = [success(f, i) for i in range(f.obstacles)]
         now = success(f)
-        apart = now.low > whole.high or now.high < whole.low
+        apart = now.ends[0] > whole.ends[1] or now.ends[1] < whole.ends[0]
         rows.append(
             (
                 *(f.variant, changed(f, base) or "as specified", now.n, *(each.value for each in per)),

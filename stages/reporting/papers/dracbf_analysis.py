@@ -187,7 +187,7 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
                     *(scenario, variant, f"{each.low:.3g} to {each.high:.3g}", each.observed.n),
                     *(100 * each.estimate, None if each.bound is None else 100 * each.bound),
                     *each.observed.cells,
-                    "holds" if 100 * each.estimate >= each.observed.low else "TOO SMALL",
+                    "holds" if 100 * each.estimate >= each.observed.ends[0] else "TOO SMALL",
                 )
             )
     if not rows:

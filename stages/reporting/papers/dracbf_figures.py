@@ -31,7 +31,9 @@ def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
             axes.errorbar(
                 at,
                 [100 - (r.value or 0.0) for r in rates],
-                yerr=_bars([Rate(100 - (r.value or 0.0), 100 - r.high, 100 - r.low, r.n) for r in rates]),
+                yerr=_bars(
+                    [Rate(100 - (r.value or 0.0), 100 - r.ends[1], 100 - r.ends[0], r.n) for r in rates]
+                ),
                 fmt="o",
                 color=color,
                 capsize=3,
@@ -150,8 +152,8 @@ def risk_figure(flown: Sequence[Flown]) -> Figure | None:
             bins = risk_bins(f.record.trials)
             estimate = [max(_LOWEST_RISK, b.estimate) for b in bins]
             shown = [max(_LOWEST_RISK, (b.observed.value or 0.0) / 100) for b in bins]
-            low = [max(_LOWEST_RISK, b.observed.low / 100) for b in bins]
-            high = [b.observed.high / 100 for b in bins]
+            low = [max(_LOWEST_RISK, b.observed.ends[0] / 100) for b in bins]
+            high = [b.observed.ends[1] / 100 for b in bins]
             spread = [np.subtract(shown, low), np.subtract(high, shown)]
             axes.errorbar(estimate, shown, yerr=spread, fmt="o", color=color, capsize=3, label=f.scenario)
             values += [f"{b.estimate:.3g}: {text(b.observed.value)} %" for b in bins]
@@ -201,6 +203,6 @@ def _bars(rates: Sequence[Rate]) -> list[list[float]]:
     """Lengths of error bars."""
     values = [r.value or 0.0 for r in rates]
     return [
-        [max(0.0, v - r.low) for v, r in zip(values, rates, strict=True)],
-        [max(0.0, r.high - v) for v, r in zip(values, rates, strict=True)],
+        [max(0.0, v - r.ends[0]) for v, r in zip(values, rates, strict=True)],
+        [max(0.0, r.ends[1] - v) for v, r in zip(values, rates, strict=True)],
     ]

@@ -63,13 +63,13 @@ def errors(sigma_p: float, sigma_v: float, count: int = 60, seed: int = 0) -> tu
         distance = 0.3 + 0.42 * speed + speed**2 / 24 + 2 * sigma_p + 0.4 * rng.normal()
         p, v = distance * toward, -speed * toward + rng.normal(size=3)
         factor = np.linalg.cholesky(covariance)
-        exact = sampled(p, v, factor, many)
+        exact = sampled(p, v, np.asarray(factor, np.float64), many)
         if abs(exact) > 1:
             continue
         row = np.r_[1.0, p, v, covariance[np.tril_indices(6)], 0.15]
         zero = [0.0, 0.0, 0.0]
         ours.append(_core.early_warning(zero, zero, row[None], zero, options={"wasserstein": 0.0}) - exact)
-        few.append(sampled(p, v, factor, rng.normal(size=(_FEW, 6))) - exact)
+        few.append(sampled(p, v, np.asarray(factor, np.float64), rng.normal(size=(_FEW, 6))) - exact)
     return np.array(ours), np.array(few)
 
 
