@@ -180,7 +180,7 @@ class _Search:
         them, than of one. So the search is repeated in thinner slabs. A thinner plane replaces a thicker one
         if it describes the heights clearly better.
         """
-        planes = []
+        planes: list[_Floor] = []
         for scale in _SCALES:
             half = scale * tolerance
             if half not in self._found:
@@ -190,13 +190,13 @@ class _Search:
                 normal, offset, bound = found
                 plane = fit_plane(self._points, self._rotation.T @ normal, offset, half / 2, tolerance)
                 planes.append(_judged(plane, bound, self._points, self._up, tolerance))
-        good = [plane for plane in planes if not plane.refusal]
+        good = [each for each in planes if not each.refusal]
         if not good:
             return planes[0] if planes else None
         best = good[0]
-        for plane in good[1:]:
-            if plane.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
-                best = plane
+        for each in good[1:]:
+            if each.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
+                best = each
         return best
 
 

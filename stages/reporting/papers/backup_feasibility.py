@@ -70,10 +70,9 @@ def _counted(policy: _core.BackupPolicy, alpha: float, states: int, seed: int) -
         nodes = flow.states()
         now = _barrier(nodes, centre, a)
         u = policy(x)
-        meets = np.array(
-            [_holds(flow.running_row(centre, a, k, alpha), u) for k in range(NODES + 1)]
-            + [_holds(flow.clear_row(centre, a, NODES, ALPHA_TERMINAL), u)]
-        )
+        at = centre.tolist()
+        held = [_holds(flow.running_row(at, a, k, alpha), u) for k in range(NODES + 1)]
+        meets = np.array([*held, _holds(flow.clear_row(at, a, NODES, ALPHA_TERMINAL), u)], np.bool_)
         if now < 0 or not meets[-1]:  # at u = pi_b the last row is the terminal residual
             continue
         found += 1

@@ -32,15 +32,15 @@ struct FlightRules {
   double dt_s = 0.01;                 // a tick of controller and filter
   std::int64_t plant_steps = 10;      // of the plant in a tick
   std::int64_t controller_ticks = 1;  // the nominal command of the controller is held for this many ticks,
-  std::int64_t filter_ticks = 1;      // and the filter's input for this many; an acceleration waits for the controller
-  double stop_fraction = 0.01;        // goal reached: within this fraction of the start-goal distance,
-  double stop_floor_m = 0.05;         // or within this distance,
-  double stop_speed = 0.1;            // and slower than this, with the reference at its end [m/s]
-  double stuck_speed = 0.02;          // stuck: slower than this, and outside the stop distance from the reference,
-  std::int64_t stuck_ticks = 200;     // for this many ticks
-  double time_factor = 3;             // timeout: this multiple of the reference's duration,
-  double max_time_s = 0;              // or this time, when above 0
-  Vec3 lower{-1e9, -1e9, -1e9};       // a flight that leaves this box is refused
+  std::int64_t filter_ticks = 1;   // and the filter's input for this many; an acceleration waits for the controller
+  double stop_fraction = 0.01;     // goal reached: within this fraction of the start-goal distance,
+  double stop_floor_m = 0.05;      // or within this distance,
+  double stop_speed = 0.1;         // and slower than this, with the reference at its end [m/s]
+  double stuck_speed = 0.02;       // stuck: slower than this, and outside the stop distance from the reference,
+  std::int64_t stuck_ticks = 200;  // for this many ticks
+  double time_factor = 3;          // timeout: this multiple of the reference's duration,
+  double max_time_s = 0;           // or this time, when above 0
+  Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
   Vec3 upper{1e9, 1e9, 1e9};
 };
 
