@@ -164,9 +164,9 @@ def compare(sizes: Sizes, scene: str, voxels: Path, mesh: Path, kept: Kept) -> d
     for key in sizes.peers:
         title, tool, is_surface, options = PEERS[key]
         more = {"maxConvexHulls": hulls} if tool == "vhacd" else {}
-        found = run(key, title, tool, options | more, mesh if is_surface else None)
-        if key in ("coacd_surface", "coacd"):  # the voxels' number where there are both
-            hulls = found.get("hulls", hulls)
+        run(key, title, tool, options | more, mesh if is_surface else None)
+        counts = [rows.get(name, {}).get("hulls") for name in ("coacd", "coacd_surface")]
+        hulls = next((n for n in counts if n), sizes.fallback)  # the voxels' number where there are both
     paper = run("paper", "the paper's rule", "merge", {"hulls": hulls, "method": "paper"})
     fair = paper.get("hulls", hulls)
     rows["ours"] = kept.row(f"{scene}.ours", count, lambda: ours_with(sizes, voxels, fair))
