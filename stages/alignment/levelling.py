@@ -194,9 +194,9 @@ class _Search:
         if not good:
             return planes[0] if planes else None
         best = good[0]
-        for plane in good[1:]:
-            if plane.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
-                best = plane
+        for other in good[1:]:
+            if other.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
+                best = other
         return best
 
 
