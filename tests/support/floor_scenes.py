@@ -8,8 +8,8 @@ import numpy as np
 def apartment(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Four rooms of 10 x 8 x 2.6 m in all; 14 % of 60,000 centres lie on the floor.
 
-    Two thirds of these lie on a carpet of 4 square metres: plain floors get few Gaussians. The rest are
-    walls, a thin ceiling, furniture, what is seen through the windows, and noise.
+    Two thirds of these lie on a carpet of 4 square metres: plain floors get few Gaussians. The rest is walls
+    with a thin ceiling, furniture, what is seen through the windows, and noise.
 
     Returns:
         Centres, shape (n, 3), and the mask of those on the floor, z = 0.

@@ -102,7 +102,7 @@ def test_a_street_is_level_without_walls_too():
 
 def test_what_has_no_floor_is_refused_with_figures():
     rng = np.random.default_rng(0)
-    ball = rng.normal(size=(5000, 3))
+    ball = rng.normal(size=(1000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     with pytest.raises(CheckError, match="no floor was found: the best plane"):
         level_by_floor(3 * ball, UP, 0.02)
@@ -112,6 +112,7 @@ def test_what_has_no_floor_is_refused_with_figures():
         level_by_floor(np.eye(3), UP, 0.1)
 
 
+@pytest.mark.slow
 def test_the_rough_ground_of_a_real_street():
     """Its frame is upright by other sensors; the street itself slopes a little."""
     root = os.environ.get("ALULA_DATA")
@@ -167,6 +168,7 @@ def test_the_crowned_road_of_a_street_is_level():
     assert abs(height) < 0.05
 
 
+@pytest.mark.slow
 def test_ground_that_is_too_rough_is_refused_with_the_limit_and_a_threshold_that_works():
     points, _ = floor_scenes.street(0, rough=0.06)
     with pytest.raises(CheckError) as caught:
