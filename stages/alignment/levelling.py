@@ -194,15 +194,9 @@ class _Search:
         if not good:
             return planes[0] if planes else None
         best = good[0]
-<<<<<<< HEAD
         for each in good[1:]:
             if each.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
                 best = each
-=======
-        for other in good[1:]:
-            if other.information(tolerance) > _CLEARLY_BETTER * best.information(tolerance):
-                best = other
->>>>>>> align
         return best
 
 
