@@ -81,7 +81,7 @@ def test_via_points_and_threads(cover, tmp_path):
             "the goal (1.1 0.5 0.5) is 0.1 m from an obstacle",
         ),
         (["--start", "2 2 2", "--goal", "2 2 2"], 2, "two consecutive points of the flight are the same"),
-        (["--start", "2 2", "--goal", "2 2 2"], 2, 'write "x y z"'),
+        (["--start", "2 2", "--goal", "2 2 2"], 2, 'write 3 words, or one in quotes: "x y z"'),
         (["--start", "2 2 nan", "--goal", "2 2 2"], 2, "not finite"),
         (["--goal", "2 2 2"], 2, "--start"),
         (["--start", "2 2 2", "--goal", "-1 0 0", "--radius", "0"], 2, "--radius must be between"),

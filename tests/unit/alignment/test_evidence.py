@@ -128,7 +128,7 @@ def test_a_transform_has_three_forms(form):
         (json.dumps([[-row[0], *row[1:]] for row in MATRIX]), "reflection"),
         (json.dumps([MATRIX[0], MATRIX[1], [0, 0, 2.01, 0], MATRIX[3]]), "not a rotation times a scale"),
         (json.dumps([[0, 0, 0, 0]] * 3 + [MATRIX[3]]), "the scale is 0"),
-        (json.dumps([[float("nan")] * 4] * 3 + [MATRIX[3]]), "is not JSON"),
+        (json.dumps([[float("nan")] * 4] * 3 + [MATRIX[3]]), "not finite"),
         ('{"scale": 2}', "needs a 4x4 matrix, or scale"),
         ('{"scale": -2, "rotation": [[1]], "translation_m": [0]}', "scale must be positive"),
         ('{"scale": 2, "rotation": [[1]], "translation_m": [0]}', "rotation must be 3x3"),
