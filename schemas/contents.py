@@ -86,7 +86,9 @@ class FenceShape(msgspec.Struct, frozen=True):
 class RunParameters(msgspec.Struct, frozen=True):
     """Parameters of a run."""
 
-    fence: FenceShape | None = None
+    fence: FenceShape | tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = (
+        None  # box of `fly`
+    )
     run: dict[str, Any] | None = None
     filter_parameters: dict[str, Any] | None = None
 

@@ -97,7 +97,7 @@ def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
         (["--filter", "nothing-like-it"], SIM, 2, "no filter is called"),
         (["--signing-key", "{folder}/pairs.csv"], SIM, 3, "a signing key is 32 bytes"),
         (["--mocap", "127.0.0.1:9870"], "udpout:127.0.0.1:9", 2, "motion capture needs an address udp:HOST"),
-        (["--fence", "0 0 0 1 1 1"], SIM, 2, "(see 'alula fly -h')"),
+        (["--fence", "0 0 0 1 1"], SIM, 2, "(see 'alula fly -h')"),
         ([], "serial:/dev/null:57600", 6, "as a serial line: Inappropriate ioctl"),
         ([], "serial:/dev/does-not-exist:57600", 6, "does-not-exist"),
     ],
