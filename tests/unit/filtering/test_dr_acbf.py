@@ -423,3 +423,14 @@ def test_what_is_flown_while_input_is_refused_counts(method):
         f.filter(ZERO, [3.0, 0, 0], NO_TRACKS, near, [6.0, 0, 0])[0].acceleration for f in (told, untold)
     )
     assert braked[0] < late[0] - 1
+
+
+@pytest.mark.parametrize("distance", [0.02, -0.1, -0.5])
+def test_the_violation_between_walls_that_contradict_each_other_counts_every_row(distance):
+    """No command meets the rows of both walls; the obstacle's row is missed by more than theirs."""
+    walls = np.array([[1.0, 0.0, 0.0, distance], [-1.0, 0.0, 0.0, distance]])
+    alone = tick(make(), ZERO, [0.0, 2.0, 0.0], walls=walls)
+    rows = tracks(track(1, [1.5, 0.5, 0], [-3.0, 0, 0]))
+    report = tick(make(), ZERO, [0.0, 2.0, 0.0], rows, walls=walls)
+    assert alone.status == report.status == RECOVERING
+    assert report.violation >= alone.violation > 1
