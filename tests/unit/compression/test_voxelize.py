@@ -250,7 +250,7 @@ def test_a_huge_splat_costs_nothing_outside_the_crop():
     ("mean", "scale", "message"),
     [
         ([0, 0, 0], [100, 120, 80], "would need at least 32169908"),
-        ([0, 0, 0], [3000, 3000, 1e-9], "would need at least 8356288 bricks of 4 x 4 x 8 voxels"),
+        ([0, 0, 0], [3000, 3000, 1e-9], "would need at least 11309733552 voxels"),
         ([1e12, 0, 0], [1, 1, 1], "32 bits"),
     ],
 )

@@ -112,7 +112,8 @@ def test_whatever_the_vehicle_itself_says_raises_nothing_and_states_stay_finite(
         link.poll(time())
         if link.state is not None:
             for each in dataclasses.fields(link.state):
-                assert np.isfinite(getattr(link.state, each.name)).all()
+                values = getattr(link.state, each.name)  # the latency is NaN until it is measured
+                assert np.isfinite(values).all() or (each.name == "latency_s" and np.isnan(values))
             assert np.linalg.norm(link.state.attitude_wxyz) == pytest.approx(1.0)
         assert all(text.isprintable() for text in link.status.texts)
         assert len(link.status.texts) <= 100
