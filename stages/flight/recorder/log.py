@@ -254,7 +254,7 @@ def _replace(temporary: Path, path: Path) -> None:
 
 
 class _Path:
-    """At most 4,000 evenly spaced points of a path, whatever its length."""
+    """At most 4,000 evenly spaced points of a path of any length."""
 
     def __init__(self) -> None:
         self._points: list[tuple[float, float, float]] = []
