@@ -18,6 +18,7 @@ from alula.schemas.geofence import FenceScenario
 from alula.schemas.progress import Progress
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.vehicle import Vehicle
+from alula.stages import durations
 from alula.stages.filtering.obstacles import require_obstacles
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
 from alula.stages.simulation.geofence.world import FlownWorld, native_world
@@ -25,7 +26,6 @@ from alula.stages.simulation.result import FenceFlight
 from alula.stages.vehicles.fence import KeepOut
 
 CHUNK, CHUNK_TICKS = 4, 20_000  # maximum number of trials and ticks; they take less than a second
-_MIN_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
 
 
 class Times(msgspec.Struct, frozen=True, kw_only=True):
@@ -45,10 +45,8 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
             seconds: shape (C,) [s].
             tick_s: duration of a tick [s]; longer times are `overruns`.
         """
-        index = np.floor(_PER_OCTAVE * np.log2(np.maximum(seconds, _MIN_S) / _MIN_S)).astype(np.int64)
-        counts = np.bincount(np.minimum(index, _BINS - 1), minlength=_BINS).astype(np.int64)
         return cls(
-            counts=counts.tobytes(),
+            counts=durations.counts_of(seconds).tobytes(),
             calls=len(seconds),
             total_s=float(seconds.sum(dtype=np.float64)),
             max_s=float(seconds.max(initial=0.0)),
@@ -62,7 +60,9 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
         Args:
             parts: of chunks.
         """
-        counts = sum((np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(_BINS, np.int64))
+        counts = sum(
+            (np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(durations.BINS, np.int64)
+        )
         return cls(
             counts=counts.tobytes(),
             calls=sum(part.calls for part in parts),
@@ -77,9 +77,7 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
         Args:
             fraction: of the ticks that take at most this time, in (0, 1].
         """
-        running = np.frombuffer(self.counts, np.int64).cumsum()
-        index = int(np.searchsorted(running, fraction * running[-1]))
-        return float(min(_MIN_S * 2 ** ((index + 1) / _PER_OCTAVE), self.max_s))
+        return durations.quantile(np.frombuffer(self.counts, np.int64), fraction, self.max_s)
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
