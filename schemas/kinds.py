@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from alula.schemas.contents import LARGEST
 from alula.schemas.manifest import (
     VERSION,
     CoverManifest,
@@ -140,7 +141,7 @@ PLAN = Kind(
             "m, rad",
             "x, y, z, yaw: coefficient of (t - t_k)^j",
             "finite",
-            largest=1e15,
+            largest=LARGEST,
         ),
         ArrayRule(
             "waypoint", "<f8", ("W", 4), "m, rad", "x, y, z, yaw passed through", "finite", largest=1e12

@@ -27,7 +27,7 @@ Margin = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Level = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Coordinate = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
+Coordinate = Annotated[float, msgspec.Meta(ge=-contents.LARGEST, le=contents.LARGEST)]
 Vector = Annotated[list[Coordinate], msgspec.Meta(min_length=3, max_length=3)]
 Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 

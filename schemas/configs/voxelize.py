@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from alula.schemas.errors import UsageError
 
+MERGE_VOXELS = 2**24  # maximum input of `merge`, by its memory
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VoxelizeConfig:
@@ -45,7 +47,7 @@ class VoxelizeConfig:
         },
     )
     max_voxels: int = field(
-        default=2**24,
+        default=MERGE_VOXELS,
         metadata={
             "help": "Maximum number of voxels; the default is what merge can take. An estimate far above it "
             "ends the command before the work, with a size or a filter that would fit."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from alula.schemas.configs.voxelize import MERGE_VOXELS as MERGE_VOXELS
 from alula.schemas.errors import InputError
 
 # Measured peak memory; the help of the commands states it, and a test checks it.
@@ -10,7 +11,6 @@ MERGE_BYTES = 2600  # per voxel; about 600 where the voxels form surfaces
 VERIFY_BYTES = 250  # per voxel, or member of a hull where hulls share voxels
 VERIFY_HULL_BYTES = 4000
 
-MERGE_VOXELS = 2**24
 VERIFY_VOXELS = 2**26
 
 
