@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import select
 import socket
 import time
@@ -11,6 +10,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from alula.schemas.errors import LinkError, UsageError
+from alula.stages.loopback import is_loopback
 from alula.stages.sim_vehicle.common.airframe import TICK_S
 
 KINDS = ("udpout", "udpin", "tcpin")
@@ -63,7 +63,7 @@ def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
     except OSError as error:
         raise LinkError(f"link {link}: {error.strerror or error}") from error
     family, *_, address = found[0]
-    if not allow_remote and not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback:
+    if not allow_remote and not is_loopback(str(address[0]).partition("%")[0]):
         raise UsageError(f"link {link}: not on this machine; pass --allow-remote to allow it")
     try:
         return _Tcp(family, address) if kind == "tcpin" else _Udp(family, address, kind)
