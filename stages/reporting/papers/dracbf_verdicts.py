@@ -319,6 +319,23 @@ def _time_row(item: str, quantity: str, published: str, mean: float | None, std:
     return PaperRow(item, quantity, published, ours, "", "not comparable", _MATLAB)
 
 
+def _obstacle_rows(item: str, method: str, printed: Mapping[str, Any], f: Flown) -> list[PaperRow]:
+    """Judge the values that Tables I and III print for each of the two obstacles."""
+    rows = []
+    for i in (0, 1):
+        of = f"{method}, obstacle {i + 1}"
+        rows.append(_success_row(item, f"s, {of}", printed["s"][i], f, i))
+        closing, apart = printed["v_cl"][i], printed["d_s"][i]
+        rows.append(
+            _mean_row(item, f"v_cl, {of}", closing, f, lambda m: m.closing_m_s, obstacle=i, unit=" m/s")
+        )
+        rows.append(_reaction_row(item, f"t_r, {of}", printed["t_r"][i], f, i))
+        command = milli(f.timing("command_mean_s", i))
+        rows.append(_time_row(item, f"t_cm, {of}", f"{text(printed['t_cm'][i])} ms", command, None))
+        rows.append(_mean_row(item, f"d_s, {of}", apart, f, lambda m: m.separation_m, obstacle=i, unit=" m"))
+    return rows
+
+
 def _table_1(flown: Sequence[Flown]) -> list[PaperRow]:
     rows = []
     for name, printed in DRACBF_PRINTED["table-1"].items():
@@ -327,34 +344,7 @@ def _table_1(flown: Sequence[Flown]) -> list[PaperRow]:
         if f is None:
             rows.append(_missing("Table I", method, ""))
             continue
-        for i in (0, 1):
-            of = f"{method}, obstacle {i + 1}"
-            rows.append(_success_row("Table I", f"s, {of}", printed["s"][i], f, i))
-            rows.append(
-                _mean_row(
-                    "Table I",
-                    f"v_cl, {of}",
-                    printed["v_cl"][i],
-                    f,
-                    lambda m: m.closing_m_s,
-                    obstacle=i,
-                    unit=" m/s",
-                )
-            )
-            rows.append(_reaction_row("Table I", f"t_r, {of}", printed["t_r"][i], f, i))
-            command = milli(f.timing("command_mean_s", i))
-            rows.append(_time_row("Table I", f"t_cm, {of}", f"{text(printed['t_cm'][i])} ms", command, None))
-            rows.append(
-                _mean_row(
-                    "Table I",
-                    f"d_s, {of}",
-                    printed["d_s"][i],
-                    f,
-                    lambda m: m.separation_m,
-                    obstacle=i,
-                    unit=" m",
-                )
-            )
+        rows.extend(_obstacle_rows("Table I", method, printed, f))
         rows.append(_success_row("Table I", f"s, {method}, mean", printed["s"][2], f, None))
         rows.append(_reaction_row("Table I", f"t_r, {method}, mean", printed["t_r"][2], f))
         rows.append(
@@ -399,7 +389,7 @@ def _table_2(flown: Sequence[Flown]) -> list[PaperRow]:
                 *("Table II", "difficulty at which s = 82.5 % appears", "not stated"),
                 f"detection probability {text(at)} (at {text(near.value)}: {text(now.value)} %)",
                 *(_span(now.low, now.high, " %"), "bounded"),
-                "or noise about 60 times that of scenario 2, or 0.4 m/s²: see the table on difficulty",
+                "the table on difficulty has the noise and the vehicle limits at which it appears, too",
             )
         )
     sweep = [f for name in SWEEP if (f := find(flown, "scenario-2", name)) is not None]
@@ -425,36 +415,7 @@ def _table_3(flown: Sequence[Flown]) -> list[PaperRow]:
         if f is None:
             rows.append(_missing("Table III", f"DR-CVaR {state}", ""))
             continue
-        for i in (0, 1):
-            of = f"DR-CVaR {state}, obstacle {i + 1}"
-            rows.append(_success_row("Table III", f"s, {of}", printed["s"][i], f, i))
-            rows.append(
-                _mean_row(
-                    "Table III",
-                    f"v_cl, {of}",
-                    printed["v_cl"][i],
-                    f,
-                    lambda m: m.closing_m_s,
-                    obstacle=i,
-                    unit=" m/s",
-                )
-            )
-            rows.append(_reaction_row("Table III", f"t_r, {of}", printed["t_r"][i], f, i))
-            command = milli(f.timing("command_mean_s", i))
-            rows.append(
-                _time_row("Table III", f"t_cm, {of}", f"{text(printed['t_cm'][i])} ms", command, None)
-            )
-            rows.append(
-                _mean_row(
-                    "Table III",
-                    f"d_s, {of}",
-                    printed["d_s"][i],
-                    f,
-                    lambda m: m.separation_m,
-                    obstacle=i,
-                    unit=" m",
-                )
-            )
+        rows.extend(_obstacle_rows("Table III", f"DR-CVaR {state}", printed, f))
         rows.append(_success_row("Table III", f"s, DR-CVaR {state}, mean", printed["s"][2], f, None))
     gone = [cell for cell in collapse_cells(flown) if has_collapsed(cell)]
     if gone:
