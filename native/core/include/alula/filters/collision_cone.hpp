@@ -97,9 +97,6 @@ inline AccelerationRow escape_row(const Cone& c, double k) {
   return {c.gamma_grad_p(), -2 * c.beta + 4 * k * c.delta - k * k * c.gamma};
 }
 
-// The same for a velocity input: gamma' + k gamma >= 0, row . v >= bound. Valid at v = 0 too.
-inline AccelerationRow velocity_escape_row(const Cone& c, double k) { return {c.gamma_grad_p(), -k * c.gamma}; }
-
 // Maps the input to the position. Dynamic extension: u_T = T / m and its rate are states, u_T'' is the input,
 //   p'''' = drift + per_thrust u_T'' + per_torque tau.
 struct SnapMap {
