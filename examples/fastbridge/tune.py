@@ -28,8 +28,7 @@ ROOM_SPEED_M_S, TILE_SPEED_M_S = 4.1, 3.1
 PRINTED = {"return_time": 0.0, "min_speed_m_s": 0.0, "release_rad_s": 0.0, "shield": False}
 # Method: its filter, what is fixed, and what is searched with its limits and its value in setting 0.
 METHODS = {
-    # With a row for every ellipsoid the barrier, and so the gains, are the same; its search takes longer.
-    "safer-splat": ("safer-splat", {"rows": "nearest"}, {"alpha": (2, 30, 5), "beta": (0.5, 12, 1)}),
+    "safer-splat": ("safer-splat", {"rows": "all"}, {"alpha": (2, 30, 5), "beta": (0.5, 12, 1)}),
     "cone-ecbf": (
         "cone-ecbf",
         {},
@@ -70,7 +69,7 @@ def parameters_of(method: str, gains: Gains) -> dict[str, Any]:
     """List all parameters of a setting; some follow from the gains."""
     _, fixed, _ = METHODS[method]
     given = {**fixed, **gains}
-    if method == "safer-splat":  # the gate that the slow pole needs
+    if method == "safer-splat":  # the gate that the slow pole needs, for the variant that has one
         given["reaction_time_s"] = float(f"{2 / min(gains['alpha'], gains['beta']):.3g}")
     if method == "printed-ecbf":
         given["lambda_max"] = gains["lambda_"]
