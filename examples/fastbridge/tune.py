@@ -97,7 +97,7 @@ def fly(method: str, gains: Gains, places: Sequence[Place], seed: int) -> tuple[
             seed=seed,
             **level,
         )
-        flown += simulate_splat(config, scene, FASTBRIDGE, jobs=1).trials
+        flown += simulate_splat(config, scene, FASTBRIDGE, jobs=0).trials
     reached = sum(t.outcome == "reached" and not t.collision for t in flown)
     jerk = sum(t.mean_jerk_m_s3 * t.duration_s for t in flown) / len(flown)
     return len(flown), sum(t.collision for t in flown), reached, jerk
