@@ -139,6 +139,7 @@ def test_euroc_intervals_of_a_drifting_estimate_contain_the_scale_of_the_whole()
     assert missed >= 4  # with intervals for independent errors
 
 
+@pytest.mark.slow
 def test_without_the_correction_intervals_would_miss(cameras):
     """Errors of a third of the threshold: 3 % are cut off, and the naive sigma is 9 % too small."""
     rng = np.random.default_rng(0)

@@ -40,7 +40,7 @@ def first(number):
         except ValueError:
             pass
 
-for _ in range(100):
+for _ in range({forks}):
     if (child := os.fork()) == 0:
         sys.setswitchinterval(1e-6)
         barrier = threading.Barrier(6)
@@ -58,7 +58,7 @@ GUARDED = "from alula.schemas.decode import decode_json"
 
 
 def test_threads_may_decode_a_type_for_the_first_time_at_once():
-    script = RACE.format(decode=GUARDED)
+    script = RACE.format(decode=GUARDED, forks=examples(100))
     done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
