@@ -6,8 +6,8 @@ Usage: python tune.py CSV --room SCENE [--tile SCENE:SIGMA ...] [--trials N]
 A setting is a point of a Sobol sequence over the logarithms of a method's gains; setting 0 is the published
 one, or the default where none is published. All fly the same pairs: in the room TRIALS pairs whose straight
 line meets an obstacle, at 4.1 m/s, and in each tile TILE_TRIALS random pairs at 3.1 m/s. The best setting
-has the fewest collisions, then the most flights that reach their goal, then the lowest jerk integrated over
-its flights. No page reports these scenes and pairs. All settings are written to CSV, the best with `yes`.
+has the most flights that reach their goal without a collision, then the fewest collisions, then the lowest
+jerk integrated over its flights. No page reports these scenes and pairs. All settings are written to CSV, the best with `yes`.
 """
 
 import argparse
@@ -126,7 +126,7 @@ def main() -> None:
         found = []
         for number, gains in enumerate(settings_of(METHODS[method][2], options.settings)):
             result = fly(method, gains, places, options.seed)
-            found.append((result[1], -result[2], result[3], number))
+            found.append((-result[2], result[1], result[3], number))
             rows.append([method, number, "no", words_of(method, gains), *result[:3], f"{result[3]:.4g}"])
             print(*rows[-1], file=sys.stderr, flush=True)
         best = min(found)[3]
