@@ -34,9 +34,9 @@ filter's own barrier. Times on an idle machine are in
 Settings. Every method is flown at the gains that its authors print (ours at the defaults) and tuned by
 one search: the same number of settings for each, a Sobol sequence over the logarithms of up to three
 gains, on another seed of the room with other pairs and on another tile, which no table here reports;
-most goals without a collision first, then fewest collisions, then the lowest jerk. `make -C examples/fastbridge tune`
-repeats it. Our defaults come from earlier flights in the reported room and may be fitted to it, so the
-tuned rows are the fair ones.
+most goals without a collision first, then fewest collisions, then the lowest jerk.
+`make -C examples/fastbridge tune` repeats it. Our defaults come from earlier flights in the reported room
+and may be fitted to it, so the tuned rows are the fair ones.
 
 How to read the jerk: the filter `none` shows the jerk of the reference itself. Where the reference
 causes most of a filter's jerk, as in the room from 3 m/s on, no filter that follows the reference can be

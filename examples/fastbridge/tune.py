@@ -7,7 +7,8 @@ A setting is a point of a Sobol sequence over the logarithms of a method's gains
 one, or the default where none is published. All fly the same pairs: in the room TRIALS pairs whose straight
 line meets an obstacle, at 4.1 m/s, and in each tile TILE_TRIALS random pairs at 3.1 m/s. The best setting
 has the most flights that reach their goal without a collision, then the fewest collisions, then the lowest
-jerk integrated over its flights. No page reports these scenes and pairs. All settings are written to CSV, the best with `yes`.
+jerk integrated over its flights. No page reports these scenes and pairs. All settings are written to CSV,
+the best with `yes`.
 """
 
 import argparse
