@@ -166,12 +166,18 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
 
 
 class PlanManifest(Manifest, frozen=True, kw_only=True):
-    """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time."""
+    """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
+
+    The plan keeps `radius_m` from the hulls; `margin_m` of it is beyond the radius of the vehicle that it was
+    made for. `via_m` are the points to pass between start and goal, in their order.
+    """
 
     unit: Literal["m"]
     radius_m: Length
     speed_m_s: Length
     certificate: dict[str, Any]
+    margin_m: Margin = 0.0
+    via_m: list[Vector] = []
 
 
 def _check_crop(crop: list[float] | None) -> None:

@@ -26,7 +26,37 @@ MOST_RECORD_VALUES = 2**23  # of the JSON of a record: 200,000 trials
 FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: known before it begins
 
 # "stopped": a real flight that ended before its goal, by landing or because the pilot took over.
-Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "inside", "outside", "stopped"]
+# "missed-via", "off-plan": it reached the goal of a plan, but missed a via point, or left the plan's tube.
+Outcome = Literal[
+    "reached",
+    "stuck",
+    "timeout",
+    "refused",
+    "passed",
+    "inside",
+    "outside",
+    "stopped",
+    "missed-via",
+    "off-plan",
+]
+PLAN_OUTCOMES: tuple[Outcome, ...] = ("missed-via", "off-plan")
+
+
+class PlanResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Comparison of a flown path with its plan.
+
+    Attributes:
+        via_tolerance_m: distance within which a via point counts as passed [m].
+        closest_m: minimum distance to each via point, in their order, after the one before was passed [m].
+        missed: numbers of the via points that were missed, from 1.
+        outside_m: maximum distance of the path from the tube in which the plan is proven clear, from below;
+            0 within it [m].
+    """
+
+    via_tolerance_m: float
+    closest_m: list[float]
+    missed: list[int]
+    outside_m: float
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -145,6 +175,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         risk_spent: sum over steps of the risk that the flown rows left; None for filters without such rows.
         mission_risk: sum over windows of the risk of a collision.
         fence: only in a geofence.
+        plan: only along a plan.
     """
 
     index: int
@@ -186,6 +217,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     risk_spent: float | None = None
     mission_risk: float | None = None
     fence: FenceResult | None = None
+    plan: PlanResult | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

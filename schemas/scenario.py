@@ -37,6 +37,8 @@
     dt_s = 0.01
     filter_ticks = 1              # for filters that see ellipsoids, as is controller_ticks
     max_time_s = 60.0
+    via_tolerance_m = 0.1         # along a plan: within this, a via point counts as passed
+    allow_tight = false           # fly a plan that is nearer to the map than the filter lets the vehicle be
 
     [fly]                         # for `alula fly` alone, which flies `[map] plan`
     link = "udpin:127.0.0.1:14550"
@@ -101,6 +103,7 @@ _KEYS = {
     "--controller-ticks": "run.controller_ticks",
     "--filter-ticks": "run.filter_ticks",
     "--max-time": "run.max_time_s",
+    "--via-tolerance": "run.via_tolerance_m",
     "--log-rate": "run.log_rate_hz",
 }
 
@@ -166,6 +169,8 @@ class RunTable(_Table, frozen=True, kw_only=True):
     controller_ticks: int | None = None
     filter_ticks: int | None = None
     max_time_s: float | None = None
+    via_tolerance_m: float | None = None
+    allow_tight: bool | None = None
     log_rate_hz: float | None = None
 
 
@@ -217,6 +222,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "gain": self.controller.gain,
             "catch_up_m_s": self.controller.catch_up_m_s,
             "max_time_s": self.run.max_time_s,
+            "via_tolerance_m": self.run.via_tolerance_m,
+            "allow_tight": self.run.allow_tight,
             "log_rate_hz": self.run.log_rate_hz,
             **(parameters if is_own else {"filter_parameters": self.filter.parameters or None}),
             **own,
@@ -252,6 +259,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "controller_ticks": self.run.controller_ticks,
             "filter_ticks": self.run.filter_ticks,
             "max_time_s": self.run.max_time_s,
+            "via_tolerance_m": self.run.via_tolerance_m,
+            "allow_tight": self.run.allow_tight,
             "log_rate_hz": self.run.log_rate_hz,
             **(self.filter.parameters if own else {"filter_parameters": self.filter.parameters or None}),
         }

@@ -102,7 +102,10 @@ def head(
         "trials": len(trials),
         **found,
         "collisions": sum(trial.collision for trial in trials),
-        **{outcome: sum(trial.outcome == outcome for trial in trials) for outcome in outcomes},
+        **{
+            outcome.replace("-", "_"): sum(trial.outcome == outcome for trial in trials)
+            for outcome in outcomes
+        },
     }
 
 

@@ -238,6 +238,8 @@ def _finish(
         return _Flown(None, [] if is_whole else [_cut(recorder.where)])
     trial = judge(mission, rows, loop.supervision.cause, common.jobs)
     summary = summary_of(trial, loop.supervision, loop.taken)
+    if mission.notes:
+        summary["notes"] = mission.notes
     record = RunRecord(
         schema=RUN_SCHEMA,
         version=RUN_VERSION,
@@ -251,7 +253,7 @@ def _finish(
     )
     trouble = [] if recorder.finish(record) else [_cut(recorder.where)]
     if trouble:
-        summary = summary | {"notes": ["the log is not complete: its writer failed"]}
+        summary = summary | {"notes": [*mission.notes, "the log is not complete: its writer failed"]}
         record = msgspec.structs.replace(record, summary=summary)
     if recorder.where != log:
         trouble.append(f"{log}: could not be replaced; the log of this flight is {recorder.where}")
@@ -283,10 +285,12 @@ def _write_record(path: Path, record: RunRecord) -> None:
 def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
     """Raise the error that the flight ended with; see `fly`."""
     from alula.stages.flight.loop.supervisor import Event
+    from alula.stages.planning.adherence import complaint
 
     cause, trial = loop.supervision.cause, flown.trial
     trouble = "; ".join(flown.trouble)
-    is_well = cause is Event.PLAN_FINISHED and trial is not None and not trial.collision
+    missed = None if trial is None else complaint(trial.plan)
+    is_well = cause is Event.PLAN_FINISHED and trial is not None and not trial.collision and missed is None
     if trouble and is_well:
         raise OutputError(f"the flight went well, but {trouble}")
     if trouble:
@@ -314,4 +318,6 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
         raise LinkError(f"the flight ended early: {reason}")
     if cause is not Event.PLAN_FINISHED:
         raise CheckError(f"{common.output}: the plan was not finished: {reason}")
-    raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
+    if trial is not None and trial.collision:
+        raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
+    raise CheckError(f"{common.output}: the plan was flown, but {missed}")

@@ -20,6 +20,7 @@ from alula.schemas.provenance import parameters_of
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
+    from alula.schemas.run import TrialResult
     from alula.stages.simulation.pairs import Pairs
     from alula.stages.simulation.result import RunResult
 
@@ -109,7 +110,8 @@ def command(
     command continues from it.
 
     The run's summary and measured times are also written to R.run.json, beside R.run.mcap. Exit code 4: a
-    filtered flight collided with its map or left its fence.
+    filtered flight collided with its map or left its fence, or did not fly its plan: to the goal, through all
+    via points, and within the tube in which the plan is proven clear.
     """
     from alula.cli.run_files import check_log_name
     from alula.schemas.artifact import read_artifact
@@ -196,7 +198,10 @@ def command(
         parameters["vehicle"] = contents(vehicle)
     run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=config.seed)
     if not common.dry_run and config.filter != "none":
-        _check(common.output, read_run(common.output).trials, splat=splat)
+        trials = read_run(common.output).trials
+        _check(common.output, trials, splat=splat)
+        if plan is not None:
+            _check_plan(common.output, trials[0])
 
 
 def inputs_of(
@@ -399,6 +404,17 @@ def _write(
         flight_timing(result, config.dt_s * config.filter_ticks),
         lambda log: write_log(log, record, result.flights, result.map, frame),
     )
+
+
+def _check_plan(output: Path, trial: TrialResult) -> None:
+    """Raise CheckError when the flight of a plan did not do what the plan says."""
+    from alula.schemas.run import PLAN_OUTCOMES
+    from alula.stages.planning.adherence import complaint
+
+    if trial.outcome == "reached":
+        return
+    words = complaint(trial.plan) if trial.outcome in PLAN_OUTCOMES else None
+    raise CheckError(f"{output}: {words or f'the flight of the plan ended as {trial.outcome}'}")
 
 
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from alula.schemas.configs.plan import MARGIN_M, AlongPlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.schemas.filters.values import config_field, entries, limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlyConfig:
+class FlyConfig(AlongPlanConfig):
     """Parameters of `fly`; None stands for a value of the plan or the vehicle, or for a default."""
 
     name: str = field(default="flight", metadata={"help": "Name of the flight, for reports."})
@@ -21,7 +22,7 @@ class FlyConfig:
         default="polytope-cbf", metadata={"help": "Safety filter, or none.", "metavar": "NAME"}
     )
     margin_m: float = field(
-        default=0.1,
+        default=MARGIN_M,
         metadata={
             "help": "Distance that filters keep beyond the vehicle's radius, for errors of tracking and "
             "state [m].",
@@ -142,6 +143,7 @@ class FlyConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that are out of range."""
+        AlongPlanConfig.__post_init__(self)
         parameters = entries(PolytopeCbfParameters)
         for option, value, low, high in (
             ("--margin", self.margin_m, 0.0, 100.0),

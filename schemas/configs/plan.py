@@ -7,7 +7,31 @@ from itertools import pairwise
 
 from alula.schemas.errors import UsageError
 
+MARGIN_M = 0.1  # that filters keep beyond the vehicle's radius in flight, for errors of tracking and state
 Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlongPlanConfig:
+    """Parameters of flights along a plan, simulated or real."""
+
+    via_tolerance_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "Distance within which a via point of a plan counts as passed [m]; default: the "
+            "vehicle's radius, at least 0.1.",
+            "option": "--via-tolerance",
+        },
+    )
+    allow_tight: bool = field(
+        default=False,
+        metadata={"help": "Fly a plan although it is nearer to the map than the filter lets the vehicle be."},
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range."""
+        if self.via_tolerance_m is not None and not (1e-6 <= self.via_tolerance_m <= 1e3):
+            raise UsageError(f"--via-tolerance must be between 1e-06 and 1000, not {self.via_tolerance_m:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,8 +44,20 @@ class PlanConfig:
         default=(),
         metadata={"help": "Intermediate point to fly through [m]; may be repeated.", "metavar": "POINT"},
     )
-    radius_m: float = field(
-        default=0.15, metadata={"help": "Minimum distance to every hull [m].", "option": "--radius"}
+    radius_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "Minimum distance to every hull [m]; default: the radius of the --vehicle and --margin.",
+            "option": "--radius",
+        },
+    )
+    margin_m: float | None = field(
+        default=None,
+        metadata={
+            "help": f"Distance that the filter will keep beyond the vehicle's radius, as --margin of fly "
+            f"[m]; default: {MARGIN_M}. Hulls already contain the error of the alignment.",
+            "option": "--margin",
+        },
     )
     speed_m_s: float = field(default=1.0, metadata={"help": "Maximum speed [m/s].", "option": "--speed"})
     acceleration_m_s2: float = field(
@@ -47,6 +83,7 @@ class PlanConfig:
         """Refuse values out of range and points that cannot be flown through."""
         for option, value, low, high in (
             ("--radius", self.radius_m, 1e-3, 1e3),
+            ("--margin", self.margin_m, 0.0, 100.0),
             ("--speed", self.speed_m_s, 1e-3, 1e3),
             ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
             ("--resolution", self.resolution_m, 1e-4, 1e3),
@@ -66,6 +103,12 @@ class PlanConfig:
             for point in points:
                 if not all(a <= x <= b for a, x, b in zip(lower, point, upper, strict=True)):
                     raise UsageError(f"the point {' '.join(f'{x:g}' for x in point)} is outside --bounds")
+
+    @property
+    def keep_m(self) -> float:
+        """Distance to keep from every hull, of a configuration that has it; see `resolve_plan` [m]."""
+        assert self.radius_m is not None
+        return self.radius_m
 
     @property
     def points(self) -> list[Point]:

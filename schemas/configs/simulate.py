@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from alula.schemas.configs.plan import AlongPlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.schemas.filters.values import complaint, config_field, entries, limits
@@ -25,7 +26,7 @@ SAMPLING_ONLY = ("pairs", "bounds", "margin_m", "separation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SimulateConfig:
+class SimulateConfig(AlongPlanConfig):
     """Parameters of `simulate`; None stands for the value of the plan or the vehicle, or for the default."""
 
     name: str = field(default="run", metadata={"help": "Name of the run, for reports."})
@@ -171,6 +172,7 @@ class SimulateConfig:
 
     def __post_init__(self) -> None:
         """Refuse values out of range or of the wrong kind."""
+        AlongPlanConfig.__post_init__(self)
         _between("--dt", self.dt_s, 1e-5, 1.0)
         if self.radius_m is not None:
             _between("--radius", self.radius_m, 0.0, 1e3)

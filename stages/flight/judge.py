@@ -10,7 +10,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.decimals import exact
 from alula.schemas.manifest import Guarantee
-from alula.schemas.run import Outcome, TrialResult
+from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
 from alula.stages.clearance import (
     is_collision,
     path_metrics,
@@ -20,6 +20,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
+from alula.stages.planning.adherence import outcome_of_plan
 from alula.stages.verdict import head, mean_path_ratio, totals
 
 
@@ -55,6 +56,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
     flags = rows[flying, 8].astype(np.int64)
     infeasible = ((flags & 1) != 0) | (rows[flying, 7] == FilterStatus.REFUSED)
     path = path_metrics(position, dt)
+    followed = mission.along.result(position[rows[:, 7] >= 0]) if flying.any() else None
     speed = np.linalg.norm(velocity, axis=1)
     margin = rows[flying, 9]
     margin = margin[np.isfinite(margin)]
@@ -69,7 +71,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
         index=0,
         start_m=position[0].tolist(),
         goal_m=mission.goal.tolist(),
-        outcome=outcome_of_cause(cause),
+        outcome=outcome_of_plan(outcome_of_cause(cause), followed),
         collision=is_collision(*clearance.values()),
         steps=int(flying.sum()),
         duration_s=float(rows[-1, 0] - rows[0, 0]),
@@ -86,6 +88,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
         max_jerk_m_s3=path.max_jerk_m_s3,
         max_tracking_error_m=float(error.max(initial=0.0)),
         min_margin=float(margin.min()) if len(margin) else None,
+        plan=followed,
         **among_ellipsoids,
     )
 
@@ -102,7 +105,7 @@ def summary_of(
     """
     cause = supervision.cause
     return {
-        **head([trial], ("reached", "stuck", "timeout", "refused", "stopped")),
+        **head([trial], ("reached", *PLAN_OUTCOMES, "stuck", "timeout", "refused", "stopped")),
         "min_map_clearance_m": trial.map_clearance_m,
         "min_scene_clearance_m": trial.scene_clearance_m,
         "mean_path_ratio": mean_path_ratio([trial]),

@@ -33,6 +33,7 @@ from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import certify
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
@@ -66,6 +67,8 @@ class Mission:
         inflation_m: distance that filters among ellipsoids add to radius and margin [m].
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
+        along: compares the flight with the plan.
+        notes: warnings for the summary.
     """
 
     config: FlyConfig
@@ -80,6 +83,8 @@ class Mission:
     inflation_m: float
     fence: _core.Fence
     is_clear: tuple[bool, str]
+    along: PlanJudge
+    notes: list[str]
 
     @property
     def map(self) -> Artifact:
@@ -194,6 +199,16 @@ def make_mission(
     curve = _core.ReferenceCurve(
         np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
     )
+    inflation = _inflation(config, scene) if is_splat else 0.0
+    tolerance = via_tolerance(config.via_tolerance_m, radius)
+    along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
+    of_filter = obstacles[-1:] if is_splat else obstacles[:1]  # the map that the filter sees
+    notes = require_room(
+        PlanJudge(plan, [each for _, each in of_filter], radius, tolerance, jobs),
+        radius + config.margin_m + inflation,
+        config.filter,
+        allow_tight=config.allow_tight,
+    )
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]
     keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None
@@ -207,9 +222,11 @@ def make_mission(
         curve=curve,
         start=np.array(curve.at(np.zeros(1))[0, :3]),
         obstacles=obstacles,
-        inflation_m=_inflation(config, scene) if is_splat else 0.0,
+        inflation_m=inflation,
         fence=fence(box=(low, high), cover=keep_out),
         is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
+        along=along,
+        notes=notes,
     )
 
 

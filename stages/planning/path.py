@@ -75,7 +75,7 @@ def find_polyline(
         legs.append(_rounded(config, obstacles, leg, jobs)[1:])
         visited += expanded
     point = np.concatenate(legs)
-    if not (path_clearance(point, obstacles, jobs=jobs, cap_m=config.radius_m) >= config.radius_m).all():
+    if not (path_clearance(point, obstacles, jobs=jobs, cap_m=config.keep_m) >= config.keep_m).all():
         raise InfeasibleError("the straight path is not clear; use another --resolution")
     return Polyline(point, lower, upper, spacing, math.prod(count), visited)
 
@@ -84,14 +84,15 @@ def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
     """Raise InfeasibleError with the point of the flight that is too close to a hull."""
     names = ["start", *["intermediate point"] * len(config.via), "goal"]
     for name, point in zip(names, config.points, strict=True):
-        distance = float(path_clearance([point], obstacles, cap_m=config.radius_m + 1)[0])
-        if distance >= config.radius_m + _MARGIN_M:
+        distance = float(path_clearance([point], obstacles, cap_m=config.keep_m + 1)[0])
+        if distance >= config.keep_m + _MARGIN_M:
             continue
         where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
         if distance <= 0:
             raise InfeasibleError(f"{where} is inside an obstacle, {-distance:.3g} m deep")
         raise InfeasibleError(
-            f"{where} is {distance:.6g} m from an obstacle, too close for the radius {config.radius_m:g} m"
+            f"{where} is {distance:.6g} m from an obstacle, and the plan must keep {config.keep_m:g} m "
+            "(--radius)"
         )
 
 
@@ -101,7 +102,7 @@ def _bounds(config: PlanConfig, obstacles: PolytopeSet) -> tuple[FloatArray, Flo
         return np.array(config.bounds[:3]), np.array(config.bounds[3:])
     corners = [np.array(config.points), *(np.array([side]) for side in obstacles.bounds() if len(obstacles))]
     every = np.concatenate(corners)
-    room = (2 + _COMFORT) * config.radius_m
+    room = (2 + _COMFORT) * config.keep_m
     return every.min(axis=0) - room, every.max(axis=0) + room
 
 
@@ -112,7 +113,7 @@ def _lattice(
     size = upper - lower
     spacing = config.resolution_m
     if spacing is None:
-        spacing = max(config.radius_m / 2, float(np.prod(size) / _DEFAULT_LATTICE) ** (1 / 3))
+        spacing = max(config.keep_m / 2, float(np.prod(size) / _DEFAULT_LATTICE) ** (1 / 3))
     before = np.floor((np.array(config.start) - lower) / spacing)
     steps = before + np.floor((upper - np.array(config.start)) / spacing)
     if not np.prod(steps + 1) <= MAX_LATTICE_POINTS:
@@ -136,7 +137,7 @@ def _leg(
     progress: Progress | None,
 ) -> tuple[FloatArray, int]:
     """Short polyline between two points whose segments keep the radius, and number of points visited."""
-    radius, comfort = config.radius_m + _MARGIN_M, _COMFORT * config.radius_m
+    radius, comfort = config.keep_m + _MARGIN_M, _COMFORT * config.keep_m
     if path_clearance(ends, obstacles, cap_m=radius + comfort)[0] >= radius + comfort:
         return np.array(ends), 0
     # The number of points that the search will visit is unknown, and far below that of the lattice.
@@ -156,7 +157,7 @@ def _leg(
 
 def _rounded(config: PlanConfig, obstacles: PolytopeSet, leg: FloatArray, jobs: int) -> FloatArray:
     """The leg with additional points, moved towards their neighbours where that stays free."""
-    spacing = max(_WAYPOINT_MIN_M, _WAYPOINT_RADII * config.radius_m)
+    spacing = max(_WAYPOINT_MIN_M, _WAYPOINT_RADII * config.keep_m)
     parts = [leg[:1]]
     for a, b in pairwise(leg):
         pieces = max(1, math.ceil(np.linalg.norm(b - a) / spacing - 1e-9))
@@ -164,8 +165,8 @@ def _rounded(config: PlanConfig, obstacles: PolytopeSet, leg: FloatArray, jobs: 
         parts.append((1 - fraction) * a + fraction * b)
     point = np.concatenate(parts)
     # Moves may reduce the clearance to this, and not at all below it.
-    enough = 1.25 * config.radius_m
-    radius = config.radius_m + _MARGIN_M
+    enough = 1.25 * config.keep_m
+    radius = config.keep_m + _MARGIN_M
 
     def clearance(before: FloatArray, middle: FloatArray, after: FloatArray) -> FloatArray:
         return np.minimum(

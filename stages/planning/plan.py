@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from itertools import pairwise
 
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 from alula._core import PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import InfeasibleError
+from alula.schemas.configs.plan import MARGIN_M, PlanConfig
+from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
+from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
@@ -35,6 +37,24 @@ from alula.stages.planning.trajectory import (
 _SPLITS = 4  # times that a piece without proof is halved before it becomes a straight line
 
 
+def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfig:
+    """Complete the distance to keep: the vehicle's radius and the margin that its filter keeps.
+
+    Args:
+        config: as given by the user.
+        vehicle: that will fly the plan.
+
+    Raises:
+        UsageError: a margin is given with the whole distance.
+    """
+    if config.radius_m is None:
+        margin = MARGIN_M if config.margin_m is None else config.margin_m
+        return dataclasses.replace(config, radius_m=vehicle.body.radius_m + margin, margin_m=margin)
+    if config.margin_m is not None:
+        raise UsageError("--radius is the whole distance to keep; leave out --margin")
+    return dataclasses.replace(config, margin_m=0.0)
+
+
 def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
     """Plan a smooth flight that provably keeps a distance from every hull of a cover.
 
@@ -45,7 +65,7 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
     result is always proven.
 
     Args:
-        config: see `PlanConfig`.
+        config: see `PlanConfig`; without a radius, for the quadrotor of FastBridge.
         cover: an `alula/cover`.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
@@ -55,6 +75,8 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
         InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
         UsageError: the lattice would be too large.
     """
+    if config.radius_m is None:
+        config = resolve_plan(config)
     require_solid_hulls(cover, jobs=jobs)
     obstacles = hull_obstacles(Hulls.from_cover(cover))
     path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
@@ -64,7 +86,7 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
     yaw[:, 0, 0] = config.yaw_rad
     dense = evaluate(time, coefficient, _sample_times(time))
     closest = path_clearance(dense, obstacles, jobs=jobs)
-    bound = float(proof.clearance_m.min(initial=2 * config.radius_m))
+    bound = float(proof.clearance_m.min(initial=2 * config.keep_m))
     return make_artifact(
         PLAN,
         {
@@ -75,8 +97,10 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
         frame=cover.manifest.frame,
         unit="m",
         parameters=parameters_of(config),
-        radius_m=config.radius_m,
+        radius_m=config.keep_m,
         speed_m_s=config.speed_m_s,
+        margin_m=config.margin_m or 0.0,
+        via_m=[list(point) for point in config.via],
         certificate={
             "method": METHOD,
             "pieces": len(coefficient),
@@ -101,7 +125,7 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
             "Every point of the trajectory is at least radius_m from every hull of the cover, and speed and "
             "acceleration stay within their limits at every instant.",
             {
-                "radius_m": config.radius_m,
+                "radius_m": config.keep_m,
                 "speed_m_s": config.speed_m_s,
                 "acceleration_m_s2": config.acceleration_m_s2,
             },
@@ -121,7 +145,7 @@ def _smooth(
         duration = allocate_times(waypoint, config.speed_m_s, config.acceleration_m_s2, rest)
         time = np.concatenate([[0.0], np.cumsum(duration)])
         coefficient = septic_spline(waypoint, np.diff(time), rest)
-        proof = certify_curve(time, coefficient, obstacles, config.radius_m, jobs=jobs)
+        proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
         good = proof.proven & _within(path, control_points(time, coefficient))
         if good.all():
             return waypoint, rest, time, coefficient, proof

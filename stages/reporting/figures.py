@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.run import PLAN_OUTCOMES
 from alula.stages.reporting import curves
 from alula.stages.reporting.curves import Spell, paths_of
 from alula.stages.reporting.fenced import ClosestFlight, closest_flights, fence_shape, is_fenced
@@ -31,13 +32,19 @@ COLORS = {
     "timeout": "#8c6bb1",
     "refused": "#7f7f7f",
     "stopped": "#cc79a7",
+    "missed-via": "#e69f00",
+    "off-plan": "#8c6bb1",
     "outside": "#d7301f",
     "collision": "#d7301f",
     NOT_JUDGED: "#d55e00",
     "planned": "#222222",
 }
 _SPELLS = {"fly": "#009e73", "hold": "#e69f00", "hand-over": "#d7301f", "abort": "#d7301f"}
-_DASHES = dict.fromkeys(COLORS, "-") | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
+_DASHES = (
+    dict.fromkeys(COLORS, "-")
+    | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
+    | dict.fromkeys(PLAN_OUTCOMES, ":")
+)
 _RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _STYLE = {
     "svg.hashsalt": "alula",

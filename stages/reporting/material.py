@@ -12,7 +12,19 @@ from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 
 OUTCOMES = (
-    *("reached", "passed", "inside", "stuck", "timeout", "refused", "stopped", "outside", "collision"),
+    *(
+        "reached",
+        "passed",
+        "inside",
+        "stuck",
+        "timeout",
+        "refused",
+        "stopped",
+        "missed-via",
+        "off-plan",
+        "outside",
+    ),
+    "collision",
 )
 NOT_JUDGED = "not judged"  # of a flight whose log was cut
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.run import FenceResult, TrialResult
+from alula.schemas.run import PLAN_OUTCOMES, FenceResult, TrialResult
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.papers.published import paper_tables
@@ -27,6 +27,7 @@ BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
 _ENDS = {"collision": "collided"}
+_RARE = ("stopped", *PLAN_OUTCOMES)  # shown only where they occur
 _LEVELS = {3: "warning", 4: "error", 5: "fatal"}  # of `foxglove.Log`  # of `foxglove.Log`
 _LISTED_TRIALS = 500  # per run; the CSV lists all
 
@@ -105,7 +106,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "success rate": summary.get("success_rate"),
         "success rate, 95 % low": interval[0] if interval else None,
         "success rate, 95 % high": interval[1] if interval else None,
-        **{_ENDS.get(end, end): count for end, count in ends.items() if count or end != "stopped"},
+        **{_ENDS.get(end, end): count for end, count in ends.items() if count or end not in _RARE},
         "minimum clearance to the hulls [m]": summary.get("min_map_clearance_m"),
         "minimum clearance to the splats [m]": summary.get("min_scene_clearance_m"),
         **course_rows(summary),

@@ -13,9 +13,18 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import Guarantee
-from alula.schemas.run import Outcome, TrialResult
+from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
 
 LOOP_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # native numbers, from 1
+
+
+def outcomes_of(trials: Sequence[TrialResult]) -> tuple[Outcome, ...]:
+    """Outcomes that a summary of start-goal flights counts; those of plans only where plans were flown.
+
+    Args:
+        trials: verdicts.
+    """
+    return LOOP_OUTCOMES + (PLAN_OUTCOMES if any(trial.plan is not None for trial in trials) else ())
 
 
 def logged_ticks(last: int, dt_s: float, rate_hz: float) -> IntArray:

@@ -53,7 +53,7 @@ def test_a_capped_cover_is_verified_planned_around_and_flown_past(folder, capsys
             "--goal",
             "1.7 0.4 0",
             "--radius",
-            "0.1",
+            "0.2",
         ],
         ["simulate", "c.cover.npz", "-o", "r.run.mcap", "--trials", "3", "--radius", "0.1"],
         ["simulate", "p.plan.npz", "-o", "p.run.mcap", "--map", "c.cover.npz", "--radius", "0.1"],

@@ -92,7 +92,21 @@ def test_via_points_and_threads(cover, tmp_path):
             "outside --bounds",
         ),
         (
-            ["--start", "0.5 0.5 1.2", "--goal", "0.5 0.5 -0.3", "--bounds", "0", "0", "-1", "1", "1", "2"],
+            [
+                "--start",
+                "0.5 0.5 1.2",
+                "--goal",
+                "0.5 0.5 -0.3",
+                "--radius",
+                "0.15",
+                "--bounds",
+                "0",
+                "0",
+                "-1",
+                "1",
+                "1",
+                "2",
+            ],
             5,
             "no path from --start to --goal keeps the radius; a --resolution below",
         ),
@@ -122,5 +136,5 @@ def test_help_shows_the_line_of_the_command_list_and_examples():
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.count("alula plan room.cover.npz") == 2
+    assert done.stdout.count("alula plan room.cover.npz") == 3
     assert "--via" in done.stdout

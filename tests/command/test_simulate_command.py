@@ -181,6 +181,9 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
     plan = write_plan(tmp_path / "close.plan.npz", [0.95, 2.0, 1.0], [0.2, 2.0, 1.0])
     out = tmp_path / "r.run.mcap"
     command = ["simulate", str(plan), "--map", str(cover), "-o", str(out)]
+    assert run(command) == 2
+    assert "insist with --allow-tight" in capsys.readouterr().err
+    command.append("--allow-tight")
     for _ in range(2):  # also when the output is there already
         assert run(command) == 4
         error = capsys.readouterr().err

@@ -257,7 +257,7 @@ def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
     write_artifact(path, make_scene(400, low=(1, 0, 0), high=(2, 1, 2)))
     plan = write_plan(tmp_path / "p.plan.npz", (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
     words = ["simulate", str(plan), "--map", str(path), "-o", str(out)]
-    assert run([*words, "--filter", "cone-di", "-q"]) == 4
+    assert run([*words, "--filter", "cone-di", "-q", "--allow-tight"]) == 4
     assert "1 of 1 filtered flights collided" in capsys.readouterr().err
     assert read_run(out).summary["collisions"] == 1
     assert run([*words, "--filter", "none", "-q", "-f"]) == 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import VOXELS
+from alula.schemas.kinds import COVER, VOXELS
 from alula.stages.compression.merge import merge
 
 SIZE_M = 0.1
@@ -20,6 +20,36 @@ def voxels_of(index, **fields) -> Artifact:
     level = {"voxel_size_m": SIZE_M, "sigma": 1.0, "min_overlap": 1} | fields
     arrays = {"index": index, "overlap": np.ones(len(index))}
     return make_artifact(VOXELS, arrays, frame="world", unit="m", parameters={}, summary={}, **level)
+
+
+def boxes_cover(boxes):
+    """A cover of axis-aligned boxes, six lattice numbers each."""
+    rows = np.asarray(boxes, np.int64).reshape(-1, 6)
+    n = len(rows)
+    pick = np.array([[3 * (corner >> axis & 1) + axis for axis in range(3)] for corner in range(8)])
+    offset = np.concatenate([rows[:, 3:], -rows[:, :3]], axis=1)
+    return make_artifact(
+        COVER,
+        {
+            "vertex": rows[:, pick].reshape(-1, 3),
+            "vertex_start": 8 * np.arange(n + 1),
+            "plane_normal": np.tile(np.vstack([np.eye(3), -np.eye(3)]), (n, 1)),
+            "plane_offset": offset.reshape(-1),
+            "plane_start": 6 * np.arange(n + 1),
+            "member_index": rows[:, :3],
+            "member_start": np.arange(n + 1),
+            "history": np.empty((0, 3)),
+        },
+        frame="world",
+        unit="m",
+        parameters={},
+        summary={},
+        voxel_size_m=SIZE_M,
+        sigma=1.0,
+        min_overlap=1,
+        conservativeness=0.0,
+        certificate={},
+    )
 
 
 def furniture(seed: int = 0, extent: int = 24) -> np.ndarray:

@@ -34,7 +34,12 @@ def mission(name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=
     cover = box_cover(PILLAR) if cover is None and not is_splat else cover
     plan = plan or line_plan(START, GOAL)
     made = make_mission(
-        FlyConfig(filter=name, **fields), plan, FASTBRIDGE, cover=cover, scene=scene, is_splat=is_splat
+        FlyConfig(**{"filter": name, "allow_tight": True, **fields}),
+        plan,
+        FASTBRIDGE,
+        cover=cover,
+        scene=scene,
+        is_splat=is_splat,
     )
     return made if is_clear is None else dataclasses.replace(made, is_clear=(is_clear, "said so"))
 

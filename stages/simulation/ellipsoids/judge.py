@@ -20,6 +20,7 @@ from alula.stages.clearance import (
 )
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown
 
 
@@ -80,6 +81,7 @@ class SplatJudge:
         flown: SplatFlown,
         dt_s: float,
         grown: _core.EllipsoidIndex,
+        along: PlanJudge | None = None,
     ) -> TrialResult:
         """Judge one flight.
 
@@ -90,7 +92,9 @@ class SplatJudge:
             flown: the flight.
             dt_s: duration of a tick [s].
             grown: ellipsoids as the filter grew them.
+            along: of the plan that it flew, if any.
         """
+        followed = None if along is None else along.result(_finite(flown.position))
         steps = len(flown.status)
         position, velocity = flown.state[:, :3], flown.state[:, 6:9]
         speed = np.linalg.norm(velocity, axis=1)
@@ -106,7 +110,7 @@ class SplatJudge:
             index=index,
             start_m=position[0].tolist(),
             goal_m=goal.tolist(),
-            outcome=flown.outcome,
+            outcome=outcome_of_plan(flown.outcome, followed),
             collision=is_collision(clearance),
             steps=steps,
             duration_s=duration,
@@ -133,6 +137,7 @@ class SplatJudge:
             capped_steps=int(flown.capped.sum()),
             saturated_steps=int(flown.saturated.sum()),
             line_clearance_m=self._clearance(np.array([position[0], goal]), self.scene),
+            plan=followed,
         )
 
     def _clearance(

@@ -27,8 +27,8 @@ def references_of(
     cover: Artifact | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
-) -> tuple[list[_core.ReferenceCurve], FloatArray, dict[str, int]]:
-    """Make the reference curves, their goals, and the counts of sampled points and pairs.
+) -> tuple[list[_core.ReferenceCurve], list[Artifact | None], FloatArray, dict[str, int]]:
+    """Make the reference curves, their plans and goals, and the counts of sampled points and pairs.
 
     The goal of a pair is the drawn one, not the end of its curve, as the rounding of the latter depends on
     the speed.
@@ -45,7 +45,8 @@ def references_of(
         progress: called with (pairs planned, pairs).
 
     Returns:
-        N curves, goals of shape (N, 3) in the world frame [m], and the counts by the keys of the summary.
+        N curves, N plans (None for a straight curve), goals of shape (N, 3) in the world frame [m], and the
+        counts by the keys of the summary.
 
     Raises:
         UsageError: a given start or goal is closer to an ellipsoid than `keep_m`, or there are no bounds.
@@ -53,28 +54,30 @@ def references_of(
     """
     if plan is not None:
         curve = _curve(plan)
-        return [curve], curve.at(np.array([curve.duration_s]))[:, :3], {}
+        return [curve], [plan], curve.at(np.array([curve.duration_s]))[:, :3], {}
     assert config.speed_m_s is not None
     if given is not None:
         check_clear(given, lambda points: np.asarray(judge.distance(points, keep_m) >= keep_m))
     pairs = _sampled(config, scene, judge, keep_m) if given is None else given
-    plans = None
+    plans: list[Artifact | None] | None = None
     if cover is not None:
         plans = plans_of(
             pairs, cover, radius_m=keep_m, speed_m_s=config.speed_m_s, jobs=jobs, progress=progress
         )
+    flown: list[Artifact | None] = [None] * len(pairs.start) if plans is None else plans
     curves = [
         _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
         if own is None
         else _curve(own)
-        for start, goal, own in zip(pairs.start, pairs.goal, plans or [None] * len(pairs.start), strict=True)
+        for start, goal, own in zip(pairs.start, pairs.goal, flown, strict=True)
     ]
     blocked = {"blocked_pairs": int(judge.is_blocked(pairs.start, pairs.goal, keep_m).sum())}
     blocked |= count_planned(plans)
     if given is not None:
-        return curves, pairs.goal, blocked
+        return curves, flown, pairs.goal, blocked
     return (
         curves,
+        flown,
         pairs.goal,
         blocked
         | {

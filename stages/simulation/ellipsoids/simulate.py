@@ -25,12 +25,13 @@ from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.progress import share
 from alula.stages.simulation.ellipsoids.closed_loop import decimate, fly
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.ellipsoids.references import references_of
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.result import LOOP_OUTCOMES, RunResult, SplatFlightLog
+from alula.stages.simulation.result import RunResult, SplatFlightLog, outcomes_of
 from alula.stages.vehicles.bodies import (
     actuator_model,
     disturbances,
@@ -183,8 +184,20 @@ def simulate_splat(
         raise UsageError("--planned needs a cover to plan in; give it as SOURCE, and the scene as --scene")
     planning = share(progress, 0, 0.5) if config.planned else None
     progress = share(progress, 0.5, 1) if config.planned else progress
-    references, goals, sampled = references_of(
+    references, plans, goals, sampled = references_of(
         config, scene, plan, given, judge, keep, cover if config.planned else None, jobs, planning
+    )
+    tolerance = via_tolerance(config.via_tolerance_m, config.radius_m)
+
+    def along(own: Artifact | None) -> PlanJudge | None:
+        assert config.radius_m is not None
+        return None if own is None else PlanJudge(own, [judge.scene], config.radius_m, tolerance, jobs)
+
+    flown_plan = along(plan)
+    notes = (
+        []
+        if flown_plan is None
+        else require_room(flown_plan, keep, config.filter, allow_tight=config.allow_tight)
     )
     lower, upper = _room(scene, references, config.dt_s)
     rules = _core.FlightRules(
@@ -226,14 +239,17 @@ def simulate_splat(
         )
         for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
             rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
-            trials.append(judge.trial(i, rows, goals[i], flown, config.dt_s, index))
+            followed = flown_plan if plan is not None else along(plans[i])
+            trials.append(judge.trial(i, rows, goals[i], flown, config.dt_s, index, followed))
             flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
             seconds.append((flown.filter_s[:: config.filter_ticks], flown.tick_s[:: config.filter_ticks]))
     return RunResult(
         filter=config.filter,
         vehicle=_describe(config, vehicle),
         trials=trials,
-        summary=_summary(trials, sampled, safety_filter) | {"sigma": config.sigma, "inflation_m": inflation},
+        summary=_summary(trials, sampled, safety_filter)
+        | {"sigma": config.sigma, "inflation_m": inflation}
+        | ({"notes": notes} if notes else {}),
         guarantee=_guarantee(config, vehicle, scene, trials, inflation),
         flights=flights,
         map=scene,
@@ -292,7 +308,7 @@ def _summary(
 ) -> dict[str, Any]:
     native = safety_filter is None or isinstance(safety_filter, NativeSplatFilter)
     return {
-        **head(trials, LOOP_OUTCOMES),
+        **head(trials, outcomes_of(trials)),
         "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
         "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
         "min_gamma": minimum(t.min_gamma for t in trials),

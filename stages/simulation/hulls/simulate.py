@@ -13,7 +13,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, SimulateConfig
-from alula.schemas.decimals import at_most, exact
+from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
@@ -34,12 +34,13 @@ from alula.stages.filtering.obstacles import require_metric
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
+from alula.stages.planning.adherence import PlanJudge, outcome_of_plan, require_room, via_tolerance
 from alula.stages.planning.plan_samples import NO_REFERENCE, Reference, sample_plan
 from alula.stages.progress import share
 from alula.stages.simulation.hulls.closed_loop import Flown, fly
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.simulation.planned import count_planned, plans_of
-from alula.stages.simulation.result import LOOP_OUTCOMES, FlightLog, RunResult, logged_ticks
+from alula.stages.simulation.result import FlightLog, RunResult, logged_ticks, outcomes_of
 from alula.stages.verdict import UNFILTERED, head, mean_path_ratio, minimum, statement, totals
 
 _BATCH = 64  # trials whose full-rate samples are in memory at once
@@ -69,7 +70,7 @@ def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | No
             raise UsageError("--planned is for start-goal pairs; a plan is flown as it is")
         if config.trials not in (None, 1):
             raise UsageError("--trials is for random pairs; a plan is flown once")
-        radius = float(plan.manifest.radius_m)  # type: ignore[attr-defined]
+        radius = float(plan.manifest.radius_m - plan.manifest.margin_m)  # type: ignore[attr-defined]
         speed = _PLAN_SPEED_FACTOR * float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
     if vehicle is not None:
         if vehicle.model != "single-integrator":
@@ -141,6 +142,12 @@ def simulate(
     hulls = Hulls.from_cover(cover)
     judge = _Judge(hulls, scene, float(cover.manifest.sigma), config.radius_m, jobs)  # type: ignore[attr-defined]
     reference = NO_REFERENCE if plan is None else sample_plan(plan, config.dt_s)
+    flown_plan = None if plan is None else judge.of_plan(plan, config)
+    notes = (
+        []
+        if flown_plan is None
+        else require_room(flown_plan, config.radius_m, config.filter, allow_tight=config.allow_tight)
+    )
     corners = hulls.vertices_world
     if given is not None and len(corners) == 0:
         corners = np.concatenate([given.start, given.goal])
@@ -157,6 +164,13 @@ def simulate(
     )
     safety_filter = make_filter(config.filter, world, _filter_parameters(config))
     psi = NativeFilter(world, {}, enabled=False).native.psi
+    if flown_plan is not None and config.filter == "polytope-cbf":
+        lowest = float(psi(reference.position_world, jobs=jobs)[0].min(initial=math.inf))
+        if lowest < config.radius_m and not notes:
+            notes = [
+                f"psi falls to {at_least(lowest)} m along the plan, below the radius: near edges the "
+                "filter may hold the vehicle back"
+            ]
     if bounds is None:
         ends = reference.position_world[[0, -1]]
         pairs = Pairs(ends[:1], ends[1:], 0, 0)
@@ -204,15 +218,15 @@ def simulate(
     step = _BATCH if plans is None else 1
     for begin in range(0, len(pairs.start), step):
         end = min(begin + step, len(pairs.start))
-        mine, limits = reference, rules
+        mine, limits, along = reference, rules, flown_plan
         if plans is not None and (own := plans[begin]) is not None:
-            mine = sample_plan(own, config.dt_s)
+            mine, along = sample_plan(own, config.dt_s), judge.of_plan(own, config)
             planned_s = (len(mine.position_world) - 1) * config.dt_s + _EXTRA_TIME_S
             limits = rules_of(config.max_time_s or planned_s)
         batch = fly(safety_filter, pairs.start[begin:end], pairs.goal[begin:end], limits, mine, jobs=jobs)
         for index, flown in enumerate(batch, begin):
             margin = float(start_margin_m[index])
-            trials.append(judge.trial(index, pairs.goal[index], flown, config.dt_s, margin))
+            trials.append(judge.trial(index, pairs.goal[index], flown, config.dt_s, margin, along))
             flights.append(_decimate(flown, config.dt_s, config.log_rate_hz))
             seconds.append(flown.filter_s)
             if progress is not None:
@@ -223,7 +237,7 @@ def simulate(
         vehicle=f"{named}sphere of radius {exact(config.radius_m)} m, single integrator up to "
         f"{exact(config.speed_m_s)} m/s",
         trials=trials,
-        summary=_summary(trials, pairs, safety_filter) | count_planned(plans),
+        summary=_summary(trials, pairs, safety_filter, notes) | count_planned(plans),
         guarantee=_guarantee(config, cover, trials, safety_filter),
         flights=flights,
         map=cover,
@@ -261,8 +275,24 @@ class _Judge:
             clear[clear] = distance >= needed
         return clear
 
+    def of_plan(self, plan: Artifact, config: SimulateConfig) -> PlanJudge:
+        """Make the judge of flights along a plan.
+
+        Args:
+            plan: in the cover's frame.
+            config: with the tolerance of via points.
+        """
+        tolerance = via_tolerance(config.via_tolerance_m, self.radius_m)
+        return PlanJudge(plan, [self.hulls], self.radius_m, tolerance, self.jobs)
+
     def trial(
-        self, index: int, goal: FloatArray, flown: Flown, dt_s: float, start_margin_m: float
+        self,
+        index: int,
+        goal: FloatArray,
+        flown: Flown,
+        dt_s: float,
+        start_margin_m: float,
+        along: PlanJudge | None = None,
     ) -> TrialResult:
         """Judge one flight.
 
@@ -272,7 +302,9 @@ class _Judge:
             flown: the flight.
             dt_s: duration of a step [s].
             start_margin_m: psi - radius at the start [m].
+            along: of the plan that it flew, if any.
         """
+        followed = None if along is None else along.result(flown.position)
         path = path_metrics(flown.position, dt_s)
         map_clearance, scene_clearance = (
             None
@@ -287,7 +319,7 @@ class _Judge:
             index=index,
             start_m=start.tolist(),
             goal_m=goal.tolist(),
-            outcome=flown.outcome,
+            outcome=outcome_of_plan(flown.outcome, followed),
             collision=is_collision(map_clearance, scene_clearance),
             steps=steps,
             duration_s=steps * dt_s,
@@ -303,6 +335,7 @@ class _Judge:
             mean_jerk_m_s3=path.mean_jerk_m_s3,
             max_jerk_m_s3=path.max_jerk_m_s3,
             start_margin_m=start_margin_m if math.isfinite(start_margin_m) else None,
+            plan=followed,
         )
 
 
@@ -349,10 +382,12 @@ def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
     )
 
 
-def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> dict[str, Any]:
+def _summary(
+    trials: list[TrialResult], pairs: Pairs, safety_filter: Filter, notes: list[str]
+) -> dict[str, Any]:
     unsafe = _unsafe_starts(trials)
     summary = {
-        **head(trials, LOOP_OUTCOMES),
+        **head(trials, outcomes_of(trials)),
         "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
         "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
         "mean_path_ratio": mean_path_ratio(trials),
@@ -365,11 +400,12 @@ def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> 
         "unsafe_starts": len(unsafe),
     }
     if unsafe:
-        summary["notes"] = [
+        notes = [
+            *notes,
             f"{len(unsafe)} of {len(trials)} flights began with psi below the radius, by up to "
-            f"{at_most(-min(unsafe))} m: the filter guaranteed nothing for them"
+            f"{at_most(-min(unsafe))} m: the filter guaranteed nothing for them",
         ]
-    return summary
+    return summary | ({"notes": notes} if notes else {})
 
 
 def _guarantee(

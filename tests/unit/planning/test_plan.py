@@ -9,54 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula._core import SearchStatus, find_path
-from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import COVER, PLAN
+from alula.schemas.kinds import PLAN
 from alula.stages.clearance import clearance_to_hulls, hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.curve_certificate import certify, certify_curve
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.trajectory import evaluate, septic_spline
+from support.covers import SIZE_M, boxes_cover
 from support.effort import examples
-
-G = 0.1
-
-
-def boxes_cover(boxes):
-    """A cover of axis-aligned boxes, six lattice numbers each."""
-    rows = np.asarray(boxes, np.int64).reshape(-1, 6)
-    n = len(rows)
-    pick = np.array([[3 * (corner >> axis & 1) + axis for axis in range(3)] for corner in range(8)])
-    offset = np.concatenate([rows[:, 3:], -rows[:, :3]], axis=1)
-    return make_artifact(
-        COVER,
-        {
-            "vertex": rows[:, pick].reshape(-1, 3),
-            "vertex_start": 8 * np.arange(n + 1),
-            "plane_normal": np.tile(np.vstack([np.eye(3), -np.eye(3)]), (n, 1)),
-            "plane_offset": offset.reshape(-1),
-            "plane_start": 6 * np.arange(n + 1),
-            "member_index": rows[:, :3],
-            "member_start": np.arange(n + 1),
-            "history": np.empty((0, 3)),
-        },
-        frame="world",
-        unit="m",
-        parameters={},
-        summary={},
-        voxel_size_m=G,
-        sigma=1.0,
-        min_overlap=1,
-        conservativeness=0.0,
-        certificate={},
-    )
 
 
 def box_distance(points, boxes):
     """Independent: distance of points to axis-aligned boxes, 0 inside."""
-    low, high = G * np.asarray(boxes)[:, :3], G * np.asarray(boxes)[:, 3:]
+    low, high = SIZE_M * np.asarray(boxes)[:, :3], SIZE_M * np.asarray(boxes)[:, 3:]
     gap = np.maximum(np.maximum(low - points[:, None], points[:, None] - high), 0)
     return np.linalg.norm(gap, axis=2).min(axis=1)
 
@@ -198,7 +167,7 @@ def test_near_an_edge_the_euclidean_distance_counts_not_the_planes():
     ("start", "goal", "message"),
     [
         ((0.5, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle, 0.5 m deep"),
-        ((3, 3, 3), (0.5, 0.5, 1.1), "the goal .* is 0.1 m from an obstacle, too close for the radius 0.15"),
+        ((3, 3, 3), (0.5, 0.5, 1.1), "the goal .* is 0.1 m from an obstacle, and the plan must keep 0.25 m"),
         ((1.0, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle"),
     ],
 )

@@ -48,7 +48,7 @@ def test_filtered_flights_stay_clear_and_unfiltered_ones_do_not():
 def test_a_start_that_violates_the_filters_condition_is_stated():
     """psi >= radius is the filter's premise; psi may be below it although the sphere touches nothing."""
     cover = box_cover([((10, 10, 0), (14, 30, 20))])  # up to x = 1.4 m, y = 3 m
-    config = SimulateConfig(max_time_s=5.0)
+    config = SimulateConfig(max_time_s=5.0, allow_tight=True)
     beside = simulate(config, cover, plan=line_plan([1.5, 2.0, 1.0], [3.0, 2.0, 1.0]))
     assert beside.trials[0].start_margin_m == pytest.approx(0.1 - 0.15, abs=1e-4)
     corner = simulate(config, cover, plan=line_plan([1.52, 3.12, 1.0], [3.0, 3.5, 1.0]))
@@ -56,7 +56,7 @@ def test_a_start_that_violates_the_filters_condition_is_stated():
     assert corner.trials[0].start_margin_m == pytest.approx(0.12 - 0.15, abs=1e-4)
     for result in (beside, corner):
         assert result.summary["unsafe_starts"] == 1
-        assert "1 of 1 flights began with psi below the radius" in result.summary["notes"][0]
+        assert "1 of 1 flights began with psi below the radius" in result.summary["notes"][-1]
         assert "1 of 1 starts violated this condition" in result.guarantee.statement
         assert result.guarantee.claims["unsafe_starts"] == 1
         assert not result.guarantee.claims["proven_by_filter"]
@@ -133,7 +133,7 @@ def test_a_plan_is_flown_as_it_is_when_it_is_clear():
 
 def test_a_plan_through_a_block_is_held_off():
     plan = line_plan([0.2, 2.0, 1.0], [3.8, 2.0, 1.0])
-    result = simulate(SimulateConfig(max_time_s=20.0), box_cover(TWO_BLOCKS), plan=plan)
+    result = simulate(SimulateConfig(max_time_s=20.0, allow_tight=True), box_cover(TWO_BLOCKS), plan=plan)
     (trial,) = result.trials
     assert not trial.collision
     assert trial.map_clearance_m >= 0
@@ -143,7 +143,7 @@ def test_a_plan_through_a_block_is_held_off():
 
 def test_a_plan_that_starts_too_close_recovers_and_counts_as_collision():
     plan = line_plan([0.95, 2.0, 1.0], [0.2, 2.0, 1.0])
-    (trial,) = simulate(SimulateConfig(), box_cover(TWO_BLOCKS), plan=plan).trials
+    (trial,) = simulate(SimulateConfig(allow_tight=True), box_cover(TWO_BLOCKS), plan=plan).trials
     assert trial.fallback_steps > 0
     assert trial.collision
     assert trial.map_clearance_m == pytest.approx(0.05 - 0.15, abs=1e-9)

@@ -1,0 +1,179 @@
+"""Whether a flown path followed its plan: its via points, and the tube in which the plan is proven clear."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_least, at_most
+from alula.schemas.errors import UsageError
+from alula.schemas.run import Outcome, PlanResult
+from alula.stages.clearance import segment_clearance
+
+LEAST_VIA_TOLERANCE_M = 0.1
+_SPACING_M = 0.01  # of the samples of plan and path
+_MOST_SAMPLES = 20_000
+_CAP_M = 5.0  # the tube is at most this wide
+
+
+def via_tolerance(given_m: float | None, radius_m: float) -> float:
+    """Distance within which a via point counts as passed [m].
+
+    Args:
+        given_m: that of the user, if any.
+        radius_m: of the vehicle [m].
+    """
+    return max(radius_m, LEAST_VIA_TOLERANCE_M) if given_m is None else given_m
+
+
+class PlanJudge:
+    """Compares flown paths with a plan.
+
+    The tube of a plan is the union of balls about its points; the radius of a ball is the distance of its
+    centre to the map less the vehicle's radius, at least 0 and at most 5 m. Where the plan itself is clear, a
+    vehicle in the tube is clear of the map.
+
+    Args:
+        plan: an `alula/plan`.
+        obstacles: map in the plan's frame.
+        radius_m: of the vehicle [m].
+        via_tolerance_m: distance within which a via point counts as passed [m].
+        jobs: threads, 0 for all processors.
+    """
+
+    def __init__(
+        self,
+        plan: Artifact,
+        obstacles: Sequence[_core.PolytopeSet | _core.EllipsoidSet],
+        radius_m: float,
+        via_tolerance_m: float,
+        jobs: int = 0,
+    ) -> None:
+        self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
+        self.tolerance_m = via_tolerance_m
+        curve = _core.ReferenceCurve(
+            np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
+        )
+        speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+        count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
+        self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
+        cap = radius_m + _CAP_M
+        distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
+        nearest = np.min([np.full(count, cap), *distance], axis=0)
+        self.distance_m = float(nearest.min())  # of the plan to the map, or the cap
+        self.width = np.maximum(nearest - radius_m, 0)
+        gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
+        self.gap_m = float(gaps.max(initial=0.0))
+
+    def result(self, path: FloatArray) -> PlanResult:
+        """Compare a path with the plan.
+
+        Via points are passed in their order: each is looked for where the one before was passed, or later.
+
+        Args:
+            path: shape (T, 3), T >= 1, joined by chords, world frame [m].
+        """
+        closest: list[float] = []
+        missed: list[int] = []
+        begin, end = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
+        first = 0
+        for number, point in enumerate(self.via, 1):
+            distance = _distances(begin[first:], end[first:], point)
+            closest.append(float(distance.min()))
+            near = np.flatnonzero(distance <= self.tolerance_m)
+            if len(near):
+                first += int(near[0])
+            else:
+                missed.append(number)
+        return PlanResult(
+            via_tolerance_m=self.tolerance_m,
+            closest_m=closest,
+            missed=missed,
+            outside_m=self._outside(path),
+        )
+
+    def _outside(self, path: FloatArray) -> float:
+        """Largest distance of a point of the path from the tube, from below; 0 within it [m]."""
+        length = np.concatenate([[0.0], np.linalg.norm(np.diff(path, axis=0), axis=1).cumsum()])
+        step = max(_SPACING_M, length[-1] / _MOST_SAMPLES)
+        points = path[
+            np.unique(np.searchsorted(length, np.arange(0, length[-1] + step, step)).clip(0, len(path) - 1))
+        ]
+        worst = 0.0
+        for i in range(0, len(points), 256):
+            apart = np.linalg.norm(points[i : i + 256, None] - self.centre[None], axis=2)
+            worst = max(worst, float((apart - self.width).min(axis=1).max()) - self.gap_m)
+        return worst
+
+
+def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
+    """Distances of chords, shape (S, 3), to a point; shape (S,)."""
+    chord, to = end - begin, point - begin
+    length2 = np.einsum("ij,ij->i", chord, chord)
+    along = np.einsum("ij,ij->i", to, chord) / np.where(length2 > 0, length2, 1)
+    apart: FloatArray = np.linalg.norm(to - np.clip(along, 0, 1)[:, None] * chord, axis=1)
+    return apart
+
+
+def require_room(plan: PlanJudge, keep_m: float, filter_name: str, *, allow_tight: bool) -> list[str]:
+    """Refuse a plan that is nearer to the map than the filter lets the vehicle be.
+
+    Args:
+        plan: judge with the map of the filter.
+        keep_m: distance that the filter keeps [m].
+        filter_name: its name; `none` keeps nothing.
+        allow_tight: warn instead.
+
+    Returns:
+        Notes for the summary.
+
+    Raises:
+        UsageError: the plan is too near, with the option of `plan` that mends it.
+    """
+    if filter_name == "none" or plan.distance_m >= keep_m - 1e-9:
+        return []
+    words = (
+        f"the plan is {at_least(plan.distance_m)} m from the map, and {filter_name} keeps "
+        f"{at_most(keep_m)} m: it will hold the vehicle back"
+    )
+    if not allow_tight:
+        raise UsageError(f"{words}; plan with --radius {at_most(keep_m)}, or insist with --allow-tight")
+    return [words]
+
+
+def outcome_of_plan(outcome: Outcome, result: PlanResult | None) -> Outcome:
+    """Outcome of a flight along a plan: one that reached the goal may still have missed what came before.
+
+    Args:
+        outcome: end of the flight.
+        result: comparison with its plan, if it had one.
+    """
+    if outcome != "reached" or result is None:
+        return outcome
+    if result.missed:
+        return "missed-via"
+    return "off-plan" if result.outside_m > 0 else outcome
+
+
+def complaint(result: PlanResult | None) -> str | None:
+    """What a flight missed of its plan, in words; None if nothing.
+
+    Args:
+        result: comparison with the plan, if there was one.
+    """
+    if result is None:
+        return None
+    if result.missed:
+        first = result.missed[0]
+        return (
+            f"via point {first} was missed: the closest approach was {result.closest_m[first - 1]:.3g} m, "
+            f"{result.via_tolerance_m:.3g} m are allowed (--via-tolerance)"
+        )
+    if result.outside_m > 0:
+        return f"the flight left the tube in which the plan is proven clear, by {result.outside_m:.3g} m"
+    return None
