@@ -21,7 +21,7 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages import durations
 from alula.stages.filtering.obstacles import require_obstacles
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
-from alula.stages.simulation.geofence.world import FlownWorld, native_world
+from alula.stages.simulation.geofence.world import FlownWorld, is_random, native_world
 from alula.stages.simulation.result import FenceFlight
 from alula.stages.vehicles.fence import KeepOut
 
@@ -149,6 +149,11 @@ def fly_in_fence(
         require_obstacles(cover, jobs=jobs)
     keep_out = None if cover is None else KeepOut.of(cover)
     world = native_world(scenario, vehicle, keep_out)  # refuse wrong values before any work
+    if scenario.trials.count > 1 and not is_random(scenario, world):
+        raise UsageError(
+            f"`$.trials.count`: all {scenario.trials.count} flights would be the same, as nothing in them is "
+            "random; fly one, or leave out trials.start_m, or set vehicle.gust_m_s or a random pilot"
+        )
     fly: Callable[[_Chunk], FlownChunk] = fly_chunk
     if scheduler is None:
         fly = lambda chunk: fly_chunk(chunk, world)  # noqa: E731  one map for all threads

@@ -10,10 +10,10 @@ from alula.schemas.geofence import FenceScenario
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import FenceResult, TrialResult
 from alula.stages.simulation.geofence.simulate import FenceRun, Times, worst_trial
+from alula.stages.simulation.geofence.world import is_random
 from alula.stages.verdict import UNFILTERED, head, minimum, statement
 
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
-_RANDOM_PILOTS = ("sticks", "aggressive", "silent")
 _HOLDS = {
     "geofence": "As long as the model is right, h_I > 0 at the start and navigation is received, the onboard "
     "geofence keeps the vehicle inside. Its conditions, that the horizon reaches rest and that "
@@ -65,22 +65,11 @@ def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
         "stop_distance_m": _median(result.stop_distance_m for result in found),
         "start_h_i_m": flown.world.start_h_i_m,
     }
-    if not is_random(scenario, flown):
+    if not is_random(scenario, flown.world):
         summary["success_interval"] = None
     if notes := _notes(scenario, flown, summary):
         summary["notes"] = notes
     return summary
-
-
-def is_random(scenario: FenceScenario, flown: FenceRun) -> bool:
-    """Return whether flights of a scenario differ: by their start, the pilot, or gusts.
-
-    Args:
-        scenario: what was flown.
-        flown: the run.
-    """
-    drawn = scenario.trials.start_m is None or scenario.pilot.kind in _RANDOM_PILOTS
-    return drawn or "gust_m_s" in flown.world.deviations
 
 
 def _notes(scenario: FenceScenario, flown: FenceRun, summary: dict[str, Any]) -> list[str]:

@@ -22,6 +22,8 @@ from alula.stages.vehicles.racer import racer_model, racer_options
 # Native names of options that differ.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
 
+_RANDOM_PILOTS = ("sticks", "aggressive", "silent")
+
 
 @dataclass(frozen=True, slots=True)
 class FlownWorld:
@@ -84,6 +86,17 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | 
         start_h_i_m=start_h_i,
         deviations=_deviations(scenario, vehicle),
     )
+
+
+def is_random(scenario: FenceScenario, world: FlownWorld) -> bool:
+    """Return whether flights of a scenario differ: by their start, the pilot, or gusts.
+
+    Args:
+        scenario: to fly.
+        world: native scenario.
+    """
+    drawn = scenario.trials.start_m is None or scenario.pilot.kind in _RANDOM_PILOTS
+    return drawn or "gust_m_s" in world.deviations
 
 
 def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:

@@ -110,6 +110,17 @@ def test_the_first_flights_and_the_worst_are_shown(room):
     assert whole.flights[worst.index] == again
 
 
+def test_flights_that_cannot_differ_are_flown_once():
+    fixed = {"trials": {"count": 3, "start_m": [0, 0, 10]}, "pilot": {"kind": "straight"}}
+    with pytest.raises(UsageError, match="all 3 flights would be the same"):
+        fly_in_fence(scenario(**fixed), RACER)
+    once = fixed | {"trials": {"count": 1, "start_m": [0, 0, 10]}}
+    assert len(fly_in_fence(scenario(**once), RACER).trials) == 1
+    gusty = fixed | {"vehicle": {"linear_drag_n_s_m": [0.1, 0.1, 0.1], "gust_m_s": [1, 1, 1]}}
+    ends = [trial.goal_m for trial in fly_in_fence(scenario(**gusty), RACER).trials]
+    assert ends[0] != ends[1] != ends[2]
+
+
 def test_no_more_than_one_chunk_of_traces_is_flown_at_once(monkeypatch):
     asked = []
     flies = _core.fly_in_fences
