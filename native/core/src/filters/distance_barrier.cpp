@@ -41,6 +41,7 @@ DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw&
   const double a = law.alpha, b = law.beta;
   DistanceBarrier result;
   result.h = at.distance * std::abs(at.distance) - radius * radius;
+  result.distance = at.distance - index.ball(item);
   result.row.row = 2 * phi * at.offset;
   const double bend = law.hessian == SaferHessian::correct ? curvature(e, at, v) : published_curvature(e, at, v);
   result.row.bound = -(phi * bend + (a + b) * dot(result.row.row, v) + a * b * result.h);

@@ -19,8 +19,13 @@ DistanceRows::DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const Di
   row_.reserve(rows), order_.reserve(rows), worst_.reserve(rows), heap_.reserve(rows);
 }
 
-void DistanceRows::start(Vec3 p, Vec3 v, bool all) {
-  p_ = p, v_ = v, has_all_ = all;
+bool DistanceRows::is_beyond(const geometry::Box& box, double ball) const {
+  const double far = reach_ + ball;
+  return squared_distance(box, {p_, p_}) > (1 + 1e-12) * far * far;
+}
+
+void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach) {
+  p_ = p, v_ = v, has_all_ = all, reach_ = reach;
   least_ = kInfinity, measured_ = 0;
   row_.clear();
   if (++tick_ == 0) std::fill(seen_.begin(), seen_.end(), 0), tick_ = 1;
@@ -30,7 +35,9 @@ void DistanceRows::start(Vec3 p, Vec3 v, bool all) {
   }
   index_->visit_least(
       heap_, least_,
-      [&](const geometry::Box& box, double ball) { return least_barrier(box, index_->radius() + ball, p); },
+      [&](const geometry::Box& box, double ball) {
+        return is_beyond(box, ball) ? kInfinity : least_barrier(box, index_->radius() + ball, p);
+      },
       [&](std::uint32_t item) { measure(item); });
 }
 
@@ -38,6 +45,7 @@ bool DistanceRows::measure(std::uint32_t item) {
   seen_[item] = tick_;
   ++measured_;
   const DistanceBarrier barrier = distance_barrier(*index_, law_, item, p_, v_);
+  if (!(barrier.distance < reach_)) return false;
   least_ = std::min(least_, barrier.h);
   const AccelerationRow unit = normalised(barrier.row);
   if (unit.bound == -kInfinity) return false;
@@ -49,7 +57,11 @@ bool DistanceRows::search(Vec3 u, double tolerance, std::size_t enough) {
   if (has_all_) return false;
   double limit = 0;
   value_.clear();
-  index_->visit_least(heap_, limit, DistanceRowBound(law_, index_->radius(), p_, v_, u), [&](std::uint32_t item) {
+  const DistanceRowBound bound(law_, index_->radius(), p_, v_, u);
+  const auto within = [&](const geometry::Box& box, double ball) {
+    return is_beyond(box, ball) ? kInfinity : bound(box, ball);
+  };
+  index_->visit_least(heap_, limit, within, [&](std::uint32_t item) {
     if (seen_[item] == tick_ || !measure(item)) return;
     const double slack = row_.back().slack(u), value = slack * row_.back().length;
     if (slack >= -tolerance) return;

@@ -22,8 +22,14 @@ Pruning of_distance(Pruning pruning) {
 
 double largest(Vec3 u) { return std::max({std::abs(u.x), std::abs(u.y), std::abs(u.z)}); }
 
+// True if the program gets rows on demand, of all ellipsoids or of those within the gate.
+bool is_on_demand(const SaferSplatOptions& options) {
+  const Pruning& p = options.pruning;
+  return options.rows == SaferRows::all || (p.count == 0 && p.gate && p.hold == 1 && !options.brute);
+}
+
 std::size_t rows_of(const SaferSplatOptions& options, std::size_t nearest) {
-  return options.rows == SaferRows::all ? kBatch * kRounds : nearest;
+  return is_on_demand(options) ? kBatch * kRounds : nearest;
 }
 
 }  // namespace
@@ -46,24 +52,25 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
   if (!is_finite(p) || !is_finite(v) || !is_finite(nominal.acceleration) || !std::isfinite(dot(v, v))) return report;
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
-  const bool has_all = options_.rows == SaferRows::all;
-  if (has_all) {
-    rows_.start(p, v, options_.brute);
-    report.gate_m = kInfinity;
+  const bool on_demand = is_on_demand(options_);
+  if (on_demand) {
+    const bool has_all = options_.rows == SaferRows::all;
+    report.gate_m = has_all ? kInfinity : gate_distance(options_.pruning, geometry::norm(v), index().radius());
+    rows_.start(p, v, options_.brute, report.gate_m);
     report.margin = rows_.least();
   } else {
     add_nearest(p, v, report);
   }
   const bool unsafe = report.margin < 0;
-  if (!(has_all ? solve_for_all(report, unsafe)
-                : program_.accept(report, unsafe) || program_.solve(report, unsafe))) {
+  if (!(on_demand ? solve_on_demand(report, unsafe)
+                  : program_.accept(report, unsafe) || program_.solve(report, unsafe))) {
     report.infeasible = true;
     program_.brake(report, v, options_.alpha / 2, options_.max_braking);
     const double tolerance = AccelerationProgram::kTolerance * (1 + largest(report.acceleration));
-    if (has_all && !rows_.hold(report.acceleration, tolerance)) report.status = SplatFilterStatus::recovering;
+    if (on_demand && !rows_.hold(report.acceleration, tolerance)) report.status = SplatFilterStatus::recovering;
   }
   report.rows = static_cast<std::uint32_t>(program_.rows());
-  if (has_all) report.candidates = rows_.measured();
+  if (on_demand) report.candidates = rows_.measured();
   return report;
 }
 
@@ -76,7 +83,7 @@ void SaferSplat::add_nearest(Vec3 p, Vec3 v, FilterReport& report) {
   }
 }
 
-bool SaferSplat::solve_for_all(FilterReport& report, bool unsafe) {
+bool SaferSplat::solve_on_demand(FilterReport& report, bool unsafe) {
   std::uint32_t iterations = 0;
   for (int round = 0; round < kRounds; ++round) {
     // The nominal input is tested exactly; the program's solution satisfies a row up to rounding.

@@ -22,6 +22,7 @@ struct DistanceLaw {
 
 struct DistanceBarrier {
   double h = 0;
+  double distance = 0;  // signed, to the ungrown set [m]
   AccelerationRow row;
 };
 

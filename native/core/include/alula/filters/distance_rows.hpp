@@ -1,4 +1,5 @@
-// Rows of all ellipsoids of a map, measured only where an acceleration could violate them.
+// Rows of all ellipsoids of a map, or of those within a distance, measured only where an acceleration could violate
+// them.
 #pragma once
 
 #include <limits>
@@ -27,8 +28,9 @@ class DistanceRows {
   const EllipsoidIndex& index() const { return *index_; }
   const DistanceLaw& law() const { return law_; }
 
-  // Starts a new state: measures the ellipsoids that may have the minimum h, or optionally all of them.
-  void start(Vec3 p, Vec3 v, bool all);
+  // Starts a new state: measures the ellipsoids that may have the minimum h, or optionally all of them. Only
+  // ellipsoids nearer than `reach` have rows.
+  void start(Vec3 p, Vec3 v, bool all, double reach = std::numeric_limits<double>::infinity());
 
   // Measures the ellipsoids whose rows `u` may violate and that were not measured in this tick, by the tree and in
   // the order of the bounds. It may stop after `enough` violated rows. Returns true if a new row is violated by more
@@ -45,14 +47,16 @@ class DistanceRows {
   const Row& operator[](std::size_t i) const { return row_[i]; }
   std::size_t size() const { return row_.size(); }      // rows of this tick, without those that hold for all inputs
   std::uint32_t measured() const { return measured_; }  // ellipsoids measured in this tick
-  double least() const { return least_; }               // minimum h of the map [m^2]
+  double least() const { return least_; }               // minimum h of the ellipsoids within reach [m^2]
 
  private:
-  bool measure(std::uint32_t item);  // true if a row was stored
+  bool measure(std::uint32_t item);                             // true if a row was stored
+  bool is_beyond(const geometry::Box& box, double ball) const;  // true if no set in the box is within reach
 
   std::shared_ptr<const EllipsoidIndex> index_;
   DistanceLaw law_;
   Vec3 p_, v_;
+  double reach_ = std::numeric_limits<double>::infinity();
   bool has_all_ = false;
   double least_ = std::numeric_limits<double>::infinity();
   std::uint32_t tick_ = 0, measured_ = 0;

@@ -24,8 +24,9 @@ namespace alula::flight {
 // the minimum over the map. Ticks are independent of each other. If the rounds reach their limit, the tick counts as
 // infeasible. `candidates` are the ellipsoids measured, `rows` those of the last program.
 //
-// SaferRows::nearest passes the rows of the pruning's candidates to the program in one round; gates of approach and
-// sweep are ignored. With gate = false and brute = true that is the published computation.
+// SaferRows::nearest does the same for the ellipsoids within the gate. With a maximum number of rows, candidates kept
+// for several calls, no gate or `brute` it passes the rows of the pruning's candidates to the program in one round;
+// gates of approach and sweep are ignored. With gate = false and brute = true that is the published computation.
 //
 // Without a solution `infeasible` is reported and the vehicle brakes, a = -v min(alpha/2, max_braking / |v|)
 // within the box. The status is `filtered` if this satisfies all rows and `recovering` if not; the published filter
@@ -45,7 +46,7 @@ class SaferSplat final : public SplatFilter {
 
  private:
   void add_nearest(Vec3 p, Vec3 v, FilterReport& report);
-  bool solve_for_all(FilterReport& report, bool unsafe);
+  bool solve_on_demand(FilterReport& report, bool unsafe);
 
   SaferSplatOptions options_;
   Pruner pruner_;
