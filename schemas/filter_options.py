@@ -122,12 +122,12 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     solver: Annotated[Literal['active-set', 'clarabel'], Meta(description='solver of the program; active-set: the dual active-set method of alula; clarabel: Clarabel')] = 'active-set'
     release_rad_s: Annotated[float, Meta(ge=0, description='pole p1 of the acceleration while rows hold the vehicle back; 0: the nominal input is used unchanged [rad/s]')] = 2.0
     release_growth_1_s: Annotated[float, Meta(gt=0, description='exponential growth rate of p1 after the release [1/s]')] = 3.0
-    wish_attitude_rad_s: Annotated[float, Meta(gt=0, description='pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]')] = 35.0
-    wish_position_rad_s: Annotated[float, Meta(gt=0, description="double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]")] = 1.2
-    wish_catch_up_m_s: Annotated[float, Meta(gt=0, description="maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]")] = 0.7
-    wish_acceleration: Annotated[float, Meta(gt=0, description="maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]")] = 3.0
-    wish_speed_m_s: Annotated[float, Meta(gt=0, description='reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]')] = 2.2
-    wish_cone_rate_1_s: Annotated[float, Meta(gt=0, le=20, description='rate of the first-order cone rows that the target acceleration holds [1/s]')] = 3.0
+    nominal_attitude_rad_s: Annotated[float, Meta(gt=0, description='pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]')] = 35.0
+    nominal_position_rad_s: Annotated[float, Meta(gt=0, description="double pole q of the position; grows with the reference's speed above nominal_speed_m_s [rad/s]")] = 1.2
+    nominal_catch_up_m_s: Annotated[float, Meta(gt=0, description="maximum speed above the reference's to make up for the position error; grows with its speed above nominal_speed_m_s [m/s]")] = 0.7
+    nominal_acceleration: Annotated[float, Meta(gt=0, description="maximum acceleration in response to position and velocity errors; grows with the reference's speed above nominal_speed_m_s [m/s^2]")] = 3.0
+    nominal_speed_m_s: Annotated[float, Meta(gt=0, description='reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]')] = 2.2
+    nominal_cone_rate_1_s: Annotated[float, Meta(gt=0, le=20, description='rate of the first-order cone rows that the target acceleration holds [1/s]')] = 3.0
     clf_weight: Annotated[float, Meta(ge=0, description='weight of the slack xi of the tracking row; 0: no tracking row')] = 0.0
     clf_rate: Annotated[float, Meta(gt=0, description='decay rate c of the tracking row [1/s]')] = 1.0
     clf_kp: Annotated[float, Meta(gt=0, description='position gain of the closed loop that defines V [1/s^2]')] = 3.0
@@ -283,14 +283,14 @@ class SaferSplatParameters(Options, frozen=True, kw_only=True):
     alpha: Annotated[float, Meta(gt=0, description="first pole of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]")] = 5.0
     beta: Annotated[float, Meta(gt=0, description='second pole of the same row [1/s]')] = 1.0
     hessian: Annotated[Literal['correct', 'published'], Meta(description="Hessian of the squared distance; correct: in the world frame; published: in the ellipsoid's own frame, semi-axes descending and the point in the positive octant, as published")] = 'correct'
-    rows: Annotated[Literal['all', 'nearest'], Meta(description='ellipsoids that have rows; all: every ellipsoid of the map, as published; nearest: the nearest within the gate, which keeps no distance from the others; reaction_time_s must be at least 2 / beta')] = 'all'
+    rows: Annotated[Literal['all', 'nearest'], Meta(description='ellipsoids that have rows; all: every ellipsoid of the map, as published; nearest: those within the gate, at most count of them, which keeps no distance from the others; reaction_time_s must be at least 2 / beta')] = 'all'
     brute: Annotated[bool, Meta(description='measure every ellipsoid instead of querying the index')] = False
     max_braking: Annotated[float, Meta(gt=0, description='deceleration of the fallback [m/s^2]')] = 6.0
     max_acceleration: Annotated[float, Meta(gt=0, description='maximum acceleration on each axis [m/s^2]')] = float("inf")
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 2.0
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 3.0
-    count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 1024
+    count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 0
     prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
@@ -327,7 +327,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     ),
     "cone-ecbf": (
         Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'wish_attitude_rad_s', 'wish_position_rad_s', 'wish_catch_up_m_s', 'wish_acceleration', 'wish_speed_m_s', 'wish_cone_rate_1_s')),
+        Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'nominal_attitude_rad_s', 'nominal_position_rad_s', 'nominal_catch_up_m_s', 'nominal_acceleration', 'nominal_speed_m_s', 'nominal_cone_rate_1_s')),
         Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),

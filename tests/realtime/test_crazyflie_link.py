@@ -119,16 +119,16 @@ def test_velocities_fly_by_pid_and_turn_to_the_heading() -> None:
         link.prepare()
         take_off(link)
         begin = clock()
-        wish = VelocitySetpoint(np.array([0.4, -0.2, 0.0]), 0.6)
-        fly_until(link, lambda: clock() - begin > 2.0, make=lambda: wish)
-        assert np.allclose(link.state.velocity, wish.velocity, atol=0.1)
+        request = VelocitySetpoint(np.array([0.4, -0.2, 0.0]), 0.6)
+        fly_until(link, lambda: clock() - begin > 2.0, make=lambda: request)
+        assert np.allclose(link.state.velocity, request.velocity, atol=0.1)
         w, x, y, z = link.state.attitude_wxyz
         assert math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) == pytest.approx(0.6, abs=0.15)
         with pytest.raises(LinkError, match="AccelerationSetpoint"):
             link.send(AccelerationSetpoint(np.zeros(3), np.zeros(3), np.zeros(3), 0.0), clock())
         land(link)
         with pytest.raises(LinkError, match="landing"):
-            link.send(wish, clock())
+            link.send(request, clock())
         link.close()
 
 
@@ -138,8 +138,8 @@ def test_when_set_points_end_it_holds_its_place_by_itself() -> None:
         link.prepare()
         take_off(link)
         begin = clock()
-        wish = VelocitySetpoint(np.array([0.6, 0.0, 0.0]), 0.0)
-        fly_until(link, lambda: clock() - begin > 1.0, make=lambda: wish)
+        request = VelocitySetpoint(np.array([0.6, 0.0, 0.0]), 0.0)
+        fly_until(link, lambda: clock() - begin > 1.0, make=lambda: request)
         fly_until(link, lambda: False, 2.5)
         assert any("holds its position" in text for text in link.status.texts)
         assert vehicle.vehicle.supervisor.stage is Stage.FLYING

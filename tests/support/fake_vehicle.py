@@ -142,8 +142,8 @@ class FakeVehicle:
         elif target is None:
             return np.array([hover if self.x[2] > self.ground_m else 0.0, 0, 0, 0])
         else:
-            wish = np.clip(1.5 * (target - self.x[:3]), -0.8, 0.8)
-            acceleration = 4.0 * (wish - self.x[6:9])
+            desired = np.clip(1.5 * (target - self.x[:3]), -0.8, 0.8)
+            acceleration = 4.0 * (desired - self.x[6:9])
         row = np.zeros((1, 18))
         row[0, :3], row[0, 3:6], row[0, 6:9] = self.x[:3], self.x[6:9], np.clip(acceleration, -4, 4)
         gains = _core.TrackingGains(max_tilt_rad=0.6)

@@ -92,10 +92,10 @@ typedef struct {
 } alula_avoidance;
 
 typedef struct {
-  float wished[3]; /* the command before the barriers: the nominal one, or that of the manoeuvre */
-  int warned;      /* in this tick */
-  float risk_m;    /* the largest CVaR, -FLT_MAX without obstacles */
-  uint32_t urgent; /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
+  float desired[3]; /* the command before the barriers: the nominal one, or that of the manoeuvre */
+  int warned;       /* in this tick */
+  float risk_m;     /* the largest CVaR, -FLT_MAX without obstacles */
+  uint32_t urgent;  /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
   alula_avoidance_mode mode;
 } alula_guidance;
 

@@ -186,16 +186,16 @@ static void leave(alula_avoidance* avoidance, const alula_vehicle_state* vehicle
   }
 }
 
-static void wish(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const float nominal[3],
-                 float wished[3]) {
+static void command_before(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
+                           const float nominal[3], float desired[3]) {
   const alula_avoidance_config* c = &avoidance->config;
   for (int k = 0; k < 3; ++k) {
     const float v = vehicle->velocity[k];
-    wished[k] = nominal[k];
+    desired[k] = nominal[k];
     if (avoidance->mode == ALULA_AVOID) {
-      wished[k] = clipped(c->kp * (avoidance->bypass[k] - vehicle->position[k]) - c->kd * v, c->a_max);
+      desired[k] = clipped(c->kp * (avoidance->bypass[k] - vehicle->position[k]) - c->kd * v, c->a_max);
     } else if (avoidance->mode == ALULA_HOVER) {
-      wished[k] = clipped(-c->brake * (2.0F / c->stop_s) * v, c->a_max);
+      desired[k] = clipped(-c->brake * (2.0F / c->stop_s) * v, c->a_max);
     }
   }
 }
@@ -218,7 +218,7 @@ alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicl
   }
   if (avoidance->mode == ALULA_AVOID && has_threat)
     alula_choose_bypass(avoidance, vehicle, track, wall, wall_count, guidance->urgent);
-  wish(avoidance, vehicle, nominal, guidance->wished);
+  command_before(avoidance, vehicle, nominal, guidance->desired);
   ++avoidance->ticks_in_mode;
   guidance->mode = avoidance->mode;
   return ALULA_READY;

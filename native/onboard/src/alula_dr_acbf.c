@@ -118,8 +118,8 @@ static float set_bounds(alula_dr_acbf* filter, float horizon) {
   return least;
 }
 
-/* Nonzero if the rows and the box have a common point; `found` is then the nearest to `wished`. */
-static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula_projection* found) {
+/* Nonzero if the rows and the box have a common point; `found` is then the nearest to `desired`. */
+static int is_feasible(const alula_dr_acbf* filter, const float desired[3], alula_projection* found) {
   const float limit = filter->config.avoidance.a_max;
   for (uint32_t i = 0; i < filter->row_count; ++i) {
     const float* n = filter->row[i].normal;
@@ -128,15 +128,15 @@ static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula
     if (filter->row[i].bound < -reach) return 0;
   }
   if (filter->projector) {
-    filter->projector(filter->projector_context, filter->row, filter->row_count, limit, wished, found);
+    filter->projector(filter->projector_context, filter->row, filter->row_count, limit, desired, found);
   } else {
-    alula_project_exact(filter->row, filter->row_count, limit, wished, found);
+    alula_project_exact(filter->row, filter->row_count, limit, desired, found);
   }
   return found->feasible;
 }
 
 /* Finds the feasible horizon with the largest minimum bound, testing horizons in that order. */
-static int search(alula_dr_acbf* filter, int longest_only, const float wished[3], float* horizon,
+static int search(alula_dr_acbf* filter, int longest_only, const float desired[3], float* horizon,
                   alula_projection* found) {
   const alula_dr_acbf_config* c = &filter->config;
   const float longest = c->avoidance.h_max_s;
@@ -153,7 +153,7 @@ static int search(alula_dr_acbf* filter, int longest_only, const float wished[3]
       if (least[k] > least[best]) best = k;
     (void)set_bounds(filter, at[best]);
     if (tried == 0U) *horizon = at[best];
-    if (is_feasible(filter, wished, found)) {
+    if (is_feasible(filter, desired, found)) {
       *horizon = at[best];
       return 1;
     }
@@ -164,7 +164,7 @@ static int search(alula_dr_acbf* filter, int longest_only, const float wished[3]
 }
 
 /* Brakes, and then sinks slowly: the fallback when no command has satisfied the rows for some time. */
-static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle_state* vehicle, float wished[3]) {
+static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle_state* vehicle, float desired[3]) {
   const float* v = vehicle->velocity;
   const float error[3] = {-v[0], -v[1], -c->descent_m_s - v[2]};
   float largest = 0.0F;
@@ -174,7 +174,7 @@ static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle
   }
   const float reached = c->avoidance.a_max * c->avoidance.dt_s; /* change of speed in a tick */
   const float scale = largest > reached ? c->avoidance.a_max / largest : 1.0F / c->avoidance.dt_s;
-  for (int k = 0; k < 3; ++k) wished[k] = clipped(scale * error[k], c->avoidance.a_max);
+  for (int k = 0; k < 3; ++k) desired[k] = clipped(scale * error[k], c->avoidance.a_max);
 }
 
 /* Largest violation of the rows from `first` on. */
@@ -232,26 +232,27 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
   const float limit = c->avoidance.a_max;
   alula_projection found;
   result->horizon_s = c->avoidance.h_max_s;
-  result->feasible = obstacles > 0U ? search(filter, enters, guidance->wished, &result->horizon_s, &found)
-                                    : is_feasible(filter, guidance->wished, &found);
+  result->feasible = obstacles > 0U ? search(filter, enters, guidance->desired, &result->horizon_s, &found)
+                                    : is_feasible(filter, guidance->desired, &found);
   if (result->feasible && c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL) {
     alula_project_gauss_southwell(filter->row, filter->row_count, limit, c->relaxation, c->iterations,
-                                  guidance->wished, &found);
+                                  guidance->desired, &found);
   }
   int holds = result->feasible && found.violation <= c->tolerance;
   if (!holds) {
-    alula_project_least_violation(filter->row, filter->row_count, obstacles, limit, guidance->wished, &found);
+    alula_project_least_violation(filter->row, filter->row_count, obstacles, limit, guidance->desired, &found);
     holds = found.violation <= c->tolerance;
     if (obstacles > 0U && violation_of(filter, obstacles, found.a) > c->tolerance) { /* walls contradict each other */
-      alula_project_least_violation(filter->row + obstacles, wall_count, wall_count, limit, guidance->wished, &found);
+      alula_project_least_violation(filter->row + obstacles, wall_count, wall_count, limit, guidance->desired,
+                                    &found);
       found.violation = violation_of(filter, 0U, found.a);
     }
   }
   filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
   if (filter->failing > c->failing_ticks && guidance->mode != ALULA_AVOID) {
-    float wished[3];
-    brake_and_descend(c, vehicle, wished);
-    alula_project_least_violation(filter->row + obstacles, filter->row_count - obstacles, wall_count, limit, wished,
+    float desired[3];
+    brake_and_descend(c, vehicle, desired);
+    alula_project_least_violation(filter->row + obstacles, filter->row_count - obstacles, wall_count, limit, desired,
                                   &found);
     found.violation = violation_of(filter, 0U, found.a);
   }

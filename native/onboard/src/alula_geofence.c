@@ -293,20 +293,20 @@ static void hand_over(alula_geofence* filter, alula_geofence_result* result) {
 
 static alula_geofence_status blend(alula_geofence* filter, const alula_racer_command* pilot,
                                    const alula_geofence_value* value, alula_geofence_result* result) {
-  alula_racer_command wished = *pilot, command = value->first;
-  alula_racer_limit(&filter->config.model, &wished);
-  const int was_cut = wished.throttle != pilot->throttle || wished.rates[0] != pilot->rates[0] ||
-                      wished.rates[1] != pilot->rates[1] || wished.rates[2] != pilot->rates[2];
+  alula_racer_command desired = *pilot, command = value->first;
+  alula_racer_limit(&filter->config.model, &desired);
+  const int was_cut = desired.throttle != pilot->throttle || desired.rates[0] != pilot->rates[0] ||
+                      desired.rates[1] != pilot->rates[1] || desired.rates[2] != pilot->rates[2];
   const float lambda = value->h_i > 0.0F ? 1.0F - alula_expf(-filter->config.beta * value->exponent) : 0.0F;
   result->lambda = lambda;
   if (lambda == 1.0F) {
-    send(filter, was_cut ? &wished : pilot, result);
+    send(filter, was_cut ? &desired : pilot, result);
     return was_cut ? ALULA_GEOFENCE_BLENDED : ALULA_GEOFENCE_PASSED;
   }
   if (lambda > 0.0F) {
-    command.throttle = lambda * wished.throttle + (1.0F - lambda) * command.throttle;
+    command.throttle = lambda * desired.throttle + (1.0F - lambda) * command.throttle;
     for (int i = 0; i < 3; ++i) {
-      command.rates[i] = lambda * wished.rates[i] + (1.0F - lambda) * command.rates[i];
+      command.rates[i] = lambda * desired.rates[i] + (1.0F - lambda) * command.rates[i];
     }
     alula_racer_limit(&filter->config.model, &command); /* rounding may exceed the limits */
   }

@@ -54,7 +54,7 @@ void test_the_app_flies_the_filtered_set_point() {
   std::thread(appMain).detach();
   turn_of_loop.acquire();
 
-  setpoint_t wish{};
+  setpoint_t request{};
   state_t state{};
   const sensorData_t sensors{};
   control_t control{};
@@ -65,7 +65,7 @@ void test_the_app_flies_the_filtered_set_point() {
     for (int k = 0; k < count; ++k, ++step) {
       state.position.x = static_cast<float>(p[0]), state.position.y = static_cast<float>(p[1]);
       state.position.z = static_cast<float>(p[2]);
-      controllerOutOfTree(&control, &wish, &sensors, &state, step);
+      controllerOutOfTree(&control, &request, &sensors, &state, step);
       if (flown_setpoint.mode.x == modeVelocity) {
         p[0] += kStep * static_cast<double>(flown_setpoint.velocity.x);
         p[1] += kStep * static_cast<double>(flown_setpoint.velocity.y);
@@ -80,28 +80,28 @@ void test_the_app_flies_the_filtered_set_point() {
   run(20);
   CHECK(pid_calls == 20 && flown_setpoint.mode.x == modeDisable && flown_setpoint.thrust == 0.0F);
 
-  wish.mode.x = wish.mode.y = wish.mode.z = modeVelocity;
-  wish.mode.yaw = modeVelocity, wish.attitudeRate.yaw = 10;
-  wish.velocity_body = true, wish.velocity.x = 0.5F;  // ahead, which is to the left
+  request.mode.x = request.mode.y = request.mode.z = modeVelocity;
+  request.mode.yaw = modeVelocity, request.attitudeRate.yaw = 10;
+  request.velocity_body = true, request.velocity.x = 0.5F;  // ahead, which is to the left
   run(30);
   CHECK(!flown_setpoint.velocity_body && flown_setpoint.mode.yaw == modeVelocity);
   CHECK(flown_setpoint.attitudeRate.yaw == 10.0F);
   CHECK(std::fabs(flown_setpoint.velocity.x) < 1e-6F && std::fabs(flown_setpoint.velocity.y - 0.5F) < 1e-6F);
 
-  wish.velocity_body = false, wish.velocity.x = 1, wish.velocity.y = 0.3F;  // into the pillars
+  request.velocity_body = false, request.velocity.x = 1, request.velocity.y = 0.3F;  // into the pillars
   const double least = run(8000);
   CHECK(least >= 0.15 - 1e-5 && least < 0.3);
 
-  wish.mode.roll = wish.mode.pitch = modeVelocity;  // rates as well: they do not override the velocity
+  request.mode.roll = request.mode.pitch = modeVelocity;  // rates as well: they do not override the velocity
   run(1);
   CHECK(flown_setpoint.mode.roll == modeDisable && flown_setpoint.mode.pitch == modeDisable);
-  wish.mode.roll = wish.mode.pitch = modeDisable;
+  request.mode.roll = request.mode.pitch = modeDisable;
 
   const auto is_still = [] {
     return flown_setpoint.mode.z == modeVelocity && flown_setpoint.velocity.x == 0.0F &&
            flown_setpoint.velocity.y == 0.0F && flown_setpoint.velocity.z == 0.0F;
   };
-  wish.velocity.x = wish.velocity.y = 0, wish.velocity.z = 0.2F;
+  request.velocity.x = request.velocity.y = 0, request.velocity.z = 0.2F;
   run(30);
   CHECK(!is_still());
   variances[1] = 0.1F;
@@ -116,10 +116,10 @@ void test_the_app_flies_the_filtered_set_point() {
 
   setpoint_t by_hand{};
   by_hand.thrust = 40000, by_hand.attitude.pitch = 20;
-  wish = by_hand;
+  request = by_hand;
   run(5);
   CHECK(is_still());
-  wish.thrust = 0;  // cut
+  request.thrust = 0;  // cut
   run(1);
   CHECK(flown_setpoint.mode.z == modeDisable && flown_setpoint.thrust == 0.0F);
 }

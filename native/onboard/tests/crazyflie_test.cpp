@@ -29,8 +29,8 @@ alula_crazyflie_state state_at(const Vector& p, double yaw = 0) {
   return s;
 }
 
-alula_crazyflie_wish velocity_wish(float x, float y, float z) {
-  alula_crazyflie_wish w{};
+alula_crazyflie_request velocity_request(float x, float y, float z) {
+  alula_crazyflie_request w{};
   for (auto& mode : w.mode) mode = ALULA_AXIS_VELOCITY;
   w.velocity[0] = x, w.velocity[1] = y, w.velocity[2] = z;
   return w;
@@ -51,13 +51,13 @@ struct Rig {
   }
   bool is_due() const { return step % period == 0; }
   // A millisecond of the loop and of a vehicle that follows its command; the worker runs after it.
-  void run(const alula_crazyflie_wish& wish, const alula_crazyflie_state& state, bool works = true) {
-    alula_crazyflie_step(&filter, &wish, &state, is_due(), 0.001F, &out);
+  void run(const alula_crazyflie_request& request, const alula_crazyflie_state& state, bool works = true) {
+    alula_crazyflie_step(&filter, &request, &state, is_due(), 0.001F, &out);
     for (std::size_t i = 0; i < 3 && out.is_replaced; ++i) p[i] += kStep * static_cast<double>(out.velocity[i]);
     if (works) alula_crazyflie_work(&filter);
     ++step;
   }
-  void run(const alula_crazyflie_wish& wish) { run(wish, state_at(p)); }
+  void run(const alula_crazyflie_request& request) { run(request, state_at(p)); }
   bool is_still() const {
     return out.is_replaced && !out.is_off && out.velocity[0] == 0 && out.velocity[1] == 0 && out.velocity[2] == 0;
   }
@@ -81,29 +81,29 @@ void test_it_flies_the_commands_of_polytope_cbf_and_touches_nothing() {
     CHECK(alula_polytope_cbf_open(&reference, &map, ALULA_CRAZYFLIE_EXTENT, &same) == ALULA_READY);
     std::mt19937 random(static_cast<unsigned>(period));
     std::uniform_real_distribution<float> unit(-1, 1);
-    alula_crazyflie_wish wish{};
+    alula_crazyflie_request request{};
     double yaw = 0, least = 1e9;
     int changed = 0, compared = 0;
     alula_polytope_result expected{};
     bool has_expected = false;
     for (int k = 0; k < 30000; ++k) {
       if (k % 700 == 0) {
-        wish = velocity_wish(1.5F * unit(random), 1.5F * unit(random), 0.3F * unit(random));
+        request = velocity_request(1.5F * unit(random), 1.5F * unit(random), 0.3F * unit(random));
         yaw = 3 * static_cast<double>(unit(random));
-        wish.is_body = k % 1400 == 0;
+        request.is_body = k % 1400 == 0;
         if (random() % 3 == 0) {
           for (std::size_t i = 0; i < 3; ++i) {
-            wish.mode[i] = ALULA_AXIS_POSITION;
-            wish.position[i] = (i == 2 ? 1.0F : 6.0F) * unit(random);
+            request.mode[i] = ALULA_AXIS_POSITION;
+            request.position[i] = (i == 2 ? 1.0F : 6.0F) * unit(random);
           }
         } else if (random() % 2 == 0) {
-          wish.mode[2] = ALULA_AXIS_POSITION, wish.position[2] = 1 + unit(random);
+          request.mode[2] = ALULA_AXIS_POSITION, request.position[2] = 1 + unit(random);
         }
       }
       const alula_crazyflie_state state = state_at(rig.p, yaw);
       if (rig.is_due() && k > 0) {
         const Vector before = rig.p;
-        rig.run(wish, state);
+        rig.run(request, state);
         if (has_expected) {
           ++compared;
           for (int i = 0; i < 3; ++i) CHECK(rig.out.velocity[i] == expected.u[i]);
@@ -112,29 +112,30 @@ void test_it_flies_the_commands_of_polytope_cbf_and_touches_nothing() {
         float v[3];
         const double c = std::cos(yaw), s = std::sin(yaw);
         for (std::size_t i = 0; i < 3; ++i) {
-          v[i] = wish.mode[i] == ALULA_AXIS_POSITION ? 2 * (wish.position[i] - state.position[i]) : wish.velocity[i];
+          v[i] = request.mode[i] == ALULA_AXIS_POSITION ? 2 * (request.position[i] - state.position[i])
+                                                        : request.velocity[i];
         }
-        if (wish.is_body && wish.mode[0] == ALULA_AXIS_VELOCITY) {
-          v[0] = static_cast<float>(c * wish.velocity[0] - s * wish.velocity[1]);
-          v[1] = static_cast<float>(s * wish.velocity[0] + c * wish.velocity[1]);
+        if (request.is_body && request.mode[0] == ALULA_AXIS_VELOCITY) {
+          v[0] = static_cast<float>(c * request.velocity[0] - s * request.velocity[1]);
+          v[1] = static_cast<float>(s * request.velocity[0] + c * request.velocity[1]);
         }
         // A position setpoint is flown by the controller of PolyMerge, eq. 16: -(c/2)(p - p_goal) with c twice the
         // gain, scaled to the speed limit.
         const bool has_position =
-            std::any_of(wish.mode, wish.mode + 3, [](auto m) { return m == ALULA_AXIS_POSITION; });
+            std::any_of(request.mode, request.mode + 3, [](auto m) { return m == ALULA_AXIS_POSITION; });
         const float size = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
         const float scale = has_position && size > rig.config.v_max ? rig.config.v_max / size : 1.0F;
         for (int i = 0; i < 3; ++i) {
-          CHECK(std::fabs(rig.filter.wish[i] - scale * v[i]) < 1e-5F);
+          CHECK(std::fabs(rig.filter.nominal[i] - scale * v[i]) < 1e-5F);
           CHECK(std::fabs(rig.filter.at[i] - (static_cast<float>(before[static_cast<std::size_t>(i)]) +
                                               rig.config.period_s * rig.out.velocity[i])) < 1e-6F);
         }
-        const auto status = alula_polytope_cbf_filter(&reference, rig.filter.at, rig.filter.wish, &expected);
+        const auto status = alula_polytope_cbf_filter(&reference, rig.filter.at, rig.filter.nominal, &expected);
         CHECK(status != ALULA_FILTER_REFUSED);
         changed += status != ALULA_FILTER_OK;
         has_expected = true;
       } else {
-        rig.run(wish, state);
+        rig.run(request, state);
       }
       least = std::min(least, distance(rig.p));
     }
@@ -156,7 +157,7 @@ void test_the_radius_covers_the_lag_of_a_vehicle() {
     const Vector before = rig.p;
     alula_crazyflie_state state = state_at(rig.p);
     for (std::size_t i = 0; i < 3; ++i) state.velocity[i] = static_cast<float>(v[i]);
-    rig.run(velocity_wish(1, 0, 0), state);
+    rig.run(velocity_request(1, 0, 0), state);
     for (std::size_t i = 0; i < 3; ++i) {
       v[i] += kStep / 0.1 * (static_cast<double>(rig.out.velocity[i]) - v[i]);
       rig.p[i] = before[i] + kStep * v[i];
@@ -172,11 +173,11 @@ void test_without_a_map_or_with_a_damaged_one_nothing_turns() {
   const alula_crazyflie_config config = alula_crazyflie_defaults();
   static alula_crazyflie_filter filter;
   alula_crazyflie_output out;
-  const alula_crazyflie_wish wish = velocity_wish(1, 0, 0);
+  const alula_crazyflie_request request = velocity_request(1, 0, 0);
   const alula_crazyflie_state state = state_at({-5, -5, 1});
   const auto is_off = [&](std::uint32_t length) {
     const int ready = alula_crazyflie_open(&filter, image.data(), length, &config);
-    alula_crazyflie_step(&filter, &wish, &state, 1, 0.001F, &out);
+    alula_crazyflie_step(&filter, &request, &state, 1, 0.001F, &out);
     return !ready && out.is_off && !out.is_replaced && out.status == ALULA_CRAZYFLIE_NOT_READY;
   };
   CHECK(is_off(0) && is_off(100));
@@ -186,20 +187,20 @@ void test_without_a_map_or_with_a_damaged_one_nothing_turns() {
 
 void test_set_points_that_ask_for_nothing_or_for_attitude() {
   Rig rig;
-  const alula_crazyflie_wish fast = velocity_wish(0, 0, 0.5F);
+  const alula_crazyflie_request fast = velocity_request(0, 0, 0.5F);
   const auto fly = [&](int count = 30) {
     for (int k = 0; k < count; ++k) rig.run(fast);
     return rig.out.status == ALULA_CRAZYFLIE_OK && rig.out.velocity[2] == 0.5F;
   };
   CHECK(fly());
-  alula_crazyflie_wish off{};
+  alula_crazyflie_request off{};
   rig.run(off);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OFF && !rig.out.is_replaced && !rig.out.is_off);
   CHECK(fly(25));
   off.thrust = 30000;  // by hand
   rig.run(off);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_BAD_WISH && rig.is_still());
-  alula_crazyflie_wish watchdog = fast;  // the firmware levels when the radio is silent
+  alula_crazyflie_request watchdog = fast;  // the firmware levels when the radio is silent
   watchdog.mode[0] = watchdog.mode[1] = ALULA_AXIS_OFF;
   rig.run(watchdog);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_BAD_WISH && rig.is_still());
@@ -217,16 +218,16 @@ void test_set_points_that_ask_for_nothing_or_for_attitude() {
   CHECK(rig.out.status == ALULA_CRAZYFLIE_DISABLED && !rig.out.is_replaced);
 }
 
-void test_a_state_or_a_wish_that_cannot_be_used_stops_at_once() {
-  const alula_crazyflie_wish good = velocity_wish(0, 0, 0.5F);
+void test_a_state_or_a_request_that_cannot_be_used_stops_at_once() {
+  const alula_crazyflie_request good = velocity_request(0, 0, 0.5F);
   const auto stops_at = [&](int phase, alula_crazyflie_status status, auto spoil) {
     Rig rig;
     for (int k = 0; k < 40 + phase; ++k) rig.run(good);
     CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
-    alula_crazyflie_wish wish = good;
+    alula_crazyflie_request request = good;
     alula_crazyflie_state state = state_at(rig.p);
-    spoil(wish, state);
-    rig.run(wish, state);
+    spoil(request, state);
+    rig.run(request, state);
     if (rig.out.status != status || !rig.is_still()) return false;
     for (int k = 0; k < 40; ++k) rig.run(good);  // and continues when it is good again
     return rig.out.status == ALULA_CRAZYFLIE_OK;
@@ -254,7 +255,7 @@ void test_a_state_or_a_wish_that_cannot_be_used_stops_at_once() {
 
 void test_an_estimator_that_stands_still_is_found_and_one_at_rest_is_not() {
   Rig rig;
-  const alula_crazyflie_wish up = velocity_wish(0, 0, 0.5F);
+  const alula_crazyflie_request up = velocity_request(0, 0, 0.5F);
   const alula_crazyflie_state frozen = state_at(rig.p);
   int k = 0;
   for (; k < 200 && rig.out.status != ALULA_CRAZYFLIE_STALE; ++k) rig.run(up, frozen);
@@ -263,13 +264,13 @@ void test_an_estimator_that_stands_still_is_found_and_one_at_rest_is_not() {
   CHECK(rig.out.status == ALULA_CRAZYFLIE_STALE);
   for (int i = 0; i < 40; ++i) rig.run(up);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
-  for (int i = 0; i < 1000; ++i) rig.run(velocity_wish(0, 0, 0));
+  for (int i = 0; i < 1000; ++i) rig.run(velocity_request(0, 0, 0));
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
 }
 
 void test_work_that_is_not_done_in_time_is_not_flown() {
   Rig rig;
-  const alula_crazyflie_wish up = velocity_wish(0, 0, 0.5F);
+  const alula_crazyflie_request up = velocity_request(0, 0, 0.5F);
   for (int k = 0; k < 50; ++k) rig.run(up);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
   for (int k = 0; k < 11; ++k) rig.run(up, state_at(rig.p), false);  // no worker in this period
@@ -283,16 +284,16 @@ void test_work_that_is_not_done_in_time_is_not_flown() {
 
 void test_what_was_worked_out_elsewhere_is_not_flown() {
   Rig rig;
-  const alula_crazyflie_wish up = velocity_wish(0, 0, 0.5F);
+  const alula_crazyflie_request up = velocity_request(0, 0, 0.5F);
   for (int k = 0; k < 55; ++k) rig.run(up);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
   rig.p = {5.7, 0, 1};  // flown there by another controller
   alula_crazyflie_restart(&rig.filter);
   for (int k = 0; k < 15; ++k) {
-    rig.run(velocity_wish(1, 0, 0));
+    rig.run(velocity_request(1, 0, 0));
     CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());
   }
-  for (int k = 0; k < 40; ++k) rig.run(velocity_wish(1, 0, 0));
+  for (int k = 0; k < 40; ++k) rig.run(velocity_request(1, 0, 0));
   CHECK(rig.out.status == ALULA_CRAZYFLIE_FILTERED && rig.out.velocity[0] < 0.5F);
 }
 
@@ -314,7 +315,7 @@ void test_parameters_that_mean_nothing_leave_the_last_ones() {
     CHECK(is_refused([&](auto& c) { c.period_s = value; }));
   }
   CHECK(is_refused([](auto& c) { c.beta = 101; }));  // above 1 / T
-  const alula_crazyflie_wish up = velocity_wish(0, 0, 0.5F);
+  const alula_crazyflie_request up = velocity_request(0, 0, 0.5F);
   for (int k = 0; k < 45; ++k) rig.run(up);
   alula_crazyflie_config longer = rig.config;
   longer.period_s = 0.02F;
@@ -335,7 +336,7 @@ void test_the_hand_over_has_no_race() {
   int flown = 0;
   double least = 1e9;
   for (int k = 0; k < 20000; ++k) {
-    rig.run(velocity_wish(0.8F, 0.6F, 0), state_at(rig.p), false);
+    rig.run(velocity_request(0.8F, 0.6F, 0), state_at(rig.p), false);
     flown += rig.out.velocity[0] != 0;
     least = std::min(least, distance(rig.p));
     if (k % 10 == 0) std::this_thread::yield();
@@ -353,7 +354,7 @@ int main() {
   test_the_radius_covers_the_lag_of_a_vehicle();
   test_without_a_map_or_with_a_damaged_one_nothing_turns();
   test_set_points_that_ask_for_nothing_or_for_attitude();
-  test_a_state_or_a_wish_that_cannot_be_used_stops_at_once();
+  test_a_state_or_a_request_that_cannot_be_used_stops_at_once();
   test_an_estimator_that_stands_still_is_found_and_one_at_rest_is_not();
   test_work_that_is_not_done_in_time_is_not_flown();
   test_what_was_worked_out_elsewhere_is_not_flown();

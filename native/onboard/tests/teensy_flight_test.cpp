@@ -59,8 +59,8 @@ class Witness {
 
   bool agrees(const alula_teensy_loop& loop, alula_teensy_status status, const alula_racer_state* navigation,
               bool has_pilot) {
-    const RacerCommand wish = heard_by_controller(config_, loop.heard);
-    const alula_racer_command pilot = to_onboard(wish);
+    const RacerCommand desired = heard_by_controller(config_, loop.heard);
+    const alula_racer_command pilot = to_onboard(desired);
     alula_geofence_result result;
     const auto outcome = alula_geofence_filter(&filter_, navigation, has_pilot ? &pilot : nullptr, &result);
     if (!loop.has_heard) return status == ALULA_TEENSY_NO_RECEIVER;
@@ -125,13 +125,13 @@ Flown fly(const alula_teensy_config& config, const Journey& journey) {
   for (std::uint32_t k = 0; k < steps; ++k, now += kStepUs) {
     const double time = k * 1e-6 * kStepUs;
     if (k % kPilotSteps == 0 && time < journey.silent_from_s) {
-      const std::optional<RacerCommand> wish = hand(time, plant.state());
-      alula_sbus_frame frame = radio_frame(config, wish.value_or(RacerCommand{}));
+      const std::optional<RacerCommand> desired = hand(time, plant.state());
+      alula_sbus_frame frame = radio_frame(config, desired.value_or(RacerCommand{}));
       if (unit(chance) < journey.line.losses) frame.flags = ALULA_SBUS_LOST;
       std::uint8_t bytes[ALULA_SBUS_BYTES];
       alula_sbus_encode(&frame, bytes);
       spoil(bytes, sizeof bytes, journey.line.flips, chance);
-      if (wish) to_loop.insert(to_loop.end(), bytes, bytes + sizeof bytes);
+      if (desired) to_loop.insert(to_loop.end(), bytes, bytes + sizeof bytes);
     }
     for (int i = 0; i < 5 && !to_loop.empty(); ++i) {  // 120 us each
       alula_teensy_receive(loop.get(), now, &to_loop.front(), 1);

@@ -1405,17 +1405,17 @@ class SmoothNominalOptions:
     The smooth nominal input of a filter of wrenches while rows hold the vehicle.
     """
 
-    def __init__(self, *, release_rad_s: float = 2.0, release_growth_1_s: float = 3.0, wish_attitude_rad_s: float = 35.0, wish_position_rad_s: float = 1.2, wish_catch_up_m_s: float = 0.7, wish_acceleration: float = 3.0, wish_speed_m_s: float = 2.2, wish_cone_rate_1_s: float = 3.0) -> None:
+    def __init__(self, *, release_rad_s: float = 2.0, release_growth_1_s: float = 3.0, nominal_attitude_rad_s: float = 35.0, nominal_position_rad_s: float = 1.2, nominal_catch_up_m_s: float = 0.7, nominal_acceleration: float = 3.0, nominal_speed_m_s: float = 2.2, nominal_cone_rate_1_s: float = 3.0) -> None:
         """
         Args:
             release_rad_s: pole p1 of the acceleration while rows hold the vehicle back; 0: the nominal input is used unchanged [rad/s]
             release_growth_1_s: exponential growth rate of p1 after the release [1/s]
-            wish_attitude_rad_s: pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
-            wish_position_rad_s: double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]
-            wish_catch_up_m_s: maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]
-            wish_acceleration: maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]
-            wish_speed_m_s: reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]
-            wish_cone_rate_1_s: rate of the first-order cone rows that the target acceleration holds [1/s]
+            nominal_attitude_rad_s: pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
+            nominal_position_rad_s: double pole q of the position; grows with the reference's speed above nominal_speed_m_s [rad/s]
+            nominal_catch_up_m_s: maximum speed above the reference's to make up for the position error; grows with its speed above nominal_speed_m_s [m/s]
+            nominal_acceleration: maximum acceleration in response to position and velocity errors; grows with the reference's speed above nominal_speed_m_s [m/s^2]
+            nominal_speed_m_s: reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]
+            nominal_cone_rate_1_s: rate of the first-order cone rows that the target acceleration holds [1/s]
         """
 
     @property
@@ -1429,37 +1429,37 @@ class SmoothNominalOptions:
         """exponential growth rate of p1 after the release [1/s]"""
 
     @property
-    def wish_attitude_rad_s(self) -> float:
+    def nominal_attitude_rad_s(self) -> float:
         """
         pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
         """
 
     @property
-    def wish_position_rad_s(self) -> float:
+    def nominal_position_rad_s(self) -> float:
         """
-        double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]
-        """
-
-    @property
-    def wish_catch_up_m_s(self) -> float:
-        """
-        maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]
+        double pole q of the position; grows with the reference's speed above nominal_speed_m_s [rad/s]
         """
 
     @property
-    def wish_acceleration(self) -> float:
+    def nominal_catch_up_m_s(self) -> float:
         """
-        maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]
+        maximum speed above the reference's to make up for the position error; grows with its speed above nominal_speed_m_s [m/s]
         """
 
     @property
-    def wish_speed_m_s(self) -> float:
+    def nominal_acceleration(self) -> float:
+        """
+        maximum acceleration in response to position and velocity errors; grows with the reference's speed above nominal_speed_m_s [m/s^2]
+        """
+
+    @property
+    def nominal_speed_m_s(self) -> float:
         """
         reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]
         """
 
     @property
-    def wish_cone_rate_1_s(self) -> float:
+    def nominal_cone_rate_1_s(self) -> float:
         """
         rate of the first-order cone rows that the target acceleration holds [1/s]
         """

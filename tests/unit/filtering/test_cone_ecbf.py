@@ -385,7 +385,7 @@ def test_reset_forgets_that_the_vehicle_was_held_and_a_clone_remembers():
 
 
 @pytest.mark.parametrize(
-    "name", ["release_rad_s", "wish_position_rad_s", "wish_speed_m_s", "wish_cone_rate_1_s"]
+    "name", ["release_rad_s", "nominal_position_rad_s", "nominal_speed_m_s", "nominal_cone_rate_1_s"]
 )
 def test_options_of_the_smooth_nominal_beyond_their_limits_are_refused(name):
     with pytest.raises(ValueError, match=f"{name} must be (above|at least) 0"):
@@ -393,5 +393,5 @@ def test_options_of_the_smooth_nominal_beyond_their_limits_are_refused(name):
 
 
 def test_poles_of_the_smooth_nominal_in_the_wrong_order_are_refused():
-    with pytest.raises(ValueError, match="release_rad_s < wish_attitude_rad_s"):
+    with pytest.raises(ValueError, match="release_rad_s < nominal_attitude_rad_s"):
         ecbf(empty_scene(), smooth_nominal=_core.SmoothNominalOptions(release_rad_s=40.0))

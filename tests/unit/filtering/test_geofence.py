@@ -152,11 +152,11 @@ def test_commands_stay_in_their_limits_and_lambda_decides_between_pilot_and_back
     assert 0 <= u[0] <= 1
     assert (np.abs(u[1:]) <= model.MAX_RATE).all()
     assert 0 <= detail["lambda"] <= 1
-    wished = np.clip(pilot, [0, *-model.MAX_RATE], [1, *model.MAX_RATE])
+    desired = np.clip(pilot, [0, *-model.MAX_RATE], [1, *model.MAX_RATE])
     if not parameters.get("latency_s"):
         value, first = geofence.evaluate(x[None])
         assert detail["h_i"] == value[0, 0]
-        mixed = detail["lambda"] * wished + (1 - detail["lambda"]) * first[0]
+        mixed = detail["lambda"] * desired + (1 - detail["lambda"]) * first[0]
         np.testing.assert_allclose(u, mixed, rtol=1e-5, atol=1e-5)
         if detail["h_i"] <= 0:
             assert (status, detail["lambda"]) == ("backup", 0)
@@ -165,7 +165,7 @@ def test_commands_stay_in_their_limits_and_lambda_decides_between_pilot_and_back
         assert detail["lambda"] == 1
         np.testing.assert_array_equal(u, pilot)
     if detail["lambda"] == 1:
-        np.testing.assert_array_equal(u, wished)
+        np.testing.assert_array_equal(u, desired)
 
 
 @pytest.mark.parametrize("speed", [0.0, 4.0, 20.0])

@@ -77,7 +77,7 @@ def active(rows, velocity):
     return rows[keep], los[keep]
 
 
-def avoid_wish(rows, velocity):
+def avoid_desired(rows, velocity):
     return np.clip(60 * bypass(rows, velocity) - 14 * velocity, -LIMIT, LIMIT)
 
 
@@ -90,7 +90,7 @@ def test_the_manoeuvre_goes_to_the_best_bypass_point():
         filter_ = _core.moving_filter("cbf_qp", options)
         report, _ = filter_.filter(ZERO, velocity.tolist(), rows, NO_WALLS, ZERO)
         assert report.mode == AVOID
-        assert np.allclose(report.acceleration, avoid_wish(rows, velocity), atol=2e-2)
+        assert np.allclose(report.acceleration, avoid_desired(rows, velocity), atol=2e-2)
 
 
 def flown(moves, velocity):
@@ -146,9 +146,9 @@ def test_cbf_qp_is_the_program_of_the_velocity():
         report, _ = _core.moving_filter("cbf_qp").filter(ZERO, velocity.tolist(), rows, NO_WALLS, ZERO)
         near, _ = active(rows, velocity)
         command = cp.Variable(3)
-        wish = velocity + 0.1 * avoid_wish(rows, velocity)
+        desired = velocity + 0.1 * avoid_desired(rows, velocity)
         if not solve(
-            cp.sum_squares(command - wish),
+            cp.sum_squares(command - desired),
             [
                 2 * r[1:4] @ (r[4:7] - command) + 2.5 * (r[1:4] @ r[1:4] - clearance(0.4) ** 2) >= 0
                 for r in near
@@ -157,7 +157,7 @@ def test_cbf_qp_is_the_program_of_the_velocity():
             assert not report.feasible
             continue
         expected = np.clip((command.value - velocity) / 0.1, -LIMIT, LIMIT)
-        changed += np.abs(expected - avoid_wish(rows, velocity)).max() > 0.1
+        changed += np.abs(expected - avoid_desired(rows, velocity)).max() > 0.1
         assert report.feasible
         assert np.allclose(report.acceleration, expected, atol=2e-2)
         reached = velocity + 0.1 * np.array(report.acceleration)  # the box may cut it off
@@ -209,7 +209,7 @@ def test_rp_cbf_is_the_row_of_the_rollouts_gradient():
         assert report.mode == avoids
         near, _ = active(rows, velocity)
         target = bypass(rows, velocity) if avoids else np.zeros(3)
-        wish = avoid_wish(rows, velocity) if avoids else nominal
+        desired = avoid_desired(rows, velocity) if avoids else nominal
         value, (i, _k) = rolled_out(np.zeros(3), velocity, target, near, *gains)
 
         def at(p, v, shift, near=near, target=target, gains=gains):
@@ -225,7 +225,7 @@ def test_rp_cbf_is_the_row_of_the_rollouts_gradient():
         moves = (at(np.zeros(3), velocity, shift) - at(np.zeros(3), velocity, -shift)) / (2 * h)
         u = cp.Variable(3)
         ok = solve(
-            cp.sum_squares(u - wish),
+            cp.sum_squares(u - desired),
             [
                 np.array(gradient) @ velocity + moves + np.array(by_v) @ u <= -value,
                 cp.abs(u) <= LIMIT,
@@ -238,7 +238,7 @@ def test_rp_cbf_is_the_row_of_the_rollouts_gradient():
             missed = np.array(gradient) @ velocity + moves + row @ np.array(report.acceleration) + value
             assert report.violation == pytest.approx(missed / np.linalg.norm(row), abs=0.05, rel=0.01)
             continue
-        bound += np.abs(u.value - wish).max() > 0.05
+        bound += np.abs(u.value - desired).max() > 0.05
         assert np.allclose(report.acceleration, u.value, atol=5e-2)
     assert bound > 2
     assert infeasible > 0

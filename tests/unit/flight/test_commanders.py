@@ -195,8 +195,8 @@ def test_the_fence_sees_where_a_set_point_leads_before_a_take_over_acts(kind):
     guard = FenceGuard(BOX, FASTBRIDGE, dt_s=DT, takes_rates=True, latency_s=0.03)
     height, speed = (1.7, 3.5) if kind is VelocitySetpoint else (1.5, 3.0)
     rising, zero = at((3.0, 2, height), (0, 0, speed)), np.zeros(3)
-    for wish, takes_over in ((0.0, False), (9.0 if kind is VelocitySetpoint else 25.0, True)):
-        up = np.array([0, 0, wish])
+    for desired, takes_over in ((0.0, False), (9.0 if kind is VelocitySetpoint else 25.0, True)):
+        up = np.array([0, 0, desired])
         setpoint = kind(up, 0.0) if kind is VelocitySetpoint else kind(up, zero, zero, 0.0)
         guard.reset()
         found = guard.guard(rising, 0.0, setpoint)
@@ -214,12 +214,12 @@ def test_a_bad_filter_does_not_get_through_the_fence(name):
     for i in range(400):
         quat = quat_of(x[3:6])
         state = VehicleState(0.0, x[:3].copy(), x[6:9].copy(), quat, x[9:].copy())
-        wish = (
+        desired = (
             RatesSetpoint(13.0, np.array([0, 1.0 if i < 60 else 0.0, 0]))
             if name == "rates"
             else VelocitySetpoint(np.array([3.0, 0, 0]), 0.0)
         )
-        found = guard.guard(state, 0.0, wish)
+        found = guard.guard(state, 0.0, desired)
         flown_by_fence += found.regulation < 0.5
         told = found.setpoint
         for _ in range(4):

@@ -26,7 +26,7 @@ class CbfQp final : public MovingFilter {
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     alula_guidance guidance;
     if (!guide_.step(vehicle, tracks, walls, nominal, guidance)) return {};
-    const Vec3 target = to_vec3(guidance.wished), v = to_vec3(vehicle.velocity);
+    const Vec3 target = to_vec3(guidance.desired), v = to_vec3(vehicle.velocity);
     nearest_.clear();
     for (std::size_t i = 0; i < tracks.size() && guide_.binds(guidance); ++i) {
       const alula_encounter& m = guide_.encounters()[i];

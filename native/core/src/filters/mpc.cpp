@@ -42,7 +42,7 @@ class Mpc final : public MovingFilter {
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     alula_guidance guidance;
     if (!guide_.step(vehicle, tracks, walls, nominal, guidance)) return {};
-    Vec3 a = to_vec3(guidance.wished);
+    Vec3 a = to_vec3(guidance.desired);
     QpResult result;
     result.status = QpStatus::optimal;
     rows_.clear(), bounds_.clear();

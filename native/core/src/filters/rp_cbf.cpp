@@ -49,7 +49,7 @@ class RpCbf final : public MovingFilter {
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     alula_guidance guidance;
     if (!guide_.step(vehicle, tracks, walls, nominal, guidance)) return {};
-    const Vec3 target = to_vec3(guidance.wished);
+    const Vec3 target = to_vec3(guidance.desired);
     nearest_.clear();
     Vec3 a = target;
     bool holds = true;

@@ -28,8 +28,8 @@ SmoothNominal::SmoothNominal(std::size_t rows, const SmoothNominalOptions& optio
                     std::isfinite(o.attitude_rad_s + o.position_rad_s + o.acceleration);
   if (!good)
     throw std::invalid_argument(
-        "the smooth nominal needs 0 <= release_rad_s < wish_attitude_rad_s, positive rates and limits, and "
-        "wish_cone_rate_1_s <= 20");
+        "the smooth nominal needs 0 <= release_rad_s < nominal_attitude_rad_s, positive rates and limits, and "
+        "nominal_cone_rate_1_s <= 20");
 }
 
 double SmoothNominal::pole() const { return options_.release_rad_s * std::exp(options_.release_growth_1_s * since_); }

@@ -351,17 +351,17 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
       break;
     }
     see(now, tick);
-    const Vec3 wished = nominal();
+    const Vec3 desired = nominal();
     const Clock::time_point start = Clock::now();
-    const MovingReport report = filter_->filter(seen_, tracks_, walls_, wished);
+    const MovingReport report = filter_->filter(seen_, tracks_, walls_, desired);
     const double took = std::chrono::duration<double>(Clock::now() - start).count();
     const Vec3 command = report.status == MovingStatus::refused
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
     if (report.status == MovingStatus::refused) filter_->flown(command);
-    judge_answer(report, command, wished, now, took);
+    judge_answer(report, command, desired, now, took);
     risk_.add(tracks_, seen_, command, spec_.vehicle.radius_m);
-    if (keeps_path_) keep(report, command, wished);
+    if (keeps_path_) keep(report, command, desired);
     plant_.command(command);
     for (std::int64_t s = 0; s < rules.plant_steps; ++s) {
       if (s > 0) sense(tick * rules.plant_steps + s);

@@ -161,8 +161,8 @@ class Flown final : public Starting {
   void move(double dt, const Kinematics&) override {
     const double steps = std::ceil(dt / kLongestStep - 1e-6);
     for (double i = 0; i < steps; ++i) {
-      const Nominal wish = track(pilot_.body, pilot_.gains, plant_.state(), path_.at(plant_.time()));
-      plant_.step(dt / steps, pilot_.body.limited(wish.wrench));
+      const Nominal desired = track(pilot_.body, pilot_.gains, plant_.state(), path_.at(plant_.time()));
+      plant_.step(dt / steps, pilot_.body.limited(desired.wrench));
       plant_.switch_shadow();
     }
     state_ = {plant_.state().p, plant_.state().v, plant_.acceleration()};

@@ -25,7 +25,7 @@ def encoder(frame: LocalFrame | None = None, **limits) -> SetpointEncoder:
     return SetpointEncoder(frame or LocalFrame(), Limits(**limits), G)
 
 
-def wish(acceleration=(0, 0, 0), velocity=(0, 0, 0), position=(0, 0, 0), yaw=0.0) -> AccelerationSetpoint:
+def request(acceleration=(0, 0, 0), velocity=(0, 0, 0), position=(0, 0, 0), yaw=0.0) -> AccelerationSetpoint:
     return AccelerationSetpoint(np.array(acceleration), np.array(velocity), np.array(position), yaw)
 
 
@@ -36,7 +36,7 @@ vectors = st.tuples(*3 * [st.floats(-6, 6)])
 @settings(deadline=None)
 def test_the_attitude_pushes_along_the_acceleration_and_has_the_heading(push, yaw, turn) -> None:
     frame = LocalFrame(turn, (1.0, -2.0, 0.5))
-    sent = encoder(frame).full_state(wish(push, yaw=yaw), 0.0)
+    sent = encoder(frame).full_state(request(push, yaw=yaw), 0.0)
     quat = np.array(sent.attitude_wxyz)
     assert np.linalg.norm(quat) == pytest.approx(1)
     axes = matrix_from_quat_wxyz(quat)
@@ -54,7 +54,7 @@ def test_the_attitude_pushes_along_the_acceleration_and_has_the_heading(push, ya
 
 
 def test_position_and_velocity_are_taken_on_to_when_they_are_flown() -> None:
-    sent = encoder().full_state(wish((2, 0, 1), (3, 0, 0), (1, 1, 1)), 0.0)
+    sent = encoder().full_state(request((2, 0, 1), (3, 0, 0), (1, 1, 1)), 0.0)
     assert np.allclose(sent.velocity, (3 + 2 * LEAD_S, 0, LEAD_S))
     assert np.allclose(sent.position, (1 + 3 * LEAD_S + LEAD_S**2, 1, 1 + 0.5 * LEAD_S**2))
 
@@ -65,7 +65,7 @@ def test_rates_are_those_of_the_attitude_that_turns() -> None:
     for k in range(200):
         angle = 1.5 * k * dt
         sent = steps.full_state(
-            wish((2 * math.cos(angle), 2 * math.sin(angle), 0.5 * math.sin(angle))), k * dt
+            request((2 * math.cos(angle), 2 * math.sin(angle), 0.5 * math.sin(angle))), k * dt
         )
         now = Rotation.from_quat(np.array(sent.attitude_wxyz)[[1, 2, 3, 0]])
         if before is not None and k > 100:
@@ -76,32 +76,32 @@ def test_rates_are_those_of_the_attitude_that_turns() -> None:
 
 def test_what_does_not_fit_16_bits_is_refused() -> None:
     with pytest.raises(LinkError, match=r"position\.y is -33 m; a Crazyflie takes up to 32\.767"):
-        encoder().full_state(wish(position=(0, -33, 0)), 0.0)
+        encoder().full_state(request(position=(0, -33, 0)), 0.0)
     moved = LocalFrame(0.0, (30.0, 0.0, 0.0))
     with pytest.raises(LinkError, match=r"position\.x is 35 m"):
-        encoder(moved).full_state(wish(position=(5, 0, 0)), 0.0)
+        encoder(moved).full_state(request(position=(5, 0, 0)), 0.0)
     with pytest.raises(LinkError, match=r"acceleration\.z is 33 m/s\^2"):
-        encoder(acceleration_m_s2=40.0).full_state(wish((0, 0, 33)), 0.0)
+        encoder(acceleration_m_s2=40.0).full_state(request((0, 0, 33)), 0.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_is_refused(bad: float) -> None:
     for field in ("acceleration", "velocity", "position"):
         with pytest.raises(LinkError, match=f"{field}.y is {bad}"):
-            encoder().full_state(wish(**{field: (0, bad, 0)}), 0.0)
+            encoder().full_state(request(**{field: (0, bad, 0)}), 0.0)
     with pytest.raises(LinkError, match="yaw_rad"):
-        encoder().full_state(wish(yaw=bad), 0.0)
+        encoder().full_state(request(yaw=bad), 0.0)
     with pytest.raises(LinkError, match=r"velocity\.x"):
         encoder().velocity(VelocitySetpoint(np.array([bad, 0, 0]), 0.0), 0.0, 0.0)
 
 
 def test_limits_clip_slow_down_and_refuse() -> None:
     steps = encoder(acceleration_m_s2=5.0, acceleration_slew_m_s3=100.0)
-    assert np.allclose(steps.full_state(wish((8, 0, 0)), 0.0).acceleration, (5, 0, 0))
-    assert np.allclose(steps.full_state(wish((-4, 0, 0)), 0.01).acceleration, (4, 0, 0))
+    assert np.allclose(steps.full_state(request((8, 0, 0)), 0.0).acceleration, (5, 0, 0))
+    assert np.allclose(steps.full_state(request((-4, 0, 0)), 0.01).acceleration, (4, 0, 0))
     assert steps.clipped == 2
     with pytest.raises(LinkError, match=r"acceleration\.x is 11, the limit 5"):
-        steps.full_state(wish((11, 0, 0)), 0.02)
+        steps.full_state(request((11, 0, 0)), 0.02)
 
 
 def test_a_velocity_turns_towards_the_heading_by_the_short_way() -> None:

@@ -36,19 +36,19 @@ def test_it_is_found_prepared_flown_landed_and_left_as_it_was():
         assert link.state.position == pytest.approx(position, abs=0.05)
         assert link.state.velocity == pytest.approx(velocity, abs=0.05)
 
-        wish = np.array([0.8, -0.4, 0.3])
-        stream(time, link, 3.0, lambda s: VelocitySetpoint(wish, 0.3))
-        assert served.true_state()[1] == pytest.approx(wish, abs=0.15)
+        desired = np.array([0.8, -0.4, 0.3])
+        stream(time, link, 3.0, lambda s: VelocitySetpoint(desired, 0.3))
+        assert served.true_state()[1] == pytest.approx(desired, abs=0.15)
         link.order(Order.HOLD, time())
         time.run(link, 2.0)
         assert np.linalg.norm(served.true_state()[1]) < 0.1
         assert link.status.obeys
 
-        wish = np.array([0.5, 0.3, -0.1])
-        stream(time, link, 0.5, lambda s: AccelerationSetpoint(wish, s.velocity, s.position, 0.3))
+        desired = np.array([0.5, 0.3, -0.1])
+        stream(time, link, 0.5, lambda s: AccelerationSetpoint(desired, s.velocity, s.position, 0.3))
         start = served.true_state()[1]
-        stream(time, link, 1.0, lambda s: AccelerationSetpoint(wish, s.velocity, s.position, 0.3))
-        assert served.true_state()[1] - start == pytest.approx(wish, abs=0.12)
+        stream(time, link, 1.0, lambda s: AccelerationSetpoint(desired, s.velocity, s.position, 0.3))
+        assert served.true_state()[1] - start == pytest.approx(desired, abs=0.12)
         link.order(Order.HOLD, time())
         time.run(link, 2.0)
 
@@ -146,14 +146,14 @@ def test_flights_survive_other_faults_of_the_line():
     with flight() as (served, time, link):
         take_off(time, link)
         received = []
-        wish = np.array([0.5, 0.0, 0.0])
+        desired = np.array([0.5, 0.0, 0.0])
         for kind in ("duplicate", "reorder", "delay"):
             served.vehicle.inject(Fault(kind=kind, duration=1.2))
             for _ in range(150):
-                link.send(VelocitySetpoint(wish, 0.0), time())
+                link.send(VelocitySetpoint(desired, 0.0), time())
                 time.run(link, 0.01)
                 received.append(link.state.received_s)
-            assert served.true_state()[1] == pytest.approx(wish, abs=0.2), kind
+            assert served.true_state()[1] == pytest.approx(desired, abs=0.2), kind
         assert (np.diff(received) >= 0).all()
         assert link.status.clock_jumps == 0
 

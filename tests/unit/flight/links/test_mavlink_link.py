@@ -184,9 +184,9 @@ def test_whatever_is_sent_is_finite_within_limits_and_within_reach_of_the_last()
 
     @settings(deadline=None, max_examples=examples(30))
     @given(st.lists(st.tuples(thrust, rates), min_size=2, max_size=12))
-    def check(wishes):
+    def check(requests):
         peer.heard.clear()
-        for each, omega in wishes:
+        for each, omega in requests:
             time.sleep(0.01)
             link.send(RatesSetpoint(each, np.array(omega)), time())
         time.sleep(0.01)
@@ -194,7 +194,7 @@ def test_whatever_is_sent_is_finite_within_limits_and_within_reach_of_the_last()
             (e.thrust, e.body_roll_rate, e.body_pitch_rate, e.body_yaw_rate)
             for e in peer.of("SET_ATTITUDE_TARGET")
         ]
-        assert len(sent) == len(wishes)
+        assert len(sent) == len(requests)
         values = np.array(sent)
         assert np.isfinite(values).all()
         assert (values[:, 0] >= limits.throttle[0] - 1e-6).all()

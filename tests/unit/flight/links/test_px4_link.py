@@ -40,13 +40,13 @@ def test_px4_is_prepared_flown_landed_and_left_as_it_was():
         assert link.status.is_estimator_ready
         assert link.status.landed is False
 
-        wish = np.array([0.8, -0.4, 0.3])
-        stream(time, link, 2.0, lambda s: VelocitySetpoint(wish, 0.3))
-        assert served.true_state()[1] == pytest.approx(wish, abs=0.15)
-        wish = np.array([0.5, 0.3, -0.1])
+        desired = np.array([0.8, -0.4, 0.3])
+        stream(time, link, 2.0, lambda s: VelocitySetpoint(desired, 0.3))
+        assert served.true_state()[1] == pytest.approx(desired, abs=0.15)
+        desired = np.array([0.5, 0.3, -0.1])
         start = served.true_state()[1]
-        stream(time, link, 1.0, lambda s: AccelerationSetpoint(wish, s.velocity, s.position, 0.3))
-        assert served.true_state()[1] - start == pytest.approx(wish, abs=0.15)
+        stream(time, link, 1.0, lambda s: AccelerationSetpoint(desired, s.velocity, s.position, 0.3))
+        assert served.true_state()[1] - start == pytest.approx(desired, abs=0.15)
         stream(time, link, 0.4, lambda s: RatesSetpoint(G, np.zeros(3)))
         stream(time, link, 0.3, lambda s: RatesSetpoint(G, np.array([0.0, 0.0, 1.0])))
         assert link.state.omega == pytest.approx([0, 0, 1.0], abs=0.1)
@@ -100,15 +100,15 @@ def test_silence_lands_px4_and_control_is_not_taken_back():
 def test_odometry_is_turned_from_the_body_and_asked_for_again_when_it_ends():
     with flight(served=ServedPx4()) as (served, time, link):
         take_off(time, link)
-        wish = np.array([1.0, 0.5, 0.2])
-        stream(time, link, 1.5, lambda s: VelocitySetpoint(wish, 1.0))
+        desired = np.array([1.0, 0.5, 0.2])
+        stream(time, link, 1.5, lambda s: VelocitySetpoint(desired, 1.0))
         position, velocity = served.true_state()
         assert link.state.velocity == pytest.approx(velocity, abs=0.05)
         assert link.state.position == pytest.approx(position, abs=0.05)
         served.vehicle.telemetry.set_interval("ODOMETRY", None)
-        stream(time, link, 0.5, lambda s: VelocitySetpoint(0 * wish, 1.0))
+        stream(time, link, 0.5, lambda s: VelocitySetpoint(0 * desired, 1.0))
         assert time() - link.state.received_s > 0.45  # never a mixture of two sources
-        stream(time, link, 2.0, lambda s: VelocitySetpoint(0 * wish, 1.0))
+        stream(time, link, 2.0, lambda s: VelocitySetpoint(0 * desired, 1.0))
         assert time() - link.state.received_s < 0.05
 
 

@@ -201,11 +201,11 @@ def test_rates_turn_it_as_asked_and_thrust_carries_it():
 def test_accelerations_are_flown():
     clock, link = airborne()
     link.order(Order.TAKE_CONTROL, clock.now)
-    wish = np.array([0.5, -0.3, 0.2])
-    run(clock, link, 0.5, lambda s: AccelerationSetpoint(wish, s.velocity, s.position, 0.0))
+    desired = np.array([0.5, -0.3, 0.2])
+    run(clock, link, 0.5, lambda s: AccelerationSetpoint(desired, s.velocity, s.position, 0.0))
     start = link.state.velocity
-    run(clock, link, 1.0, lambda s: AccelerationSetpoint(wish, s.velocity, s.position, 0.0))
-    assert link.state.velocity - start == pytest.approx(wish, abs=0.05)
+    run(clock, link, 1.0, lambda s: AccelerationSetpoint(desired, s.velocity, s.position, 0.0))
+    assert link.state.velocity - start == pytest.approx(desired, abs=0.05)
 
 
 def test_points_fly_what_they_can():

@@ -63,11 +63,11 @@ def test_led_rotors_are_where_they_should_be_a_tick_later():
     rng = np.random.default_rng(4)
     predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=LAG), tick_s=0.01)
     for _ in range(20):
-        wished = rng.uniform(1.0, 1.3, 4)
-        command = np.array(predictor.lead(BODY.allocation @ wished))
+        desired = rng.uniform(1.0, 1.3, 4)
+        command = np.array(predictor.lead(BODY.allocation @ desired))
         assert BODY.admissible(command[None], tolerance_n=1e-9)[0]
         predictor.fly(command)
-        np.testing.assert_allclose(predictor.rotors, wished, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(predictor.rotors, desired, rtol=0, atol=1e-9)
     at_once = _core.StatePredictor(BODY, _core.ActuatorModel(delay_s=0.02), tick_s=0.01)
     u = rng.normal(size=4)
     np.testing.assert_array_equal(at_once.lead(u), u)
@@ -120,8 +120,8 @@ def test_a_tick_of_a_lagging_rollout_is_what_the_plant_flies(lag):
         rotors = np.linalg.solve(BODY.allocation, flown.wrench)
         shield.see(rotors.tolist())
         after = shield.after(np.array(flown.state), tuple(u))
-        wished = np.linalg.solve(BODY.allocation, u)
-        led = BODY.allocation @ (rotors + (wished - rotors) / (1 - np.exp(-0.01 / lag)))
+        desired = np.linalg.solve(BODY.allocation, u)
+        led = BODY.allocation @ (rotors + (desired - rotors) / (1 - np.exp(-0.01 / lag)))
         command = BODY.limited(led[None])[0]
         for _ in range(10):
             flown.step(0.001, command)
@@ -170,9 +170,9 @@ def test_a_flight_does_not_begin_with_a_manoeuvre_that_drifts_out_of_half_the_ma
     )
     predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=lag), tick_s=0.01)
     for tick in range(100):
-        wish = (14 if tick // 25 % 2 else -14) * direction / np.linalg.norm(direction)
+        desired = (14 if tick // 25 % 2 else -14) * direction / np.linalg.norm(direction)
         rotors = list(predictor.rotors)
-        wrench = tuple(attitude_controlled(BODY, x, wish))
+        wrench = tuple(attitude_controlled(BODY, x, desired))
         report = flown.filter(x, (0, 0, 0), wrench=wrench, thrust=BODY.hover_thrust, rotors=rotors)
         assert report["certified"]
         shield.see(rotors)

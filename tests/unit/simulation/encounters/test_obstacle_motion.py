@@ -108,12 +108,12 @@ def _curving_reference(x, speed, acceleration, vehicle, rate=0.25, release=12.0,
                 100,
                 xtol=1e-13,
             )
-            wish = q[:3] + root * q[3:6] - p
-            wish /= np.linalg.norm(wish)
-            normal = np.cross(h, wish)
-            angle = np.arctan2(np.linalg.norm(normal), h @ wish)
+            desired = q[:3] + root * q[3:6] - p
+            desired /= np.linalg.norm(desired)
+            normal = np.cross(h, desired)
+            angle = np.arctan2(np.linalg.norm(normal), h @ desired)
             if angle <= rate * DT:
-                h = wish
+                h = desired
             else:
                 n = normal / np.linalg.norm(normal)
                 h = np.cos(rate * DT) * h + np.sin(rate * DT) * np.cross(n, h)

@@ -225,7 +225,7 @@ def test_long_flights_are_flown_one_by_one():
     assert stage._chunk_size(scenario()) == stage.CHUNK
 
 
-def test_a_silent_pilot_has_no_wish_in_the_log():
+def test_a_silent_pilot_has_no_command_in_the_log():
     scene = scenario(pilot={"kind": "silent", "silent_after_s": 0.2}, trials={"count": 1})
     run = fly_in_fence(scene, RACER)
     text = log_of(run, scene)

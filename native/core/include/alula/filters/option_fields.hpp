@@ -180,12 +180,12 @@ struct Fields<flight::SmoothNominalOptions> {
   static constexpr std::tuple all{
       Field{"release_rad_s", &flight::SmoothNominalOptions::release_rad_s, "pole p1 of the acceleration while rows hold the vehicle back; 0: the nominal input is used unchanged [rad/s]", Limits{.min = 0.0}},
       Field{"release_growth_1_s", &flight::SmoothNominalOptions::release_growth_1_s, "exponential growth rate of p1 after the release [1/s]", Limits{.above = 0.0}},
-      Field{"wish_attitude_rad_s", &flight::SmoothNominalOptions::attitude_rad_s, "pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]", Limits{.above = 0.0}},
-      Field{"wish_position_rad_s", &flight::SmoothNominalOptions::position_rad_s, "double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]", Limits{.above = 0.0}},
-      Field{"wish_catch_up_m_s", &flight::SmoothNominalOptions::catch_up_m_s, "maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]", Limits{.above = 0.0}},
-      Field{"wish_acceleration", &flight::SmoothNominalOptions::acceleration, "maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]", Limits{.above = 0.0}},
-      Field{"wish_speed_m_s", &flight::SmoothNominalOptions::speed_m_s, "reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]", Limits{.above = 0.0}},
-      Field{"wish_cone_rate_1_s", &flight::SmoothNominalOptions::cone_rate_1_s, "rate of the first-order cone rows that the target acceleration holds [1/s]", Limits{.above = 0.0, .max = 20.0}}};
+      Field{"nominal_attitude_rad_s", &flight::SmoothNominalOptions::attitude_rad_s, "pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]", Limits{.above = 0.0}},
+      Field{"nominal_position_rad_s", &flight::SmoothNominalOptions::position_rad_s, "double pole q of the position; grows with the reference's speed above nominal_speed_m_s [rad/s]", Limits{.above = 0.0}},
+      Field{"nominal_catch_up_m_s", &flight::SmoothNominalOptions::catch_up_m_s, "maximum speed above the reference's to make up for the position error; grows with its speed above nominal_speed_m_s [m/s]", Limits{.above = 0.0}},
+      Field{"nominal_acceleration", &flight::SmoothNominalOptions::acceleration, "maximum acceleration in response to position and velocity errors; grows with the reference's speed above nominal_speed_m_s [m/s^2]", Limits{.above = 0.0}},
+      Field{"nominal_speed_m_s", &flight::SmoothNominalOptions::speed_m_s, "reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]", Limits{.above = 0.0}},
+      Field{"nominal_cone_rate_1_s", &flight::SmoothNominalOptions::cone_rate_1_s, "rate of the first-order cone rows that the target acceleration holds [1/s]", Limits{.above = 0.0, .max = 20.0}}};
 };
 
 template <>

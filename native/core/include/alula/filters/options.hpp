@@ -232,13 +232,13 @@ struct SmoothNominalOptions {
   double release_growth_1_s = 3.0;
   // pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
   double attitude_rad_s = 35.0;
-  // double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]
+  // double pole q of the position; grows with the reference's speed above nominal_speed_m_s [rad/s]
   double position_rad_s = 1.2;
   // maximum speed above the reference's to make up for the position error; grows with its speed above
-  // wish_speed_m_s [m/s]
+  // nominal_speed_m_s [m/s]
   double catch_up_m_s = 0.7;
   // maximum acceleration in response to position and velocity errors; grows with the reference's speed above
-  // wish_speed_m_s [m/s^2]
+  // nominal_speed_m_s [m/s^2]
   double acceleration = 3.0;
   // reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large
   // [m/s]
@@ -330,8 +330,8 @@ enum class SaferHessian : std::uint8_t {
 enum class SaferRows : std::uint8_t {
   // every ellipsoid of the map, as published
   all,
-  // the nearest within the gate, which keeps no distance from the others; reaction_time_s must be at least 2 /
-  // beta
+  // those within the gate, at most count of them, which keeps no distance from the others; reaction_time_s must
+  // be at least 2 / beta
   nearest,
 };
 
@@ -351,7 +351,7 @@ struct SaferSplatOptions {
   double max_braking = 6.0;
   // maximum acceleration on each axis [m/s^2]
   double max_acceleration = std::numeric_limits<double>::infinity();
-  Pruning pruning{.reaction_time_s = 2.0, .floor_m = 3.0, .count = 1024};
+  Pruning pruning{.reaction_time_s = 2.0, .floor_m = 3.0, .count = 0};
 };
 
 }  // namespace alula::flight

@@ -114,7 +114,7 @@ static float variance_now(void) {
 
 void controllerOutOfTree(control_t* control, const setpoint_t* setpoint, const sensorData_t* sensors,
                          const state_t* state, const stabilizerStep_t stabilizerStep) {
-  const alula_crazyflie_wish wish = {
+  const alula_crazyflie_request request = {
       {(uint8_t)setpoint->mode.x, (uint8_t)setpoint->mode.y, (uint8_t)setpoint->mode.z},
       setpoint->velocity_body,
       {setpoint->position.x, setpoint->position.y, setpoint->position.z},
@@ -130,7 +130,7 @@ void controllerOutOfTree(control_t* control, const setpoint_t* setpoint, const s
                      stabilizerStep / (RATE_MAIN_LOOP / BASE_HZ) % (steps > 0U ? steps : 1U) == 0U;
 
   alula_crazyflie_output output;
-  alula_crazyflie_step(&filter, &wish, &now, isDue, 1.0F / (float)RATE_MAIN_LOOP, &output);
+  alula_crazyflie_step(&filter, &request, &now, isDue, 1.0F / (float)RATE_MAIN_LOOP, &output);
   setpoint_t flown = *setpoint;
   if (output.is_off) {
     static const setpoint_t NOTHING;

@@ -115,16 +115,17 @@ static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_
 }
 
 /* Computes the nominal velocity, in the world frame. */
-static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, const alula_crazyflie_wish* wish,
-                                        const alula_crazyflie_state* state, float v[3]) {
-  float given[3] = {wish->velocity[0], wish->velocity[1], wish->velocity[2]};
-  const int has_velocity = wish->mode[0] == ALULA_AXIS_VELOCITY || wish->mode[1] == ALULA_AXIS_VELOCITY;
-  if (wish->is_body && has_velocity) {
+static alula_crazyflie_status read_request(const alula_crazyflie_config* config,
+                                           const alula_crazyflie_request* request, const alula_crazyflie_state* state,
+                                           float v[3]) {
+  float given[3] = {request->velocity[0], request->velocity[1], request->velocity[2]};
+  const int has_velocity = request->mode[0] == ALULA_AXIS_VELOCITY || request->mode[1] == ALULA_AXIS_VELOCITY;
+  if (request->is_body && has_velocity) {
     float cosine, sine;
     if (!heading(state->attitude, &cosine, &sine)) return ALULA_CRAZYFLIE_BAD_STATE;
     /* an axis in another mode adds nothing to the other axis, as in the firmware's own controller */
-    const float x = wish->mode[0] == ALULA_AXIS_VELOCITY ? given[0] : 0.0F;
-    const float y = wish->mode[1] == ALULA_AXIS_VELOCITY ? given[1] : 0.0F;
+    const float x = request->mode[0] == ALULA_AXIS_VELOCITY ? given[0] : 0.0F;
+    const float y = request->mode[1] == ALULA_AXIS_VELOCITY ? given[1] : 0.0F;
     given[0] = cosine * x - sine * y;
     given[1] = sine * x + cosine * y;
   }
@@ -132,8 +133,8 @@ static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, co
   int has_position = 0;
   for (int i = 0; i < 3; ++i) {
     v[i] = given[i];
-    if (wish->mode[i] == ALULA_AXIS_POSITION) {
-      v[i] = config->gain * (wish->position[i] - state->position[i]);
+    if (request->mode[i] == ALULA_AXIS_POSITION) {
+      v[i] = config->gain * (request->position[i] - state->position[i]);
       has_position = 1;
     }
     if (!(v[i] >= -LARGEST_WISH && v[i] <= LARGEST_WISH)) return ALULA_CRAZYFLIE_BAD_WISH; /* also NaN */
@@ -184,13 +185,13 @@ static void interrupt(alula_crazyflie_filter* filter, alula_crazyflie_status sta
 
 void alula_crazyflie_restart(alula_crazyflie_filter* filter) { interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0); }
 
-void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_wish* wish,
+void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_request* request,
                           const alula_crazyflie_state* state, int is_due, float step_s,
                           alula_crazyflie_output* output) {
   const alula_crazyflie_config* config = &filter->config;
   int axes_off = 0;
   for (int i = 0; i < 3; ++i) {
-    if (wish->mode[i] != ALULA_AXIS_POSITION && wish->mode[i] != ALULA_AXIS_VELOCITY) ++axes_off;
+    if (request->mode[i] != ALULA_AXIS_POSITION && request->mode[i] != ALULA_AXIS_VELOCITY) ++axes_off;
   }
   const alula_crazyflie_status now = judge(filter, state, step_s);
   const float period_s = config->period_s;
@@ -198,7 +199,7 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
   filter->period_s = period_s;
   if (!filter->is_open) {
     interrupt(filter, ALULA_CRAZYFLIE_NOT_READY, 1);
-  } else if (axes_off == 3 && wish->thrust == 0.0F) {
+  } else if (axes_off == 3 && request->thrust == 0.0F) {
     interrupt(filter, ALULA_CRAZYFLIE_OFF, 1);
   } else if (!config->enabled) {
     interrupt(filter, ALULA_CRAZYFLIE_DISABLED, 1);
@@ -211,13 +212,13 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
   } else if (is_due) {
     float v[3];
     collect(filter);
-    const alula_crazyflie_status read = read_wish(config, wish, state, v);
+    const alula_crazyflie_status read = read_request(config, request, state, v);
     if (read != ALULA_CRAZYFLIE_OK) {
       interrupt(filter, read, 0);
     } else if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) == ALULA_CRAZYFLIE_FREE) {
       for (int i = 0; i < 3; ++i) {
         filter->at[i] = state->position[i] + period_s * filter->output.velocity[i];
-        filter->wish[i] = v[i];
+        filter->nominal[i] = v[i];
       }
       filter->has_request = 1;
       __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_POSTED, __ATOMIC_RELEASE);
@@ -230,7 +231,7 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
 
 int alula_crazyflie_work(alula_crazyflie_filter* filter) {
   if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) != ALULA_CRAZYFLIE_POSTED) return 0;
-  filter->answer = alula_polytope_cbf_filter(&filter->cbf, filter->at, filter->wish, &filter->result);
+  filter->answer = alula_polytope_cbf_filter(&filter->cbf, filter->at, filter->nominal, &filter->result);
   __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_DONE, __ATOMIC_RELEASE);
   return 1;
 }

@@ -58,7 +58,7 @@ typedef struct {
   uint8_t is_body; /* velocity x, y in the frame turned by yaw */
   float position[3], velocity[3];
   float thrust;
-} alula_crazyflie_wish;
+} alula_crazyflie_request;
 
 typedef struct {
   float position[3], velocity[3];
@@ -101,7 +101,7 @@ typedef struct {
   alula_crazyflie_config config;
   int is_open;
   volatile uint32_t turn;
-  float at[3], wish[3];         /* of the request */
+  float at[3], nominal[3];      /* of the request */
   alula_polytope_result result; /* of the answer */
   alula_filter_status answer;
   float period_s;  /* of the command being flown */
@@ -123,7 +123,7 @@ ALULA_MUST_USE int alula_crazyflie_open(alula_crazyflie_filter* filter, const ui
 ALULA_MUST_USE int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config);
 
 /* A step of the loop. `is_due` begins a period, every T. `step_s` is the time between two steps. */
-void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_wish* wish,
+void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_request* request,
                           const alula_crazyflie_state* state, int is_due, float step_s,
                           alula_crazyflie_output* output);
 
