@@ -49,8 +49,7 @@ class PlanResult(msgspec.Struct, frozen=True, kw_only=True):
         via_tolerance_m: distance within which a via point counts as passed [m].
         closest_m: minimum distance to each via point, in their order, after the one before was passed [m].
         missed: numbers of the via points that were missed, from 1.
-        outside_m: maximum distance of the path from the tube in which the plan is proven clear, from below;
-            0 within it [m].
+        outside_m: maximum distance of the path from the tube about the plan, from below; 0 within it [m].
     """
 
     via_tolerance_m: float

@@ -111,7 +111,7 @@ def command(
 
     The run's summary and measured times are also written to R.run.json, beside R.run.mcap. Exit code 4: a
     filtered flight collided with its map or left its fence, or did not fly its plan: to the goal, through all
-    via points, and within the tube in which the plan is proven clear.
+    via points, and within the tube about the plan.
     """
     from alula.cli.run_files import check_log_name
     from alula.schemas.artifact import read_artifact

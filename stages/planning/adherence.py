@@ -1,4 +1,4 @@
-"""Whether a flown path followed its plan: its via points, and the tube in which the plan is proven clear."""
+"""Whether a flown path followed its plan: its via points, and the tube about it."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def via_tolerance(given_m: float | None, radius_m: float) -> float:
 class PlanJudge:
     """Compares flown paths with a plan.
 
-    The tube of a plan is the union of balls about its points; the radius of a ball is the distance of its
-    centre to the map less the vehicle's radius, at least 0 and at most 5 m. Where the plan itself is clear, a
-    vehicle in the tube is clear of the map.
+    The tube of a plan is the union of balls about its points. The radius of a ball is the distance of its
+    centre to the map less the vehicle's radius, at most 5 m, where the vehicle is proven clear of the map; it
+    is at least the tolerance of via points, so that a filter may lead the vehicle a little aside.
 
     Args:
         plan: an `alula/plan`.
         obstacles: map in the plan's frame.
         radius_m: of the vehicle [m].
-        via_tolerance_m: distance within which a via point counts as passed [m].
+        via_tolerance_m: distance within which a via point counts as passed; minimum radius of the tube [m].
         jobs: threads, 0 for all processors.
     """
 
@@ -66,7 +66,7 @@ class PlanJudge:
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         nearest = np.min([np.full(count, cap), *distance], axis=0)
         self.distance_m = float(nearest.min())  # of the plan to the map, or the cap
-        self.width = np.maximum(nearest - radius_m, 0)
+        self.width = np.maximum(nearest - radius_m, via_tolerance_m)
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
@@ -175,5 +175,5 @@ def complaint(result: PlanResult | None) -> str | None:
             f"{result.via_tolerance_m:.3g} m are allowed (--via-tolerance)"
         )
     if result.outside_m > 0:
-        return f"the flight left the tube in which the plan is proven clear, by {result.outside_m:.3g} m"
+        return f"the flight left the tube about the plan, by {result.outside_m:.3g} m"
     return None
