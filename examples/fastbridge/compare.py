@@ -27,7 +27,7 @@ numbers are the authors' where it says published; all others are measured here. 
 the same pairs, references, tracking gains, rate (100 Hz unless stated) and plant (rigid body, 1
 kHz): in the built-in room pairs whose straight line meets an obstacle, in the outdoor tile pairs
 drawn at random. Collisions are computed from the exact clearance of the flown path, not from a
-filter's own barrier. Times on an idle machine are in
+filter's own barrier. Times on this page include what else the machine did; those of an idle machine are in
 [benchmarks-filters.md](benchmarks-filters.md), our ablations in
 [fastbridge-ablations.md](fastbridge-ablations.md).
 
