@@ -153,7 +153,7 @@ def test_the_filter_refuses_what_is_not_finite(bad):
 
 @pytest.mark.parametrize("shape", ["hulls", "both"])
 def test_no_nominal_input_reaches_an_obstacle(shape):
-    """Straight into the nearest wall at full tilt, and random wrenches: every tick is certified, and clear."""
+    """Straight into the nearest wall at full tilt, and random wrenches: all ticks certified and clear."""
     flights, statuses = 0, set()
     for seed in range(3):
         rng = np.random.default_rng(seed)
