@@ -8,7 +8,11 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
 from alula import _core
+from alula.stages.clearance import hull_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard.layout import encode_map
 from support.effort import examples
+from support.small_scenes import box_cover
 from support.splat_filter_model import rotation
 
 
@@ -257,3 +261,37 @@ def test_maps_refuse_what_is_no_map():
         _core.FenceMap(np.array([[1.0, 0, 0]]), np.array([np.inf]))
     with pytest.raises(ValueError, match="differ in length"):
         _core.FenceMap(np.array([[1.0, 0, 0]]), np.ones(2))
+
+
+@pytest.mark.parametrize("size", [1.0, 1000.0])
+def test_an_image_never_claims_more_than_the_hulls_of_its_cover(size):
+    """Boxes and prisms on a lattice: psi is a lower bound of the distance, and close to it beside a face."""
+    cover = box_cover([((k * 7, -3, 0), (k * 7 + 4, 2 + k, 5 + k)) for k in range(5)])
+    image = _core.ImageMap(encode_map(cover))
+    exact = _core.HullMap(hull_obstacles(Hulls.from_cover(cover)))
+    rng = np.random.default_rng(4)
+    a = rng.uniform([-1, -1, -1], [4, 1.5, 1.5], (300, 3))
+    b = a + 0.4 * rng.normal(size=(300, 3))
+    true = exact.distance(a)
+    psi = image.distance(a)
+    assert (psi <= true).all()
+    assert (psi[true < 0] > true[true < 0] - 1e-4).all()
+    assert image.distance(np.array([[0.2, -0.5, 0.2]]))[0] == pytest.approx(0.2, abs=1e-4)
+    for radius in (0.0, 0.1, 0.3):
+        clear = image.is_clear(a, b, radius)
+        assert exact.is_clear(a[clear], b[clear], radius - 1e-6 if radius else 0.0).all()
+        assert 10 < clear.sum() < 290
+    least = np.array([image.distance(sampled(*ends)).min() for ends in zip(a, b, strict=True)])
+    of_segments = image.segment_distance(a, b, size)
+    assert (of_segments <= np.minimum(np.maximum(least, 0), size) + 1e-7).all()
+    assert (of_segments >= np.minimum(np.maximum(least - 0.012, 0), size)).all()
+    found = image.near((0.2, -0.5, 0.2), 1.0, 5)
+    assert found["kind"] == ["hull"]
+    np.testing.assert_allclose(found["normal"], [[0, -1, 0]], atol=1e-6)
+    assert image.near((0.2, -0.5, 0.2), 0.1, 5)["kind"] == []
+    assert not image.is_clear(np.full((1, 3), 1e13), np.full((1, 3), 1e13), 0.1)[0]
+
+
+def test_an_image_must_be_one():
+    with pytest.raises(ValueError, match="map"):
+        _core.ImageMap(b"no image")

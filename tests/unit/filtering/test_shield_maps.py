@@ -6,11 +6,15 @@ from scipy.spatial import ConvexHull
 
 from alula import _core
 from alula.schemas.errors import UsageError
+from alula.stages.clearance import hull_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.filtering.registry import make_splat_filter
 from alula.stages.filtering.splat_filters import NativeSplatFilter, certified_against, parameters_of
 from alula.stages.filtering.splat_protocol import SplatWorld
 from support import backup_model as model
 from support import quadrotor_model as body
+from support.small_scenes import box_cover
 from support.wrench_flight import (
     BACKUP,
     OK,
@@ -31,7 +35,7 @@ from support.wrench_flight import (
 POLICY = _core.BackupPolicy(VEHICLE, "brake")
 
 
-class Hulls:
+class RandomHulls:
     """Hulls of random points, as a map and as what judges paths."""
 
     def __init__(self, rng, count=40, size=4.0):
@@ -83,7 +87,7 @@ def test_certificates_among_hulls_agree_with_manoeuvres_flown_in_the_model():
     numpy, verdicts = model.Brake(), []
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        hulls = Hulls(rng)
+        hulls = RandomHulls(rng)
         shield = _core.Shield(POLICY, hulls.map, RADIUS)
         for x in states(rng, 5):
             got = shield.certify(x, thorough=True)
@@ -100,7 +104,7 @@ def test_certificates_among_hulls_agree_with_manoeuvres_flown_in_the_model():
 
 def test_what_is_safe_in_a_union_is_safe_in_every_part():
     rng = np.random.default_rng(2)
-    scene, hulls = random_scene(rng, 40), Hulls(rng, 20)
+    scene, hulls = random_scene(rng, 40), RandomHulls(rng, 20)
     box = _core.FenceMap(np.vstack([np.eye(3), -np.eye(3)]), np.full(6, 3.5))
     parts = [_core.EllipsoidMap(scene.index), hulls.map, box]
     shields = [_core.Shield(POLICY, part, RADIUS) for part in (*parts, _core.MapUnion(parts))]
@@ -142,7 +146,7 @@ def test_the_filter_passes_the_nominal_wrench_bit_by_bit_where_it_is_safe():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_the_filter_refuses_what_is_not_finite(bad):
-    flown = _core.ShieldFilter(POLICY, Hulls(np.random.default_rng(0)).map, RADIUS)
+    flown = _core.ShieldFilter(POLICY, RandomHulls(np.random.default_rng(0)).map, RADIUS)
     x = moving((0, 0, 0))
     x[7] = bad
     got = tick(flown, x, (4.5, 0, 0, 0))
@@ -157,7 +161,7 @@ def test_no_nominal_input_reaches_an_obstacle(shape):
     flights, statuses = 0, set()
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        hulls, scene = Hulls(rng, 30), random_scene(rng, 30)
+        hulls, scene = RandomHulls(rng, 30), random_scene(rng, 30)
         map_ = hulls.map
         if shape == "both":
             map_ = _core.MapUnion([_core.EllipsoidMap(scene.index), hulls.map])
@@ -227,3 +231,19 @@ def test_shield_map_needs_a_shield():
         parameters_of("cone-backup", {"shield": False, "shield_map": "hulls"})
     assert certified_against("cone-backup", parameters_of("cone-backup", {"shield": False})) is None
     assert certified_against("cone-di", parameters_of("cone-di", {})) is None
+
+
+def test_what_is_safe_by_an_image_is_clear_of_the_hulls_of_its_cover():
+    rng, verdicts = np.random.default_rng(6), []
+    low = rng.integers(-30, 25, (30, 3))
+    cover = box_cover(np.stack([low, low + rng.integers(2, 8, (30, 3))], axis=1))
+    exact = hull_obstacles(Hulls.from_cover(cover))
+    by_image = _core.Shield(POLICY, _core.ImageMap(encode_map(cover)), RADIUS)
+    by_hulls = _core.Shield(POLICY, _core.HullMap(exact), RADIUS)
+    for x in states(rng, 60):
+        one, other = by_image.certify(x), by_hulls.certify(x)
+        verdicts.append((one["safe"], other["safe"]))
+        assert other["safe"] or not one["safe"]
+    safe = sum(one for one, _ in verdicts)
+    assert safe > 10
+    assert sum(other for _, other in verdicts) < 60

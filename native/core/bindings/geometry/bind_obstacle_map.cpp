@@ -1,4 +1,4 @@
-// Bindings of alula/geometry/obstacle_map.hpp.
+// Bindings of alula/geometry/obstacle_map.hpp and alula/cover/image_map.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -14,6 +14,7 @@
 #include <string>
 #include <utility>
 
+#include "alula/cover/image_map.hpp"
 #include "alula/geometry/obstacle_map.hpp"
 #include "arrays.hpp"
 
@@ -138,6 +139,15 @@ void bind_obstacle_map(nb::module_& m) {
             new (self) FenceMap(std::move(planes));
           },
           "normals"_a, "offsets"_a, "The polytope {x : normal . x <= offset} with unit normals.");
+  nb::class_<ImageMap, ObstacleMap>(m, "ImageMap", "The image of an onboard map, read in place.")
+      .def(
+          "__init__",
+          [](ImageMap* self, const nb::bytes& image) {
+            const auto* first = static_cast<const std::uint8_t*>(image.data());
+            new (self) ImageMap(
+                std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size())));
+          },
+          "image"_a);
   nb::class_<MapUnion, ObstacleMap>(m, "MapUnion", "All obstacles of several maps.")
       .def(
           "__init__",
