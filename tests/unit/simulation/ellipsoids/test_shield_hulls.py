@@ -149,6 +149,33 @@ def test_a_shield_that_has_the_hulls_keeps_clear_of_them_and_one_without_does_no
     assert other.summary["min_scene_clearance_m"] >= other.summary["min_map_clearance_m"]
 
 
+def test_flights_among_hulls_do_not_depend_on_jobs(room):
+    config = quick(filter="cone-backup", trials=4, filter_parameters={"shield_map": "both"})
+    one, many = (
+        simulate_splat(config, room.scene, FASTBRIDGE, cover=room.cover, jobs=jobs) for jobs in (1, 3)
+    )
+    assert one.trials == many.trials
+    for a, b in zip(one.flights, many.flights, strict=True):
+        np.testing.assert_array_equal(a.state, b.state)
+
+
+def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
+    lags = {"motor_time_constant_s": 0.03, "delay_s": 0.02}
+    vehicle = msgspec.structs.replace(
+        FASTBRIDGE,
+        disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, **lags),
+        assumed=msgspec.structs.replace(FASTBRIDGE.assumed, **lags),
+    )
+    config = quick(filter="shield", trials=6, speed_m_s=1.5, max_time_s=8.0)
+    found = simulate_splat(config, None, vehicle, cover=room.cover)
+    assert found.summary["certified_share"] == 1
+    assert found.summary["min_map_clearance_m"] > 0
+    chain = found.guarantee.claims["chain"]
+    assert chain["holds"]
+    assert any("a motor time constant of 0.03 s" in words for words in chain["assumptions"])
+    assert any("it is 0.02 s old" in words for words in chain["assumptions"])
+
+
 def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
     hulls = {"filter_parameters": {"shield_map": "hulls"}}
     with pytest.raises(
