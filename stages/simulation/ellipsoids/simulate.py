@@ -107,12 +107,13 @@ def resolve_splat(
         raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
     if config.guide == NO_FILTER and config.guide_parameters:
         raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
-    given = config.filter_parameters
+    alone = not has_scene and config.filter == SHIELD
+    given = complete_parameters(
+        config.filter, {SHIELD_MAP: HULLS, **config.filter_parameters} if alone else config.filter_parameters
+    )
     if not has_scene:
         if config.guide != NO_FILTER:
             raise UsageError(f"--guide {config.guide} needs a scene, for its ellipsoids; add --scene")
-        if config.filter == SHIELD:
-            given = {SHIELD_MAP: HULLS, **given}
         if certified_against(config.filter, given) != HULLS:
             raise UsageError(
                 f"{config.filter} needs a scene, for its ellipsoids; in a cover alone --filter {SHIELD} "
@@ -129,7 +130,7 @@ def resolve_splat(
         plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
         speed_m_s=speed,
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
-        filter_parameters=complete_parameters(config.filter, given),
+        filter_parameters=given,
         guide_parameters=complete_parameters(config.guide, config.guide_parameters),
         catch_up_m_s=config.catch_up_m_s or catch_up,
     )

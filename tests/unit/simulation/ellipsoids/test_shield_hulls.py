@@ -190,6 +190,10 @@ def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
         simulate_splat(
             quick(filter="shield", filter_parameters={"shield_map": "both"}), None, FASTBRIDGE, cover=BOX
         )
+    with pytest.raises(UsageError, match="shield: shield_map"):
+        simulate_splat(
+            quick(filter="shield", filter_parameters={"shield_map": "x"}), None, FASTBRIDGE, cover=BOX
+        )
     with pytest.raises(UsageError, match="--guide cone-di needs a scene"):
         simulate_splat(quick(filter="shield", guide="cone-di"), None, FASTBRIDGE, cover=BOX)
 
