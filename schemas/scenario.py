@@ -71,7 +71,7 @@ SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
 DEFAULT_FILTER = "polytope-cbf"
 # The filters of this package whose parameters a scenario with a cover or a scene has.
-SCENARIO_FILTERS = ("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup")
+SCENARIO_FILTERS = ("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")
 
 _HULL_PARAMETERS = entries(PolytopeCbfParameters)
 # Keys of a scenario by the option of `simulate` that replaces them.

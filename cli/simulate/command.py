@@ -30,6 +30,7 @@ Examples:
   alula simulate room.cover.npz -o planned.run.mcap --planned
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
+  alula simulate room.cover.npz -o sure.run.mcap --filter shield --scene room.scene.npz --set shield_map=hulls
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
   alula simulate two.toml -o two.run.mcap --trials 3000 --set clearance_m=3
   alula simulate fence.toml -o fence.run.mcap --trials 10000 --set vehicle.mass_scale=1.2 --set reserve_m=2.5
@@ -94,12 +95,15 @@ def command(
     flights end in front of one, without a collision. Their success rate measures the filter alone. With
     --planned, each pair is planned first, as alula plan does, and its plan is flown; that needs a cover.
 
+    The filter shield also flies a quadrotor in a cover without a scene. It then certifies every step against
+    the hulls, as all filters with a shield do with --set shield_map=hulls in a cover with its --scene.
+
     \b
     Vehicle and filters:
       cover          single integrator, commanded by velocity:
                      none, polytope-cbf
       scene          double integrator, commanded by acceleration, or quadrotor:
-                     none, cone-di, safer-splat; quadrotor: cone-ecbf, cone-backup
+                     none, cone-di, safer-splat; quadrotor: cone-ecbf, cone-backup, shield
       [[obstacles]]  double integrator among the moving obstacles of a scenario:
                      none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf
       [fence]        racing drone with a simulated pilot in a scenario's geofence:
@@ -155,7 +159,7 @@ def command(
         from alula.stages.simulation.ellipsoids.simulate import resolve_splat, simulate_splat
 
         assert vehicle is not None
-        config = resolve_splat(config, vehicle, plan)
+        config = resolve_splat(config, vehicle, plan, has_scene="scene" in paths)
     else:
         from alula.stages.simulation.hulls.simulate import resolve, simulate
 
@@ -165,7 +169,6 @@ def command(
         cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None
         scene = read_artifact(paths["scene"], SCENE) if "scene" in paths else None
         if splat:
-            assert scene is not None
             assert vehicle is not None
             result = simulate_splat(
                 config,
@@ -274,6 +277,7 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
         UsageError: there is no such filter, or its map is missing.
     """
     from alula.stages.filtering.registry import NO_FILTER, filter_names, splat_filter_names
+    from alula.stages.filtering.splat_filters import SHIELD
 
     hulls, ellipsoids = filter_names(), splat_filter_names()
     if name not in hulls and name not in ellipsoids:
@@ -282,7 +286,7 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     if name == NO_FILTER:
         return "cover" not in paths
     if name in ellipsoids:
-        if "scene" not in paths:
+        if "scene" not in paths and not (name == SHIELD and "cover" in paths):
             raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")
         return True
     if "cover" not in paths:
@@ -420,11 +424,12 @@ def _check_plan(output: Path, trial: TrialResult) -> None:
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:
     """Raise CheckError when a filtered flight came closer to the filter's map than the vehicle's radius."""
     from alula.stages.clearance import is_collision
+    from alula.stages.verdict import minimum
 
     def clearance(trial: Any) -> Any:
-        return trial.scene_clearance_m if splat else trial.map_clearance_m
+        return minimum([trial.scene_clearance_m, trial.map_clearance_m]) if splat else trial.map_clearance_m
 
-    hits = [trial for trial in trials if is_collision(clearance(trial))]
+    hits = [trial for trial in trials if (trial.collision if splat else is_collision(clearance(trial)))]
     if hits:
         worst = min(hits, key=clearance)
         start = " ".join(f"{value:.3f}" for value in worst.start_m)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError, UsageError
@@ -31,12 +33,17 @@ def require_obstacles(cover: Artifact, *, jobs: int = 0) -> None:
     require_solid_hulls(cover, jobs=jobs)
 
 
-def ellipsoid_index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
+def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
     """The index of filters among a scene's ellipsoids, at the level `sigma` and for a sphere.
+
+    Without a scene the index is empty.
 
     Raises:
         UsageError: the level or the radius is invalid for these ellipsoids.
     """
+    if scene is None:
+        rows3, rows4 = np.empty((0, 3), np.float32), np.empty((0, 4), np.float32)
+        return _core.EllipsoidIndex(rows3, rows3, rows4, sigma=sigma, radius=radius_m)
     rows = rows_of(scene, retained(scene, 0.0))
     try:
         return _core.EllipsoidIndex(

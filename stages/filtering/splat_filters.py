@@ -27,9 +27,13 @@ _CLASSES: dict[str, Callable[..., _core.SplatFilter]] = {
     "cone-ecbf": _core.ConeEcbf,
     "cone-backup": _core.ConeBackup,
     "safer-splat": _core.SaferSplat,
+    "shield": _core.ShieldFilter,
 }
 _POLICY = "backup_policy"  # the part of filters of wrenches that is their first argument
 _CLARABEL = "clarabel"  # the solver that runs in Python
+SHIELD = "shield"  # the filter that needs no ellipsoids, and the parameter that switches a shield on
+SHIELD_MAP = "shield_map"
+ELLIPSOIDS, HULLS, BOTH = "ellipsoids", "hulls", "both"  # its values
 
 
 class NativeSplatFilter:
@@ -102,8 +106,41 @@ def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
             raise UsageError(f"{name}: unknown parameter {key!r}; it has {', '.join(sorted(known))}")
         if wrong := complaint(known[key], value):
             raise UsageError(f"{name}: {key} {wrong}")
+    if given.get(SHIELD) is False and SHIELD_MAP in given and given[SHIELD_MAP] != ELLIPSOIDS:
+        raise UsageError(f"{name}: {SHIELD_MAP} is for {SHIELD}=true")
     typed = {key: float(value) if known[key].type is float else value for key, value in given.items()}
     return defaults(FILTERS[name]) | typed
+
+
+def certified_against(name: str, parameters: Mapping[str, Any]) -> str | None:
+    """Obstacles that the shield of a filter certifies against; None for a filter without a shield.
+
+    Args:
+        name: the filter.
+        parameters: all of its parameters.
+    """
+    if name not in _CLASSES or not parameters.get(SHIELD, name == SHIELD):
+        return None
+    return parameters.get(SHIELD_MAP)
+
+
+def _surroundings(
+    name: str, world: SplatWorld, parameters: Mapping[str, Any]
+) -> tuple[_core.ObstacleMap, float]:
+    """The map that a shield certifies against, and the radius that it keeps clear of it [m]."""
+    against = parameters[SHIELD_MAP]
+    if against == ELLIPSOIDS:
+        return _core.EllipsoidMap(world.index), world.index.radius
+    if world.hulls is None:
+        raise UsageError(
+            f"{name}: {SHIELD_MAP}={against} needs the hulls of a cover: "
+            "give the cover as SOURCE and the scene as --scene"
+        )
+    hulls = _core.HullMap(world.hulls)
+    if against == HULLS:
+        return hulls, world.hull_radius_m
+    both = _core.MapUnion([_core.EllipsoidMap(world.index), hulls])
+    return both, max(world.index.radius, world.hull_radius_m)
 
 
 def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SplatFilter:
@@ -119,11 +156,13 @@ def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core
 
     own, *parts = PARTS[name]
     made = {part.argument: options(part) for part in parts}
-    first: tuple[Any, ...] = (world.index,)
-    if _POLICY in made:
-        policy = _core.BackupPolicy(world.body, given["policy"], made.pop(_POLICY))
-        first = (policy, world.index)
-    return _CLASSES[name](*first, options(own, **made), **backend)
+    if _POLICY not in made:
+        return _CLASSES[name](world.index, options(own, **made), **backend)
+    policy = _core.BackupPolicy(world.body, given["policy"], made.pop(_POLICY))
+    kept, radius_m = _surroundings(name, world, given)
+    if name == SHIELD:
+        return _CLASSES[name](policy, kept, radius_m, options(own, **made))
+    return _CLASSES[name](policy, world.index, options(own, **made), map=kept, radius_m=radius_m, **backend)
 
 
 def _factory(name: str) -> Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]:

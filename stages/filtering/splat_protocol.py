@@ -95,6 +95,8 @@ class SplatWorld:
         radius_m: radius of the vehicle's sphere plus the alignment error of the scene [m].
         dt_s: time for which an input is held [s].
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
+        hulls: the hulls of a cover, for shields that certify against them.
+        hull_radius_m: radius that such shields keep from the hulls [m].
     """
 
     index: _core.EllipsoidIndex
@@ -103,6 +105,8 @@ class SplatWorld:
     radius_m: float
     dt_s: float
     motor_time_constant_s: float = 0.0
+    hulls: _core.PolytopeSet | None = None
+    hull_radius_m: float = 0.0
 
 
 class SplatFilter(Protocol):

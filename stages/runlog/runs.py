@@ -48,9 +48,10 @@ def _logged(trial: TrialResult, flight: AnyFlight, frame: str) -> LoggedTrial:
 
 def _words(trial: TrialResult) -> str:
     words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
-    clearance = (
-        trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
-    )
+    is_rigid = trial.peak_realisation_error_m_s2 is not None
+    clearance = trial.scene_clearance_m if is_rigid else trial.map_clearance_m
+    if clearance is None:
+        clearance = trial.map_clearance_m
     return words if clearance is None else f"{words}, minimum clearance {clearance:.4f} m"
 
 

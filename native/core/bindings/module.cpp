@@ -12,6 +12,7 @@ void bind_polytope_cbf(nb::module_& m);
 void bind_onboard_map(nb::module_& m);
 void bind_rollout(nb::module_& m);
 void bind_clearance(nb::module_& m);
+void bind_obstacle_map(nb::module_& m);
 void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
@@ -53,6 +54,7 @@ NB_MODULE(_core, m) {
   bind_qp(m);
   bind_splat_filters(m);
   bind_backup(m);
+  bind_obstacle_map(m);
   bind_wrench_filters(m);
   bind_splat_flight(m);
   bind_tracker(m);

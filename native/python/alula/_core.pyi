@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 import enum
-from typing import Annotated, Any
+from typing import Annotated, Any, overload
 
 import numpy
 from numpy.typing import NDArray
@@ -1288,6 +1288,55 @@ class BackupFlow:
     def clear_row(self, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], k: int, alpha: float) -> tuple[list[float], float]:
         """The same row for gamma' + alpha gamma >= 0."""
 
+class ObstacleMap:
+    """A static map of obstacles: alula/geometry/obstacle_map.hpp."""
+
+    def distance(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upto: float = float('inf')) -> NDArray[numpy.float64]:
+        """
+        Signed distance of each point where it is below `upto`, else some number of at least `upto`.
+        """
+
+    def segment_distance(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upto: float) -> NDArray[numpy.float64]:
+        """
+        Distance of each segment where it is below `upto`, else some number of at least `upto`; 0 in contact.
+        """
+
+    def is_clear(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float) -> NDArray[numpy.bool_]:
+        """
+        Whether the ball swept from start[i] to end[i] is free; never wrongly true.
+        """
+
+    def near(self, point: Sequence[float], reach: float, most: int) -> dict[str, Any]:
+        """
+        The at most `most` obstacles nearer than `reach`, nearest first: kind, index, distance, normal, point.
+        """
+
+class EllipsoidMap(ObstacleMap):
+    """The ungrown ellipsoids of an index."""
+
+    def __init__(self, index: EllipsoidIndex) -> None: ...
+
+class HullMap(ObstacleMap):
+    """Convex hulls."""
+
+    def __init__(self, hulls: PolytopeSet) -> None: ...
+
+class FenceMap(ObstacleMap):
+    """A convex polytope whose inside is free."""
+
+    def __init__(self, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """The polytope {x : normal . x <= offset} with unit normals."""
+
+class ImageMap(ObstacleMap):
+    """The image of an onboard map, read in place."""
+
+    def __init__(self, image: bytes) -> None: ...
+
+class MapUnion(ObstacleMap):
+    """All obstacles of several maps."""
+
+    def __init__(self, maps: Sequence[ObstacleMap]) -> None: ...
+
 class ShieldOptions:
     """Options of the check of a manoeuvre to rest."""
 
@@ -1376,7 +1425,13 @@ class ShieldOptions:
 class Shield:
     """Checks that a safe manoeuvre to rest exists: alula/filters/shield.hpp."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
+    @overload
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None:
+        """For the ellipsoids of an index and its radius."""
+
+    @overload
+    def __init__(self, policy: BackupPolicy, map: ObstacleMap, radius_m: float, options: ShieldOptions = ...) -> None:
+        """For a ball of radius_m in any map."""
 
     @property
     def ends_early(self) -> bool:
@@ -1592,8 +1647,10 @@ class ConeEcbfOptions:
 class ConeEcbf(SplatFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None) -> None:
-        """qp_backend: as of QpSolver."""
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
+        """
+        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index.
+        """
 
     @property
     def options(self) -> ConeEcbfOptions: ...
@@ -1714,11 +1771,36 @@ class ConeBackupOptions:
 class ConeBackup(SplatFilter):
     """The collision cone backup filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None) -> None:
-        """qp_backend: as of QpSolver."""
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
+        """
+        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index.
+        """
 
     @property
     def options(self) -> ConeBackupOptions: ...
+
+class ShieldFilterOptions:
+    """Options of the filter shield."""
+
+    def __init__(self, *, shield_options: ShieldOptions = ...) -> None:
+        """
+        Args:
+            shield_options: The check that a safe manoeuvre to rest remains after the returned input.
+        """
+
+    @property
+    def shield_options(self) -> ShieldOptions:
+        """
+        The check that a safe manoeuvre to rest remains after the returned input.
+        """
+
+class ShieldFilter(SplatFilter):
+    """The shield alone: the nominal wrench where it is safe."""
+
+    def __init__(self, policy: BackupPolicy, map: ObstacleMap, radius_m: float, options: ShieldFilterOptions = ...) -> None: ...
+
+    @property
+    def options(self) -> ShieldFilterOptions: ...
 
 def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> float:
     """

@@ -12,43 +12,53 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.clearance import (
-    hull_obstacles,
     is_collision,
     scene_obstacles,
     segment_clearance,
     sphere_clearance,
 )
-from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown
+from alula.stages.verdict import minimum
 
 
 class SplatJudge:
-    """Clearances of the vehicle's sphere to the ellipsoids of a scene and, when there is one, to a cover.
+    """Clearances of the vehicle's sphere to the ellipsoids of a scene and to the hulls of a cover.
 
     The path consists of the plant's steps, 1 ms each, joined by chords. A chord is at most a dt^2 / 8 off the
-    true path, below 1e-5 m up to an acceleration of 80 m/s^2. Along it the distance is exact. Only contact
-    with the ellipsoids, which are the map of the filter, is a collision; clearance to the hulls is reported.
+    true path, below 1e-5 m up to an acceleration of 80 m/s^2. Along it the distance is exact. A collision is
+    contact with an ellipsoid, and with a hull where the filter avoids them; else their clearance is reported.
 
     Args:
-        scene: metric scene.
+        scene: metric scene; None without one.
         sigma: level of its ellipsoids.
-        cover: an `alula/cover` in the same frame, if there is one.
+        hulls: of a cover in the same frame, if there is one.
         radius_m: of the vehicle [m].
         jobs: threads, 0 for all processors.
+        avoids_hulls: whether the filter keeps clear of the hulls.
     """
 
     def __init__(
-        self, scene: Artifact, sigma: float, cover: Artifact | None, radius_m: float, jobs: int
+        self,
+        scene: Artifact | None,
+        sigma: float,
+        hulls: _core.PolytopeSet | None,
+        radius_m: float,
+        jobs: int,
+        *,
+        avoids_hulls: bool = False,
     ) -> None:
-        self.scene = scene_obstacles(scene, sigma)
-        self.hulls = None if cover is None else hull_obstacles(Hulls.from_cover(cover))
+        self.scene = None if scene is None else scene_obstacles(scene, sigma)
+        self.hulls = hulls
+        self.avoids_hulls = avoids_hulls
+        avoided = [self.scene, self.hulls if avoids_hulls else None]
+        self.avoided = [each for each in avoided if each is not None]
         self.radius_m = radius_m
         self.jobs = jobs
 
     def distance(self, points: FloatArray, cap_m: float) -> FloatArray:
-        """Signed distance of points to the nearest ellipsoid.
+        """Signed distance of points to the nearest obstacle that counts as a collision.
 
         Args:
             points: shape (M, 3), world frame [m].
@@ -58,10 +68,10 @@ class SplatJudge:
             Shape (M,) [m].
         """
         rows = np.ascontiguousarray(points)
-        return segment_clearance(rows, rows, self.scene, self.jobs, cap_m)
+        return self._least(rows, rows, cap_m)
 
     def is_blocked(self, start: FloatArray, goal: FloatArray, keep_m: float) -> NDArray[np.bool_]:
-        """Find the straight lines that come closer to an ellipsoid than `keep_m`.
+        """Find the straight lines that come closer to such an obstacle than `keep_m`.
 
         Args:
             start: shape (S, 3), world frame [m].
@@ -71,7 +81,12 @@ class SplatJudge:
         Returns:
             Shape (S,).
         """
-        return np.asarray(segment_clearance(start, goal, self.scene, self.jobs, keep_m) < keep_m)
+        return np.asarray(self._least(start, goal, keep_m) < keep_m)
+
+    def _least(self, start: FloatArray, end: FloatArray, cap_m: float) -> FloatArray:
+        each = [segment_clearance(start, end, obstacles, self.jobs, cap_m) for obstacles in self.avoided]
+        least: FloatArray = np.min(each, axis=0)
+        return least
 
     def trial(
         self,
@@ -101,7 +116,7 @@ class SplatJudge:
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / dt_s
         jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / dt_s**2
         status = np.bincount(flown.status, minlength=len(FilterStatus))
-        clearance = self._clearance(flown.position, self.scene)
+        to_scene, to_hulls = (self._clearance(flown.position, part) for part in (self.scene, self.hulls))
         gamma = _core.least_gamma(grown, np.ascontiguousarray(_finite(position)))
         margin = flown.margin[np.isfinite(flown.margin)]
         duration = steps * dt_s
@@ -111,13 +126,13 @@ class SplatJudge:
             start_m=position[0].tolist(),
             goal_m=goal.tolist(),
             outcome=outcome_of_plan(flown.outcome, followed),
-            collision=is_collision(clearance),
+            collision=is_collision(to_scene, to_hulls if self.avoids_hulls else None),
             steps=steps,
             duration_s=duration,
             path_length_m=length,
             straight_length_m=float(np.linalg.norm(goal - position[0])),
-            map_clearance_m=None if self.hulls is None else self._clearance(flown.position, self.hulls),
-            scene_clearance_m=clearance,
+            map_clearance_m=to_hulls,
+            scene_clearance_m=to_scene,
             max_speed_m_s=_most(speed),
             filtered_steps=int(steps - status[FilterStatus.OK]),
             shortened_steps=int(status[FilterStatus.SHORTENED]),
@@ -136,13 +151,17 @@ class SplatJudge:
             certified_steps=int(flown.certified.sum()),
             capped_steps=int(flown.capped.sum()),
             saturated_steps=int(flown.saturated.sum()),
-            line_clearance_m=self._clearance(np.array([position[0], goal]), self.scene),
+            line_clearance_m=minimum(
+                self._clearance(np.array([position[0], goal]), part) for part in self.avoided
+            ),
             plan=followed,
         )
 
     def _clearance(
-        self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet
+        self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet | None
     ) -> float | None:
+        if obstacles is None:
+            return None
         return sphere_clearance(_finite(position), obstacles, self.radius_m, jobs=self.jobs)
 
 

@@ -19,7 +19,7 @@ from alula.stages.simulation.planned import count_planned, plans_of
 
 def references_of(
     config: SimulateConfig,
-    scene: Artifact,
+    centres: FloatArray,
     plan: Artifact | None,
     given: Pairs | None,
     judge: SplatJudge,
@@ -35,10 +35,10 @@ def references_of(
 
     Args:
         config: see `SimulateConfig`, resolved.
-        scene: metric scene.
+        centres: of the Gaussians, or vertices of the hulls, shape (N, 3), world frame [m].
         plan: the `alula/plan` to fly, if any.
         given: pairs to fly instead of random ones.
-        judge: clearances to the scene.
+        judge: clearances to the obstacles.
         keep_m: radius of the vehicle with its inflation [m].
         cover: plan each pair among its hulls at the distance `keep_m`; pairs without a plan stay straight.
         jobs: threads; the result does not depend on it.
@@ -49,7 +49,7 @@ def references_of(
         counts by the keys of the summary.
 
     Raises:
-        UsageError: a given start or goal is closer to an ellipsoid than `keep_m`, or there are no bounds.
+        UsageError: a given start or goal is closer to an obstacle than `keep_m`, or there are no bounds.
         InfeasibleError: no clear pairs were found.
     """
     if plan is not None:
@@ -58,7 +58,7 @@ def references_of(
     assert config.speed_m_s is not None
     if given is not None:
         check_clear(given, lambda points: np.asarray(judge.distance(points, keep_m) >= keep_m))
-    pairs = _sampled(config, scene, judge, keep_m) if given is None else given
+    pairs = _sampled(config, centres, judge, keep_m) if given is None else given
     plans: list[Artifact | None] | None = None
     if cover is not None:
         plans = plans_of(
@@ -93,9 +93,9 @@ def _curve(plan: Artifact) -> _core.ReferenceCurve:
     return _core.ReferenceCurve(time, coefficient)
 
 
-def _sampled(config: SimulateConfig, scene: Artifact, judge: SplatJudge, keep_m: float) -> Pairs:
+def _sampled(config: SimulateConfig, centres: FloatArray, judge: SplatJudge, keep_m: float) -> Pairs:
     assert config.trials is not None
-    lower, upper = central_box(np.asarray(scene["mean"], np.float64), config.bounds, "Gaussians")
+    lower, upper = central_box(centres, config.bounds, "Gaussians" if judge.scene is not None else "hulls")
     needed = keep_m + config.margin_m
     return sample_pairs(
         config.trials,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S, SimulateConfig
 from alula.schemas.decimals import exact
@@ -18,15 +19,27 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.clearance import hull_obstacles, is_collision
+from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
-from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
+from alula.stages.filtering.splat_filters import (
+    BOTH,
+    ELLIPSOIDS,
+    GUIDES,
+    HULLS,
+    SHIELD,
+    SHIELD_MAP,
+    NativeSplatFilter,
+    certified_against,
+)
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.progress import share
+from alula.stages.simulation.ellipsoids.certificate import certified_words, chain_of, shield_of
 from alula.stages.simulation.ellipsoids.closed_loop import decimate, fly
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.ellipsoids.references import references_of
@@ -35,7 +48,6 @@ from alula.stages.simulation.result import RunResult, SplatFlightLog, outcomes_o
 from alula.stages.vehicles.bodies import (
     actuator_model,
     disturbances,
-    left_out,
     plant_options,
     quadrotor,
     tracking_gains,
@@ -53,13 +65,16 @@ _CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fract
 _ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
 
 
-def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | None) -> SimulateConfig:
+def resolve_splat(
+    config: SimulateConfig, vehicle: Vehicle, plan: Artifact | None, *, has_scene: bool = True
+) -> SimulateConfig:
     """Complete the configuration from the vehicle, the plan or defaults.
 
     Args:
         config: see `SimulateConfig`.
         vehicle: quadrotor or double integrator.
         plan: the `alula/plan` to fly, if any.
+        has_scene: False where the hulls of a cover are all obstacles; only the filter `shield` flies there.
 
     Raises:
         UsageError: a number of trials or a speed is given with a plan, which sets both; the vehicle's model
@@ -93,6 +108,17 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
     if config.guide == NO_FILTER and config.guide_parameters:
         raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
+    is_shield_in_cover = not has_scene and config.filter == SHIELD
+    preset = {SHIELD_MAP: HULLS} if is_shield_in_cover else {}
+    given = complete_parameters(config.filter, preset | dict(config.filter_parameters))
+    if not has_scene:
+        if config.guide != NO_FILTER:
+            raise UsageError(f"--guide {config.guide} needs a scene, for its ellipsoids; add --scene")
+        if certified_against(config.filter, given) != HULLS:
+            raise UsageError(
+                f"{config.filter} needs a scene, for its ellipsoids; in a cover alone --filter {SHIELD} "
+                f"flies, with {SHIELD_MAP}={HULLS}"
+            )
     speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
     peak = _peak_speed(plan) if plan is not None else speed
     assert peak is not None
@@ -104,7 +130,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
         speed_m_s=speed,
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
-        filter_parameters=complete_parameters(config.filter, config.filter_parameters),
+        filter_parameters=given,
         guide_parameters=complete_parameters(config.guide, config.guide_parameters),
         catch_up_m_s=config.catch_up_m_s or catch_up,
     )
@@ -112,7 +138,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
 
 def simulate_splat(
     config: SimulateConfig,
-    scene: Artifact,
+    scene: Artifact | None,
     vehicle: Vehicle,
     *,
     plan: Artifact | None = None,
@@ -128,39 +154,53 @@ def simulate_splat(
     reference from rest to rest with the peak speed `speed_m_s`, regardless of obstacles; a plan is flown as
     it is, and with `planned` each pair follows a plan of its own among the hulls of the cover. The map of the
     filters is the ellipsoids at the level `sigma`; their sphere has the vehicle's radius plus `inflation_m`.
+    Shields certify against the obstacles that their parameter `shield_map` names, also hulls of the cover.
     Every flight is judged independently of the filter: exact signed Euclidean distance of the path at the
-    plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal without
-    collision.
+    plant's rate to the ellipsoids, and to the hulls if the filter has them, minus the radius. A success is a
+    flight that reached its goal without collision.
 
     Args:
         config: see `SimulateConfig`.
-        scene: metric scene.
+        scene: metric scene; None to fly among the hulls of the cover alone, behind the filter `shield`.
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
         cover: clearance to its hulls is also reported; `planned` plans among them, at the distance of the
-            radius plus `inflation_m`.
+            radius plus `inflation_m`. Shields keep the radius from them, plus `inflation_m` where it is
+            given, else what the suggestion of the scene exceeds the cover's own inflation by.
         given: pairs flown instead of random ones.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
         UsageError: the filter is unknown, a parameter does not apply, the plant cannot fly the filter's
-            output, or a given start or goal is not clear of the map.
+            output, a map that the filter needs is missing, or a given start or goal is not clear of the map.
         InputError: the scene is not metric, or plan or cover do not fit it.
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
 
     Source: FastBridge (arXiv 2607.01200), section IV.
     """
-    config = resolve_splat(config, vehicle, plan)
+    config = resolve_splat(config, vehicle, plan, has_scene=scene is not None)
     assert config.radius_m is not None
     assert config.trials is not None
     assert config.plant is not None
-    _check_fit(scene, plan, cover)
+    found_in = scene or cover
+    if found_in is None:
+        raise UsageError("a flight needs a scene or a cover")
+    _check_fit(found_in, plan, cover)
     if cover is not None:
         require_solid_hulls(cover, jobs=jobs)
-    inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
+    against = certified_against(config.filter, config.filter_parameters)
+    suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+    inflation = suggested if config.inflation_m is None else config.inflation_m
     keep = config.radius_m + inflation
+    hulls, centres = None, np.empty((0, 3))
+    if cover is not None:
+        solid = Hulls.from_cover(cover)
+        hulls, centres = hull_obstacles(solid), solid.vertices_world
+    if scene is not None:
+        centres = np.asarray(scene["mean"], np.float64)
+    hull_keep = config.radius_m + _beyond(config, cover, suggested)
     index = ellipsoid_index(scene, config.sigma, keep)
     gains = tracking_gains(vehicle, config.catch_up_m_s)
     # A point has no rotors: its controller and filters use only the translation, with any body.
@@ -173,25 +213,29 @@ def simulate_splat(
         radius_m=keep,
         dt_s=config.dt_s * config.filter_ticks,
         motor_time_constant_s=assumed.motor_time_constant_s,
+        hulls=hulls,
+        hull_radius_m=hull_keep,
     )
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
     guide = make_splat_filter(config.guide, world, config.guide_parameters)
     assert guide is None or isinstance(guide, NativeSplatFilter)
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
-    judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
+    judge = SplatJudge(
+        scene, config.sigma, hulls, config.radius_m, jobs, avoids_hulls=against in (HULLS, BOTH)
+    )
     if config.planned and cover is None:
         raise UsageError("--planned needs a cover to plan in; give it as SOURCE, and the scene as --scene")
     planning = share(progress, 0, 0.5) if config.planned else None
     progress = share(progress, 0.5, 1) if config.planned else progress
     references, plans, goals, sampled = references_of(
-        config, scene, plan, given, judge, keep, cover if config.planned else None, jobs, planning
+        config, centres, plan, given, judge, keep, cover if config.planned else None, jobs, planning
     )
     tolerance = via_tolerance(config.via_tolerance_m, config.radius_m)
 
     def along(own: Artifact | None) -> PlanJudge | None:
         assert config.radius_m is not None
-        return None if own is None else PlanJudge(own, [judge.scene], config.radius_m, tolerance, jobs)
+        return None if own is None else PlanJudge(own, judge.avoided, config.radius_m, tolerance, jobs)
 
     flown_plan = along(plan)
     notes = (
@@ -199,7 +243,7 @@ def simulate_splat(
         if flown_plan is None
         else require_room(flown_plan, keep, config.filter, allow_tight=config.allow_tight)
     )
-    lower, upper = _room(scene, references, config.dt_s)
+    lower, upper = _room(centres, references, config.dt_s)
     rules = _core.FlightRules(
         dt_s=config.dt_s,
         controller_ticks=config.controller_ticks,
@@ -249,10 +293,11 @@ def simulate_splat(
         trials=trials,
         summary=_summary(trials, sampled, safety_filter)
         | {"sigma": config.sigma, "inflation_m": inflation}
+        | _certified(against, trials, hull_keep)
         | ({"notes": notes} if notes else {}),
-        guarantee=_guarantee(config, vehicle, scene, trials, inflation),
+        guarantee=_guarantee(config, vehicle, scene, cover, trials, inflation, hull_keep),
         flights=flights,
-        map=scene,
+        map=found_in,
         filter_s=np.concatenate([pair[0] for pair in seconds]),
         tick_s=np.concatenate([pair[1] for pair in seconds]),
     )
@@ -267,25 +312,34 @@ def _shifted(progress: Progress | None, begin: int, total: int) -> Progress | No
     return None if progress is None else lambda done, _: progress(begin + done, total)
 
 
-def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
-    require_metric("scene", scene)
-    for role, other in (("plan", plan), ("cover", cover)):
-        if other is not None and other.manifest.frame != scene.manifest.frame:
+def _check_fit(found_in: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
+    role = found_in.kind.name.removeprefix("alula/")
+    require_metric(role, found_in)
+    for other_role, other in (("plan", plan), ("cover", cover)):
+        if other is not None and other.manifest.frame != found_in.manifest.frame:
             raise InputError(
-                f"the {role} is in the frame {other.manifest.frame!r}, the scene in {scene.manifest.frame!r}"
+                f"the {other_role} is in the frame {other.manifest.frame!r}, the {role} in "
+                f"{found_in.manifest.frame!r}"
             )
 
 
+def _beyond(config: SimulateConfig, cover: Artifact | None, suggested_m: float) -> float:
+    """Length beyond the radius that shields keep from hulls [m]: those of a cover have grown already."""
+    if config.inflation_m is not None or cover is None:
+        return config.inflation_m or 0.0
+    return max(0.0, suggested_m - float(cover.manifest.inflation_m))  # type: ignore[attr-defined]
+
+
 def _room(
-    scene: Artifact, references: list[_core.ReferenceCurve], dt_s: float
+    points: FloatArray, references: list[_core.ReferenceCurve], dt_s: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """A box around scene and references; a flight that leaves it is refused."""
-    points = [np.asarray(scene["mean"], np.float64)]
+    """A box around the map's points and the references; a flight that leaves it is refused."""
+    parts = [points]
     for curve in references:
         time = np.linspace(0, curve.duration_s, max(2, int(curve.duration_s / dt_s)))
-        points.append(curve.at(time)[:, :3])
-    low = np.min([part.min(axis=0) for part in points if len(part)], axis=0) - _ROOM_M
-    high = np.max([part.max(axis=0) for part in points if len(part)], axis=0) + _ROOM_M
+        parts.append(curve.at(time)[:, :3])
+    low = np.min([part.min(axis=0) for part in parts if len(part)], axis=0) - _ROOM_M
+    high = np.max([part.max(axis=0) for part in parts if len(part)], axis=0) + _ROOM_M
     return tuple(low.tolist()), tuple(high.tolist())
 
 
@@ -324,95 +378,90 @@ def _summary(
     }
 
 
-def _model(vehicle: Vehicle) -> str:
-    """The filters' model of the vehicle, in words."""
-    table = vehicle.assumed
-    lag = f"a motor time constant of {exact(table.motor_time_constant_s)} s"
-    delay = f"states that are {exact(table.delay_s)} s old"
-    known = [text for text, value in ((lag, table.motor_time_constant_s), (delay, table.delay_s)) if value]
-    return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
-
-
-_SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on
-
-
-def _kept(shield: dict[str, Any]) -> str:
-    """Distance that a certified manoeuvre keeps until it rests, in words."""
-    margin = shield.get("margin_m")
-    return (
-        f"the radius and half of margin_m, {exact(margin / 2)} m,"
-        if isinstance(margin, float)
-        else "the radius"
-    )
-
-
-def _tested(shield: dict[str, Any]) -> str:
-    """What of a certificate is tested and not proven, in words."""
-    drift = shield.get("rest_drift_m")
-    if not isinstance(drift, float):  # a filter of another package
-        return ""
-    words = (
-        f" At rest the linear loop about hover drifts by at most {exact(drift)} m; that the nonlinear loop "
-        "stays within half of margin_m is tested, not proven."
-    )
-    if shield.get("early_end"):
-        words += (
-            " So is the early end of rollouts, where twice the excursion of the linear loop is free "
-            "(early_end=false rolls all out to rest)."
-        )
-    return words
+def _certified(against: str | None, trials: list[TrialResult], hull_radius_m: float) -> dict[str, Any]:
+    """Fraction of the steps that a shield certified, and against what; nothing without a shield."""
+    if against is None:
+        return {}
+    steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
+    kept = {} if against == ELLIPSOIDS else {"hull_radius_m": hull_radius_m}
+    return {"certified_against": against, "certified_share": certified / steps, **kept}
 
 
 def _guarantee(
-    config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
+    config: SimulateConfig,
+    vehicle: Vehicle,
+    scene: Artifact | None,
+    cover: Artifact | None,
+    trials: list[TrialResult],
+    inflation_m: float,
+    hull_radius_m: float,
 ) -> Guarantee:
     """State what the run shows, and in how many steps the filter proved a backup; the log has the steps."""
     hits = sum(t.collision for t in trials)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
-    shield = {name: config.filter_parameters.get(name) for name in _SHIELD} if certified else {}
-    proven = "all" if certified == steps else f"{certified} of {steps}"
+    against = certified_against(config.filter, config.filter_parameters)
+    chain = None
     if config.filter == NO_FILTER:
         beforehand = UNFILTERED
     elif certified:
-        beforehand = (
-            f"In {proven} steps the filter proved, by a rollout, that a backup manoeuvre from the end of the "
-            f"step keeps {_kept(shield)} from every ellipsoid until it rests, for {_model(vehicle)}."
-            f"{_tested(shield)}"
-        )
-        if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
-            beforehand += f" These flights had {', '.join(outside)}, which that model leaves out."
+        beforehand = certified_words(config, vehicle, certified, steps)
     else:
         beforehand = (
             f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
         )
+    if against in (HULLS, BOTH):
+        assert cover is not None
+        chain = chain_of(
+            config, vehicle, cover, hull_radius_m=hull_radius_m, every_step_certified=certified == steps
+        )
+        beforehand += f" {chain['statement']}"
     if config.guide != NO_FILTER:
         beforehand += f" The guide {config.guide!r} only changes the nominal command; no proof depends on it."
     model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
-    given = scene.manifest.guarantee
+    source = scene or cover
+    assert source is not None
+    given = source.manifest.guarantee
+    ellipsoids = f"the scene's ellipsoids at {level_words(config.sigma)}"
+    judged, what, contains = {
+        (True, False): (ellipsoids, "an ellipsoid", "its ellipsoids contain it"),
+        (True, True): (f"{ellipsoids} and the cover's hulls", "an obstacle", "its ellipsoids contain it"),
+        (False, True): ("the cover's hulls", "a hull", "the hulls contain it"),
+    }[scene is not None, against in (HULLS, BOTH)]
     return Guarantee(
         statement=statement(
             beforehand,
-            f"afterwards over the whole path against the scene's ellipsoids at {level_words(config.sigma)}",
+            f"afterwards over the whole path against {judged}",
             hits,
             len(trials),
-            "flights came closer to an ellipsoid than the radius",
-            f"This holds for the simulated {model}, and for the real scene as far as its ellipsoids "
-            "contain it.",
+            f"flights came closer to {what} than the radius",
+            f"This holds for the simulated {model}, and for the real scene as far as {contains}.",
         ),
         claims={
             "proven_by_filter": False,
-            "scene_clear": hits == 0,
-            "scene_collisions": hits,
+            **({} if scene is None else _scene_claims(trials)),
+            **({} if against in (None, ELLIPSOIDS) else _hull_claims(trials)),
             "certified_steps": certified,
             "steps": steps,
             "every_step_certified": certified == steps,
-            "shield": shield,
+            "certified_against": against,
+            "chain": chain,
+            "shield": shield_of(config) if certified else {},
             "continuous_time": True,
             "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
             "sigma": config.sigma,
             "mass_fraction": mass_within(config.sigma),
             "inflation_m": inflation_m,
             "vehicle_model": model,
-            "scene_claims": given.claims if given is not None else {},
+            ("cover_claims" if scene is None else "scene_claims"): given.claims if given is not None else {},
         },
     )
+
+
+def _scene_claims(trials: list[TrialResult]) -> dict[str, Any]:
+    hits = sum(is_collision(t.scene_clearance_m) for t in trials)
+    return {"scene_clear": hits == 0, "scene_collisions": hits}
+
+
+def _hull_claims(trials: list[TrialResult]) -> dict[str, Any]:
+    hits = sum(is_collision(t.map_clearance_m) for t in trials)
+    return {"hulls_clear": hits == 0, "hull_collisions": hits}

@@ -19,7 +19,7 @@ from alula.schemas.generate import PAGES, filter_files
 from support.paths import ROOT
 
 NAMES = (
-    *("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup"),
+    *("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield"),
     *("dr-acbf", "dr-acbf-qp", "cbf-qp", "rp-cbf", "mpc", "geofence", "backup-qp"),
 )
 
@@ -128,7 +128,7 @@ def test_native_defaults_are_those_of_python(name):
             if key in known:
                 assert getattr(native, names.get(key, key)) == known[key], key
                 compared.add(key)
-    assert known.keys() - compared <= {"solver", "policy", "onboard"}
+    assert known.keys() - compared <= {"solver", "policy", "onboard", "shield_map"}
 
 
 def test_native_defaults_of_filters_among_moving_obstacles_are_those_of_python():

@@ -1,5 +1,5 @@
-// Bindings of alula/filters/shield.hpp, alula/filters/cone_escape.hpp, alula/filters/cone_ecbf.hpp and
-// alula/filters/cone_backup.hpp.
+// Bindings of alula/filters/shield.hpp, alula/filters/shield_filter.hpp, alula/filters/cone_escape.hpp,
+// alula/filters/cone_ecbf.hpp and alula/filters/cone_backup.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -17,6 +17,7 @@
 #include "alula/filters/cone_backup.hpp"
 #include "alula/filters/cone_ecbf.hpp"
 #include "alula/filters/option_fields.hpp"
+#include "alula/filters/shield_filter.hpp"
 #include "fields.hpp"
 #include "flight_arrays.hpp"
 #include "python_qp.hpp"
@@ -29,6 +30,15 @@ namespace {
 
 using Record = nb::typed<nb::dict, nb::str, nb::any>;
 using Index = std::shared_ptr<EllipsoidIndex>;
+using Map = std::shared_ptr<ObstacleMap>;
+
+// Those given, or none, for the ellipsoids of the index.
+Surroundings surroundings(Map map, std::optional<double> radius_m, const Index& index) {
+  if (!map && radius_m) throw std::invalid_argument("radius_m is for a map");
+  if (!map) return {};
+  if (!radius_m && !index) throw std::invalid_argument("a map needs radius_m");
+  return {std::move(map), radius_m.value_or(index->radius())};
+}
 
 Record certify(Shield& self, const InState& x, const std::optional<Vec4>& first, const Triple& hold, int hold_ticks,
                std::optional<double> margin_m, bool thorough) {
@@ -63,9 +73,15 @@ void bind_shield(nb::module_& m) {
       .def(
           "__init__",
           [](Shield* self, const BackupPolicy& policy, Index index, const ShieldOptions& options) {
-            new (self) Shield(policy, std::move(index), options);
+            new (self) Shield(policy, Surroundings::of(index), options, index);
           },
-          "policy"_a, "index"_a, "options"_a = ShieldOptions{})
+          "policy"_a, "index"_a, "options"_a = ShieldOptions{}, "For the ellipsoids of an index and its radius.")
+      .def(
+          "__init__",
+          [](Shield* self, const BackupPolicy& policy, Map map, double radius_m, const ShieldOptions& options) {
+            new (self) Shield(policy, {std::move(map), radius_m}, options);
+          },
+          "policy"_a, "map"_a, "radius_m"_a, "options"_a = ShieldOptions{}, "For a ball of radius_m in any map.")
       .def_prop_ro("ends_early", &Shield::ends_early,
                    "True when rollouts for a verdict end where the policy's excursion is free all around.")
       .def("certify", &certify, "state"_a, nb::kw_only(), "first"_a = nb::none(), "hold"_a = Triple{},
@@ -92,11 +108,15 @@ void bind_filter(nb::module_& m, const char* name, const char* doc) {
   nb::class_<Filter, SplatFilter>(m, name, doc)
       .def(
           "__init__",
-          [](Filter* self, const BackupPolicy& policy, Index index, const Options& options, nb::object qp_backend) {
-            new (self) Filter(policy, std::move(index), options, qp_solver(std::move(qp_backend)));
+          [](Filter* self, const BackupPolicy& policy, Index index, const Options& options, nb::object qp_backend,
+             Map map, std::optional<double> radius_m) {
+            Surroundings kept = surroundings(std::move(map), radius_m, index);
+            new (self) Filter(policy, std::move(index), options, qp_solver(std::move(qp_backend)), std::move(kept));
           },
           "policy"_a, "index"_a, "options"_a = Options{}, nb::kw_only(), "qp_backend"_a = nb::none(),
-          "qp_backend: as of QpSolver.")
+          "map"_a = nb::none(), "radius_m"_a = nb::none(),
+          "qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the "
+          "radius of its ball, default that of the index.")
       .def_prop_ro("options", &Filter::options);
 }
 
@@ -107,6 +127,17 @@ void bind_filters(nb::module_& m) {
   bind_filter<ConeEcbf, ConeEcbfOptions>(m, "ConeEcbf", "The exponential collision cone filter of a quadrotor.");
   fields::bind<ConeBackupOptions>(m, "ConeBackupOptions", "Options of the filter cone-backup.");
   bind_filter<ConeBackup, ConeBackupOptions>(m, "ConeBackup", "The collision cone backup filter of a quadrotor.");
+
+  fields::bind<ShieldFilterOptions>(m, "ShieldFilterOptions", "Options of the filter shield.");
+  nb::class_<ShieldFilter, SplatFilter>(m, "ShieldFilter", "The shield alone: the nominal wrench where it is safe.")
+      .def(
+          "__init__",
+          [](ShieldFilter* self, const BackupPolicy& policy, Map map, double radius_m,
+             const ShieldFilterOptions& options) {
+            new (self) ShieldFilter(policy, {std::move(map), radius_m}, options);
+          },
+          "policy"_a, "map"_a, "radius_m"_a, "options"_a = ShieldFilterOptions{})
+      .def_prop_ro("options", &ShieldFilter::options);
 
   m.def("ecbf_pole", &ecbf_pole, "h"_a, "h1"_a, "h2"_a, "lambda_"_a, "most"_a,
         "The smallest pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is "

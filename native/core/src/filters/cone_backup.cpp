@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -23,12 +24,13 @@ std::size_t rows_of(const ConeBackupOptions& o) {
 }  // namespace
 
 ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                       const ConeBackupOptions& options, QpSolver solver)
+                       const ConeBackupOptions& options, QpSolver solver, Surroundings surroundings)
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
-      shield_(policy, index, options.shield_options),
+      shield_(policy, surroundings.map ? std::move(surroundings) : Surroundings::of(index), options.shield_options,
+              index),
       flow_(policy, options.horizon_s, options.nodes, steps_of(policy, options), policy.escapes()),
       program_(policy.vehicle(), rows_of(options), std::move(solver)) {
   const ConeBackupOptions& o = options_;

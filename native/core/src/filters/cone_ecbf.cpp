@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -24,12 +25,13 @@ double ecbf_pole(double h, double h1, double h2, double lambda, double most) {
 }
 
 ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                   const ConeEcbfOptions& options, QpSolver solver)
+                   const ConeEcbfOptions& options, QpSolver solver, Surroundings surroundings)
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
-      shield_(policy, index, options.shield_options),
+      shield_(policy, surroundings.map ? std::move(surroundings) : Surroundings::of(index), options.shield_options,
+              index),
       program_(policy.vehicle(), options.pruning.count, std::move(solver)),
       smooth_(options.pruning.count, options.smooth_nominal) {
   const ConeEcbfOptions& o = options_;

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <stdexcept>
 #include <utility>
 
+#include "alula/base/require.hpp"
 #include "alula/dynamics/actuators.hpp"
 
 namespace alula::flight {
@@ -28,13 +28,18 @@ Manoeuvre rest_of(const Manoeuvre& m) { return {m.hold, std::max(0, m.ticks - 1)
 
 }  // namespace
 
-Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options)
-    : policy_(policy), index_(std::move(index)), options_(options), rest_drift_(options.rest_drift_m) {
+Shield::Shield(const BackupPolicy& policy, Surroundings surroundings, const ShieldOptions& options,
+               std::shared_ptr<const EllipsoidIndex> cones)
+    : policy_(policy),
+      map_(std::move(surroundings.map)),
+      radius_(surroundings.radius_m),
+      cones_(std::move(cones)),
+      options_(options),
+      rest_drift_(options.rest_drift_m) {
   const ShieldOptions& o = options_;
-  const auto require = [](bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-  };
-  require(index_ != nullptr, "a shield needs a map");
+  require(map_ != nullptr, "a shield needs a map");
+  require(is_size(radius_), "the radius that a shield keeps must not be negative");
+  require(cones_ != nullptr || !policy.escapes(), "the policy cone-escape needs ellipsoids to turn away from");
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
   check(ActuatorModel{o.motor_time_constant_s, 0});
@@ -52,17 +57,17 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "the tolerances of rest must be positive");
   ends_early_ = o.early_end && keeps_to_excursion();
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
-  found_.reserve(4);
+  memory_ = map_->memory();
 }
 
 int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
 
-void Shield::reset() { committed_ = {}, hint_ = 0, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
+void Shield::reset() { committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
   if (has_escapes_) return;
   has_escapes_ = true;
-  escapes_ = escape_velocities(*index_, near, x.p, x.v);
+  escapes_ = escape_velocities(*cones_, near, x.p, x.v);
   escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
 }
 
@@ -71,8 +76,8 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 // drift at rest.
 bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
                            bool until_rest) {
-  const double least = options_.rest_drift_m / 40, radius = index_->radius();
-  const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
+  const double least = options_.rest_drift_m / 40;
+  const double here = is_finite(x) ? distance(x.p, radius_ + options_.margin_m) - radius_ : kInfinity;
   if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u, until_rest);
   rest_drift_ = least;
   const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u, until_rest);
@@ -84,9 +89,9 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
 // accumulate.
 bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
   if (!is_safe_after(x, u, stop(), -options_.margin_m, true)) return false;
-  const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
+  const double here = distance(x.p, radius_ + options_.margin_m);
   return std::all_of(path_.begin(), path_.end(),
-                     [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });
+                     [&](const Tick& tick) { return distance(tick.p, here) >= here - kNearer; });
 }
 
 // True if the manoeuvre to rest, or else the committed one, is safe after a tick of u; it becomes `next_`.

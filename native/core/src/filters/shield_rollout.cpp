@@ -151,7 +151,7 @@ bool Shield::keeps_to_excursion() const {
   return true;
 }
 
-// True if x is so near to rest, and so far from all ellipsoids, that it keeps `distance` on its way to rest. Along a
+// True if x is so near to rest, and so far from all obstacles, that it keeps `distance` on its way to rest. Along a
 // path, the map is queried only when the excursion has halved since the last query.
 bool Shield::settles_clear(const State& x, double distance, double& looked) {
   const ShieldOptions& o = options_;
@@ -165,7 +165,7 @@ bool Shield::settles_clear(const State& x, double distance, double& looked) {
   if (!(excursion <= looked / 2)) return false;
   looked = excursion;
   const double needed = distance + kRoom * excursion;
-  return index_->clearance(x.p, needed, hint_) >= needed;
+  return this->distance(x.p, needed) >= needed;
 }
 
 // Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the remaining
@@ -219,9 +219,9 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   return resting(now, rotors);
 }
 
-// True if all ellipsoids keep `distance` plus the path's deviation from the chord between two ticks to that chord.
+// True if all obstacles keep `distance` plus the path's deviation from the chord between two ticks to that chord.
 // Then `march` finds no violation there either: every point that it tests is no farther from the chord.
-bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
+bool Shield::is_clear(std::size_t from, std::size_t to, double distance) {
   const Vec3 a = path_[from].p, d = path_[to].p - a;
   const double length2 = dot(d, d), per_length2 = length2 > 0 ? 1 / length2 : 0;
   double off2 = 0, sag = 0;
@@ -230,11 +230,11 @@ bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
     const Vec3 off = r - std::clamp(dot(r, d) * per_length2, 0.0, 1.0) * d;
     off2 = std::max(off2, dot(off, off)), sag = std::max(sag, path_[i].sag);
   }
-  return !index_->is_near(a, path_[to].p, (1 + 1e-8) * (std::max(distance, 0.0) + std::sqrt(off2) + sag) + 1e-9);
+  return map_->is_clear(a, path_[to].p, std::max(distance, 0.0) + std::sqrt(off2) + sag, memory_);
 }
 
 // The tick up to which a few long chords prove that the path keeps `distance`.
-std::size_t Shield::sweep(double distance) const {
+std::size_t Shield::sweep(double distance) {
   const std::size_t last = path_.size() - 1;
   std::size_t from = 0, to = last;
   for (int looks = 0; looks < kSweeps && from < last; ++looks) {
@@ -250,7 +250,7 @@ std::size_t Shield::sweep(double distance) const {
   return from;
 }
 
-// True if the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the minimum distance found,
+// True if the path keeps `distance` from all obstacles from a tick on. `least` becomes the minimum distance found,
 // and `contact_speed` a bound on the speed in the first tick that is nearer.
 bool Shield::march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed) {
   const std::size_t last = path_.size() - 1;
@@ -267,7 +267,7 @@ bool Shield::march(std::size_t from, double distance, bool thorough, double& lea
   };
   while (true) {
     const double enough = distance + (end - path_[k].arc);
-    const double here = index_->clearance(path_[k].p, enough, hint_);
+    const double here = this->distance(path_[k].p, enough);
     least = std::min(least, here);
     if (!(here >= distance)) touch(k);
     if (!clear && !thorough) return false;
@@ -278,12 +278,10 @@ bool Shield::march(std::size_t from, double distance, bool thorough, double& lea
     if (j == k) {  // the next tick is outside the cleared ball: test the chord between them
       ++j;
       const Tick& next = path_[j];
-      const double needed =
-          distance + next.sag;  // of the chord; a point that near it is within `reach_of_start` of its start
-      const double reach_of_start = needed + norm(next.p - path_[k].p);
-      index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
-      if (!found_.empty() && found_[0].distance < needed) {
-        touch(k), least = std::min(least, found_[0].distance - next.sag);
+      const double needed = distance + next.sag;
+      const double of_chord = map_->segment_distance(path_[k].p, next.p, needed, memory_);
+      if (of_chord < needed) {
+        touch(k), least = std::min(least, of_chord - next.sag);
         if (!thorough) return false;
       }
     }
@@ -298,8 +296,8 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   result.rests = roll(x, manoeuvre, first, result.time_s);
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
-  const bool clear = march(0, index_->radius() + margin_m, thorough, least, result.contact_speed);
-  result.clearance = least - index_->radius();
+  const bool clear = march(0, radius_ + margin_m, thorough, least, result.contact_speed);
+  result.clearance = least - radius_;
   result.safe = clear && result.rests;
   return result;
 }
@@ -308,7 +306,7 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
 bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first,
                      bool until_rest) {
   double unused = 0;
-  const double distance = index_->radius() + margin_m;
+  const double distance = radius_ + margin_m;
   if (!is_finite(x) || !roll(x, manoeuvre, first, unused, until_rest ? kInfinity : distance)) return false;
   const std::size_t swept = sweep(distance);
   return (swept > 0 && swept + 1 == path_.size()) || march(swept, distance, false, unused, unused);

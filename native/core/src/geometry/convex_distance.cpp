@@ -93,16 +93,17 @@ Vec3 lowest(std::span<const Vec3> points, Vec3 direction, double sign) {
 
 Bracket hull_distance(std::span<const Vec3> a, std::span<const Vec3> b, double enough) {
   Simplex simplex(a[0] - b[0]);
-  double lower = 0, upper = norm(simplex.closest());
+  Vec3 v = simplex.closest();
+  double lower = 0, upper = norm(v);
   for (int step = 0; step < 64; ++step) {
-    const Vec3 v = simplex.closest();
+    v = simplex.closest();
     upper = norm(v);
-    if (!(upper > 0)) return {0, 0};
+    if (!(upper > 0)) return {0, 0, v};
     const Vec3 w = lowest(a, v, 1) - lowest(b, v, -1);
     lower = std::max(lower, dot(v, w) / upper);
     if (lower >= enough || upper - lower <= 2 * kEpsilon * upper || !simplex.add(w)) break;
   }
-  return {std::min(lower, upper), upper};
+  return {std::min(lower, upper), upper, v};
 }
 
 double minimum_of_maximum(std::span<const double> value, std::span<const double> slope) {
@@ -133,7 +134,22 @@ double minimum_of_maximum(std::span<const double> value, std::span<const double>
   return std::min(left.height, right.height);
 }
 
+SignedDistance signed_distance(const PolytopeView& polytope, Vec3 p, double enough) {
+  SignedDistance result{-std::numeric_limits<double>::infinity(), {}};
+  for (std::size_t l = 0; l < polytope.offsets.size(); ++l) {
+    const Vec3 n = from_rows(&polytope.normals[3 * l]);
+    const double height = dot(n, p) - polytope.offsets[l];
+    if (height > result.value) result = {height, n};
+  }
+  if (result.value <= 0 || result.value >= enough) return result;
+  const Bracket outside = hull_distance({&p, 1}, polytope.vertices, enough);
+  if (outside.lower > result.value) result.value = outside.lower;
+  if (outside.lower > 0) result.normal = (1 / outside.upper) * outside.apart;
+  return result;
+}
+
 double signed_distance(const PolytopeView& polytope, Vec3 a, Vec3 b, double enough, std::vector<double>& scratch) {
+  if (a.x == b.x && a.y == b.y && a.z == b.z) return signed_distance(polytope, a, enough).value;
   const std::size_t planes = polytope.offsets.size();
   scratch.resize(2 * planes);
   const std::span<double> value(scratch.data(), planes), slope(scratch.data() + planes, planes);

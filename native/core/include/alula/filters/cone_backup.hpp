@@ -27,9 +27,10 @@ namespace alula::flight {
 
 class ConeBackup final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for invalid options.
+  // `solver` solves the program. The shield certifies against `surroundings`, without a map against the ellipsoids of
+  // the index for its radius. Throws std::invalid_argument for invalid options.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-             const ConeBackupOptions& options = {}, QpSolver solver = {});
+             const ConeBackupOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

@@ -37,9 +37,10 @@ namespace alula::flight {
 // than the rotors can at speed, head-on, and the shield stops the vehicle.
 class ConeEcbf final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for invalid options, in particular w dt >= 1.
+  // `solver` solves the program. The shield certifies against `surroundings`, without a map against the ellipsoids of
+  // the index for its radius. Throws std::invalid_argument for invalid options, in particular w dt >= 1.
   ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-           const ConeEcbfOptions& options = {}, QpSolver solver = {});
+           const ConeEcbfOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

@@ -332,4 +332,10 @@ struct Fields<flight::SaferSplatOptions> {
       Field{"pruning", &flight::SaferSplatOptions::pruning, "Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.", Limits{}}};
 };
 
+template <>
+struct Fields<flight::ShieldFilterOptions> {
+  static constexpr std::tuple all{
+      Field{"shield_options", &flight::ShieldFilterOptions::shield_options, "The check that a safe manoeuvre to rest remains after the returned input.", Limits{}}};
+};
+
 }  // namespace alula

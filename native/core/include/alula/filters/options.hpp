@@ -354,4 +354,9 @@ struct SaferSplatOptions {
   Pruning pruning{.reaction_time_s = 2.0, .floor_m = 3.0, .count = 0};
 };
 
+// Parameters of shield, which passes the nominal wrench where a safe manoeuvre to rest remains after it.
+struct ShieldFilterOptions {
+  ShieldOptions shield_options;
+};
+
 }  // namespace alula::flight

@@ -2,20 +2,21 @@
 //
 // A manoeuvre is the backup policy sampled and held tick by tick, as in flight: about a velocity for some ticks, then
 // to rest. It is safe when, until it rests, the ball of the vehicle's radius and a margin about the position meets no
-// ellipsoid of the map (all of them, not only the nearest; not grown). The signed distance of the map is 1-Lipschitz,
-// so a distance at one tick clears all ticks within that arc length; arc lengths and the sag of the path between
-// ticks are bounded, not sampled. The rollout ends early where the vehicle has almost stopped and a ball of twice its
-// excursion is free. Long stretches are first tested with chords: the distance of a point to a chord is convex, so no
-// part of the path leaves a chord by more than its ticks and their sag do.
-// An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
-// that manoeuvre. By induction, a flight that starts with one never comes closer than the radius in the model, for
-// any nominal input. What is certified in every tick is the radius and half the margin, until the manoeuvre rests: a
-// new manoeuvre keeps the whole margin, but one being flown stays accepted down to half of it, which covers rounding
-// and small differences between plan and flight. The other half covers the drift at rest.
-// Two steps of this are tested and not proven. From a state that counts as rest, only the linear loop about hover is
-// known to drift by at most rest_drift_m, less than half the margin. And where a rollout ends early, only the linear
-// loop is known to stay within the ball; `keeps_to_excursion` flies the nonlinear one from 96 corners of the admitted
-// states. Without `early_end` every manoeuvre is rolled out to rest, and the second step does not occur.
+// obstacle of the map (all of them, not only the nearest; not grown). Nothing but the distance of the map and swept
+// clearance is used, so any static map will do. Its signed distance is 1-Lipschitz, so a distance at one tick clears
+// all ticks within that arc length; arc lengths and the sag of the path between ticks are bounded, not sampled. The
+// rollout ends early where the vehicle has almost stopped and a ball of twice its excursion is free. Long stretches
+// are first tested with chords: the distance of a point to a chord is convex, so no part of the path leaves a chord
+// by more than its ticks and their sag do. An input is returned when the state after one tick of it has a safe
+// manoeuvre. Then the next tick has at least that manoeuvre. By induction, a flight that starts with one never comes
+// closer than the radius in the model, for any nominal input. What is certified in every tick is the radius and half
+// the margin, until the manoeuvre rests: a new manoeuvre keeps the whole margin, but one being flown stays accepted
+// down to half of it, which covers rounding and small differences between plan and flight. The other half covers the
+// drift at rest. Two steps of this are tested and not proven. From a state that counts as rest, only the linear loop
+// about hover is known to drift by at most rest_drift_m, less than half the margin. And where a rollout ends early,
+// only the linear loop is known to stay within the ball; `keeps_to_excursion` flies the nonlinear one from 96 corners
+// of the admitted states. Without `early_end` every manoeuvre is rolled out to rest, and the second step does not
+// occur.
 //
 // With a motor time constant the rotors' thrusts are part of the state: `see` sets their present values, and rollouts
 // propagate them. An input is then the wrench that the rotors reach by the end of a tick (`leading`), as far as their
@@ -31,11 +32,13 @@
 #include <limits>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
 #include "alula/filters/options.hpp"
+#include "alula/geometry/obstacle_map.hpp"
 
 namespace alula::flight {
 
@@ -49,15 +52,34 @@ struct Certificate {
                                                                    // infinite without contact, or if not searched for
 };
 
+// What manoeuvres must be clear of, and the radius of the ball that they keep clear [m].
+struct Surroundings {
+  std::shared_ptr<const ObstacleMap> map;
+  double radius_m = 0;
+
+  // The ellipsoids of an index, for its radius.
+  static Surroundings of(std::shared_ptr<const EllipsoidIndex> index) {
+    const double radius = index ? index->radius() : 0;
+    return {std::make_shared<const EllipsoidMap>(std::move(index)), radius};
+  }
+};
+
 // One per thread; allocates in the constructor only.
 class Shield {
  public:
-  // Throws std::invalid_argument for invalid options, or a policy that is not stable when held for a tick.
-  Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options = {});
+  // `cones`: the ellipsoids that the policy `cone_escape` turns away from, which need not be in the map. Throws
+  // std::invalid_argument for invalid options, a policy that is not stable when held for a tick, or `cone_escape`
+  // without ellipsoids.
+  Shield(const BackupPolicy& policy, Surroundings surroundings, const ShieldOptions& options = {},
+         std::shared_ptr<const EllipsoidIndex> cones = nullptr);
 
   const BackupPolicy& policy() const { return policy_; }
   const ShieldOptions& options() const { return options_; }
-  const EllipsoidIndex& index() const { return *index_; }
+  const ObstacleMap& map() const { return *map_; }
+  double radius() const { return radius_; }
+
+  // Distance of p to the map, exact where it is below `upto` [m].
+  double distance(Vec3 p, double upto) { return map_->distance(p, upto, memory_); }
 
   // Checks whether flying `manoeuvre` from x, after one tick of `first` if given, is safe with `margin_m`. `thorough`
   // continues after the verdict, for the minimum clearance.
@@ -110,8 +132,8 @@ class Shield {
   bool keeps_to_excursion() const;
   bool settles_clear(const State& x, double distance, double& looked);
   bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
-  std::size_t sweep(double distance) const;
-  bool is_clear(std::size_t from, std::size_t to, double distance) const;
+  std::size_t sweep(double distance);
+  bool is_clear(std::size_t from, std::size_t to, double distance);
   bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                bool until_rest = false);
   // Manoeuvre to a stop: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
@@ -126,14 +148,15 @@ class Shield {
   void find_escapes(const State& x, std::span<const Found> near);
 
   BackupPolicy policy_;
-  std::shared_ptr<const EllipsoidIndex> index_;
+  std::shared_ptr<const ObstacleMap> map_;
+  double radius_;
+  std::shared_ptr<const EllipsoidIndex> cones_;
   ShieldOptions options_;
   double rest_drift_;
   bool ends_early_ = false;
   Vec4 hovering_{}, rotors_{};
   std::vector<Tick> path_;
-  std::vector<Found> found_;
-  std::uint32_t hint_ = 0;
+  MapMemory memory_;
   Manoeuvre committed_, chosen_, next_;  // accepted last; flown now; follows the input just accepted
   Escapes escapes_;
   bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;

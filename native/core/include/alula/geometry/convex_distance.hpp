@@ -1,4 +1,4 @@
-// Exact distances of a segment, or of the convex hull of a few points, to one convex polytope.
+// Exact distances of a point, a segment, or the convex hull of a few points, to one convex polytope.
 #pragma once
 
 #include <span>
@@ -13,6 +13,7 @@ namespace alula::geometry {
 // ends when the two agree to rounding; close to contact they agree to about 1e-15 size^2 / upper.
 struct Bracket {
   double lower, upper;
+  Vec3 apart;  // the point of `a` minus that of `b`, of length `upper`
 };
 
 // Euclidean distance of the convex hulls of two point sets, by the algorithm of Gilbert, Johnson
@@ -31,6 +32,14 @@ struct PolytopeView {
   std::span<const double> offsets;
   std::span<const Vec3> vertices;
 };
+
+struct SignedDistance {
+  double value;  // negative inside: minus the distance to the surface
+  Vec3 normal;   // unit outward normal at the closest point, the gradient of `value`
+};
+
+// Signed distance of a point, as below for a segment of length 0; the normal of a contact is that of a plane.
+SignedDistance signed_distance(const PolytopeView& polytope, Vec3 p, double enough);
 
 // Signed distance of the segment from a to b: the minimum over its points p of
 //   max_l (n_l . p - d_l)   when that is <= 0 for some p: the deepest penetration, negative;

@@ -3,6 +3,7 @@
 
 #include <span>
 
+#include "alula/geometry/convex_distance.hpp"
 #include "alula/geometry/vec3.hpp"
 
 namespace alula::geometry {
@@ -20,11 +21,6 @@ Ellipsoid gaussian_ellipsoid(const float* mean, const float* scale, const float*
 
 // Exact axis-aligned bounds of an ellipsoid, rounded outward.
 Box bounds(const Ellipsoid& ellipsoid);
-
-struct SignedDistance {
-  double value;  // negative inside: minus the distance to the surface
-  Vec3 normal;   // unit outward normal at the closest point, the gradient of `value`
-};
 
 // Signed Euclidean distance of a point. The closest point y solves
 //   y_i = semi_i^2 z_i / (lambda + semi_i^2),   sum_i (y_i / semi_i)^2 = 1,

@@ -1,0 +1,252 @@
+"""Shields over the hulls of a cover: the chain from the scene to the flight, judged from the truth."""
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+
+from alula import _core
+from alula.cli.main import run
+from alula.schemas.artifact import write_artifact
+from alula.schemas.configs.demo_scene import DemoSceneConfig
+from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.run import read_run
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.alignment.scale_align import scale_align
+from alula.stages.clearance import clearance_to_hulls, clearance_to_scene, hull_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.merge import merge
+from alula.stages.compression.verify import verify
+from alula.stages.compression.voxelize import voxelize
+from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
+from alula.stages.reconstruction.import_splat import import_splat
+from alula.stages.simulation.ellipsoids.simulate import simulate_splat
+from support.small_scenes import ball_scene, box_cover
+from support.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled
+
+BALL = ball_scene([[2.0, 0, 1]], 0.3)
+BOX = box_cover([((16, -4, 6), (24, 4, 14))])  # the ball and 0.1 m around it
+AROUND = (0.0, -1.5, 0.0, 4.0, 1.5, 2.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Room:
+    """The built-in room, its cover, and the hulls as a map."""
+
+    scene: object
+    cover: object
+    hulls: Hulls
+    set_: _core.PolytopeSet
+    radius: float = RADIUS
+
+    def clearance(self, positions):
+        """Minimum distance of a path to a hull or an ellipsoid, less the radius."""
+        to_scene = clearance_to_scene(positions, self.scene, 1.0).min()
+        return min(to_scene, clearance_to_hulls(positions, self.hulls).min()) - self.radius
+
+
+@pytest.fixture(scope="module")
+def room():
+    splats = demo_scene(DemoSceneConfig(gaussians=20_000), 0)
+    scene = scale_align(ScaleAlignConfig(), import_splat(ImportSplatConfig(), splats), world_from_scene(), 0)
+    voxels = voxelize(VoxelizeConfig(size_m=0.1), scene)
+    cover = merge(MergeConfig(hulls=150), voxels)
+    assert verify(cover, scene=scene).covered
+    hulls = Hulls.from_cover(cover)
+    return Room(scene, cover, hulls, hull_obstacles(hulls))
+
+
+def quick(**fields):
+    return SimulateConfig(**({"trials": 8, "filter": "cone-backup", "speed_m_s": 2.5} | fields))
+
+
+@pytest.mark.parametrize(
+    ("name", "with_scene", "against"),
+    [
+        ("cone-backup", True, "hulls"),
+        ("cone-ecbf", True, "both"),
+        ("shield", True, "hulls"),
+        ("shield", False, "hulls"),
+    ],
+)
+def test_certified_flights_in_the_room_meet_neither_hulls_nor_ellipsoids(room, name, with_scene, against):
+    """References run straight through the furniture: every pair is blocked where the scene can tell."""
+    config = quick(
+        filter=name,
+        filter_parameters={"shield_map": against},
+        pairs="blocked" if with_scene else "any",
+        seed=5,
+    )
+    result = simulate_splat(config, room.scene if with_scene else None, FASTBRIDGE, cover=room.cover)
+    assert len(result.trials) == 8
+    for trial, flight in zip(result.trials, result.flights, strict=True):
+        assert trial.certified_steps == trial.steps
+        assert trial.map_clearance_m > 0
+        assert not trial.collision
+        assert clearance_to_scene(flight.position, room.scene, 1.0).min() > RADIUS
+        if with_scene:
+            assert trial.scene_clearance_m > 0
+    found = result.summary
+    assert found["certified_against"] == against
+    assert found["certified_share"] == 1
+    assert found["hull_radius_m"] == FASTBRIDGE.body.radius_m
+    chain = result.guarantee.claims["chain"]
+    assert chain["holds"]
+    assert "the vehicle met no ellipsoid of the scene" in chain["statement"]
+    assert [words.split(":")[0] for words in chain["assumptions"]] == [
+        *("Cover", "Model", "Estimation", "Delay", "Inflation", "Rest", "World")
+    ]
+    assert result.guarantee.claims["hulls_clear"]
+    assert chain["statement"] in result.guarantee.statement
+
+
+@pytest.mark.slow
+def test_no_nominal_command_flies_the_shield_into_the_room(room):
+    """Into the nearest hull at full tilt, from 20 states in motion."""
+    map_, rng = _core.HullMap(room.set_), np.random.default_rng(3)
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    shield, flown = _core.Shield(policy, map_, RADIUS), _core.ShieldFilter(policy, map_, RADIUS)
+    lower, upper = (np.array(corner) for corner in room.set_.bounds())
+
+    def into_the_wall(_, x):
+        return attitude_controlled(VEHICLE, x, -8 * map_.near(tuple(x[:3]), 20.0, 1)["normal"][0])
+
+    def start():
+        while True:
+            x = admissible_start(rng, shield)
+            x[:3] = rng.uniform(lower + 0.3, upper - 0.3)
+            if shield.certify(x)["safe"]:
+                return x
+
+    least = []
+    for _ in range(20):
+        flown.reset()
+        flight = Flight(room, VEHICLE, flown, start(), into_the_wall, 200)
+        assert all(report["certified"] for report in flight.reports)
+        least.append(flight.clearance)
+    assert min(least) > 0
+    assert min(least) < 0.05  # the shield lets them come that near
+
+
+def test_a_shield_that_has_the_hulls_keeps_clear_of_them_and_one_without_does_not():
+    """The box is wider than the ball in it: straight past the ball the hull is in the way."""
+    pairs = {"trials": 6, "bounds": AROUND, "seed": 2, "margin_m": 0.2, "filter": "cone-backup"}
+    one, other = (
+        simulate_splat(quick(**pairs, filter_parameters={"shield_map": against}), BALL, FASTBRIDGE, cover=BOX)
+        for against in ("ellipsoids", "hulls")
+    )
+    assert one.summary["certified_against"] == "ellipsoids"
+    assert one.guarantee.claims["chain"] is None
+    assert one.summary["collisions"] == other.summary["collisions"] == 0
+    assert one.summary["min_map_clearance_m"] < -0.1
+    assert other.summary["min_map_clearance_m"] > 0
+    assert other.summary["min_scene_clearance_m"] >= other.summary["min_map_clearance_m"]
+
+
+def test_flights_among_hulls_do_not_depend_on_jobs(room):
+    config = quick(filter="cone-backup", trials=4, filter_parameters={"shield_map": "both"})
+    one, many = (
+        simulate_splat(config, room.scene, FASTBRIDGE, cover=room.cover, jobs=jobs) for jobs in (1, 3)
+    )
+    assert one.trials == many.trials
+    for a, b in zip(one.flights, many.flights, strict=True):
+        np.testing.assert_array_equal(a.state, b.state)
+
+
+def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
+    lags = {"motor_time_constant_s": 0.03, "delay_s": 0.02}
+    vehicle = msgspec.structs.replace(
+        FASTBRIDGE,
+        disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, **lags),
+        assumed=msgspec.structs.replace(FASTBRIDGE.assumed, **lags),
+    )
+    config = quick(filter="shield", trials=6, speed_m_s=1.5, max_time_s=8.0)
+    found = simulate_splat(config, None, vehicle, cover=room.cover)
+    assert found.summary["certified_share"] == 1
+    assert found.summary["min_map_clearance_m"] > 0
+    chain = found.guarantee.claims["chain"]
+    assert chain["holds"]
+    assert any("a motor time constant of 0.03 s" in words for words in chain["assumptions"])
+    assert any("it is 0.02 s old" in words for words in chain["assumptions"])
+
+
+def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
+    hulls = {"filter_parameters": {"shield_map": "hulls"}}
+    with pytest.raises(
+        UsageError, match="shield_map=hulls needs the hulls of a cover: give the cover as SOURCE"
+    ):
+        simulate_splat(quick(**hulls), BALL, FASTBRIDGE)
+    with pytest.raises(
+        UsageError, match="cone-backup needs a scene, for its ellipsoids; in a cover alone --filter"
+    ):
+        simulate_splat(quick(), None, FASTBRIDGE, cover=BOX)
+    with pytest.raises(UsageError, match="shield needs a scene"):
+        simulate_splat(
+            quick(filter="shield", filter_parameters={"shield_map": "both"}), None, FASTBRIDGE, cover=BOX
+        )
+    with pytest.raises(UsageError, match="shield: shield_map"):
+        simulate_splat(
+            quick(filter="shield", filter_parameters={"shield_map": "x"}), None, FASTBRIDGE, cover=BOX
+        )
+    with pytest.raises(UsageError, match="--guide cone-di needs a scene"):
+        simulate_splat(quick(filter="shield", guide="cone-di"), None, FASTBRIDGE, cover=BOX)
+
+
+def test_hulls_that_have_grown_by_the_inflation_are_not_kept_from_again():
+    grown = dataclasses.replace(BOX, manifest=msgspec.structs.replace(BOX.manifest, inflation_m=0.03))
+    scene = dataclasses.replace(
+        BALL, manifest=msgspec.structs.replace(BALL.manifest, suggested_inflation_m=0.05)
+    )
+    config = quick(filter="shield", trials=1, bounds=AROUND, filter_parameters={"shield_map": "hulls"})
+    for cover, changes, beyond in ((BOX, {}, 0.05), (grown, {}, 0.02), (grown, {"inflation_m": 0.1}, 0.1)):
+        found = simulate_splat(dataclasses.replace(config, **changes), scene, FASTBRIDGE, cover=cover).summary
+        assert found["hull_radius_m"] == pytest.approx(FASTBRIDGE.body.radius_m + beyond)
+
+
+def test_what_breaks_the_chain_is_said():
+    vehicle = msgspec.structs.replace(
+        FASTBRIDGE, disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, wind_m_s=(1.0, 0, 0))
+    )
+    thin = dataclasses.replace(BOX, manifest=msgspec.structs.replace(BOX.manifest, min_overlap=2))
+    for flown, cover, words in (
+        (vehicle, BOX, "These flights had wind"),
+        (FASTBRIDGE, thin, "The cover leaves out voxels that fewer than 2 ellipsoids touch"),
+    ):
+        config = quick(filter="shield", trials=1, bounds=AROUND)
+        chain = simulate_splat(config, None, flown, cover=cover).guarantee.claims["chain"]
+        assert not chain["holds"]
+        assert words in chain["statement"]
+
+
+def test_the_command_flies_a_quadrotor_in_a_cover_alone(tmp_path, capsys):
+    cover, scene, out = (tmp_path / name for name in ("box.cover.npz", "ball.scene.npz", "flown.run.mcap"))
+    write_artifact(cover, BOX)
+    write_artifact(scene, BALL)
+    bounds = ["--bounds", *map(str, AROUND)]
+    assert run(["simulate", str(cover), "-o", str(out), "--filter", "shield", "--trials", "2", *bounds]) == 0
+    record = read_run(out)
+    assert record.summary["certified_against"] == "hulls"
+    assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)
+    assert "quadrotor" in record.vehicle
+    capsys.readouterr()
+    given = [
+        "simulate",
+        str(scene),
+        "-o",
+        str(out),
+        "-f",
+        "--filter",
+        "cone-backup",
+        "--set",
+        "shield_map=hulls",
+    ]
+    assert run(given) == 2
+    message = capsys.readouterr().err
+    assert "shield_map=hulls needs the hulls of a cover" in message
+    assert len(message.strip().splitlines()) == 1
