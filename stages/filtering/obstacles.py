@@ -33,6 +33,22 @@ def require_obstacles(cover: Artifact, *, jobs: int = 0) -> None:
     require_solid_hulls(cover, jobs=jobs)
 
 
+def beyond_hulls(inflation_m: float | None, cover: Artifact | None, suggested_m: float) -> float:
+    """Length beyond the radius that shields keep from hulls; those of a cover have grown already.
+
+    Args:
+        inflation_m: of the user, if given.
+        cover: with the hulls, if there is one.
+        suggested_m: inflation that the scene's alignment suggests [m].
+
+    Returns:
+        At least 0 [m].
+    """
+    if inflation_m is not None or cover is None:
+        return inflation_m or 0.0
+    return max(0.0, suggested_m - float(cover.manifest.inflation_m))  # type: ignore[attr-defined]
+
+
 def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
     """The index of filters among a scene's ellipsoids, at the level `sigma` and for a sphere.
 

@@ -9,7 +9,7 @@ from typing import Any
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.polytope_cbf import no_filter, polytope_cbf
 from alula.stages.filtering.protocol import Filter, FilterFactory, World
-from alula.stages.filtering.splat_filters import SPLAT_FILTERS, parameters_of
+from alula.stages.filtering.splat_filters import HULLS, SHIELD, SHIELD_MAP, SPLAT_FILTERS, parameters_of
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatFilterFactory, SplatWorld
 
 ENTRY_POINTS = "alula.filters"
@@ -63,12 +63,27 @@ def make_splat_filter(name: str, world: SplatWorld, parameters: Mapping[str, Any
     return factory(world, parameters)
 
 
-def complete_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def complete_parameters(
+    name: str, given: Mapping[str, Any], *, has_ellipsoids: bool = True
+) -> dict[str, Any]:
     """All parameters of a filter among ellipsoids, defaults included; of other packages' filters those given.
 
+    Args:
+        name: of the filter.
+        given: some of its parameters.
+        has_ellipsoids: False where the hulls of a cover are all obstacles; only `shield` flies there.
+
     Raises:
-        UsageError: a parameter is unknown or of the wrong type.
+        UsageError: a parameter is unknown or of the wrong type, or the filter needs ellipsoids.
     """
+    if not has_ellipsoids:
+        found = parameters_of(name, {SHIELD_MAP: HULLS} | dict(given)) if name == SHIELD else {}
+        if found.get(SHIELD_MAP) != HULLS:
+            raise UsageError(
+                f"{name} needs a scene, for its ellipsoids; in a cover alone --filter {SHIELD} flies, with "
+                f"{SHIELD_MAP}={HULLS}"
+            )
+        return found
     if name == NO_FILTER and given:
         raise UsageError("the filter none has no parameters")
     return parameters_of(name, given) if name in SPLAT_FILTERS else dict(given)

@@ -133,8 +133,8 @@ def _surroundings(
         return _core.EllipsoidMap(world.index), world.index.radius
     if world.hulls is None:
         raise UsageError(
-            f"{name}: {SHIELD_MAP}={against} needs the hulls of a cover: "
-            "give the cover as SOURCE and the scene as --scene"
+            f"{name}: {SHIELD_MAP}={against} needs the hulls of a cover, and there is none: give the cover, "
+            "and the scene as --scene"
         )
     hulls = _core.HullMap(world.hulls)
     if against == HULLS:

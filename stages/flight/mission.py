@@ -20,9 +20,10 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
-from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
+from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
+from alula.stages.filtering.splat_filters import BOTH, HULLS, certified_against
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.commanders.geometric import GeometricCommander
 from alula.stages.flight.commanders.protocol import Commander
@@ -60,7 +61,8 @@ class Mission:
         config: complete configuration, see `resolve_fly`.
         plan, vehicle: as given.
         cover, scene: the map; at least one of them.
-        is_splat: the filter uses the ellipsoids of the scene, else the hulls of the cover.
+        is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
+            else one of velocities among the hulls of the cover.
         curve: the plan.
         start: first point of the plan, shape (3,), world frame [m].
         obstacles: all obstacles of the map by name, for checks and verdict, world frame.
@@ -89,7 +91,7 @@ class Mission:
     @property
     def map(self) -> Artifact:
         """The artifact whose obstacles the filter uses."""
-        found = self.scene if self.is_splat else self.cover
+        found = self.scene if self.is_splat and self.scene is not None else self.cover
         assert found is not None
         return found
 
@@ -100,14 +102,17 @@ class Mission:
         return end
 
 
-def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat: bool) -> FlyConfig:
+def resolve_fly(
+    config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat: bool, has_scene: bool = True
+) -> FlyConfig:
     """Complete a configuration with values of the plan and the vehicle, and with defaults.
 
     Args:
         config: as given by the user.
         plan: of kind `alula/plan`.
         vehicle: contents of the vehicle's file.
-        is_splat: the filter uses the ellipsoids of a scene.
+        is_splat: a filter of the whole quadrotor flies.
+        has_scene: there are ellipsoids.
 
     Raises:
         UsageError: the vehicle has no rotors, or a parameter of the filter is unknown.
@@ -120,7 +125,7 @@ def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat
     low, high = points.min(axis=0) - _ROOM_M, points.max(axis=0) + _ROOM_M
     parameters = dict(config.filter_parameters)
     if is_splat:
-        parameters = complete_parameters(config.filter, parameters)
+        parameters = complete_parameters(config.filter, parameters, has_ellipsoids=has_scene)
     elif parameters and config.filter in ("none", "polytope-cbf"):
         raise UsageError(f"--set: {config.filter} takes no parameters; polytope-cbf has --beta and --kappa")
     limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
@@ -157,14 +162,14 @@ def make_mission(
         vehicle: contents of the vehicle's file.
         cover: map of hulls, if there is one.
         scene: map of ellipsoids, if there is one.
-        is_splat: the filter uses the ellipsoids of the scene, else the hulls of the cover.
+        is_splat: a filter of the whole quadrotor flies, else one of velocities among the hulls.
         jobs: number of threads, 0 for all cores.
 
     Raises:
         UsageError: a parameter is invalid.
         InputError, ArtifactError: the artifacts do not match each other.
     """
-    config = resolve_fly(config, plan, vehicle, is_splat=is_splat)
+    config = resolve_fly(config, plan, vehicle, is_splat=is_splat, has_scene=scene is not None)
     frame = plan.manifest.frame
     for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
         if other is not None:
@@ -202,7 +207,9 @@ def make_mission(
     inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
     along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
-    of_filter = obstacles[-1:] if is_splat else obstacles[:1]  # the map that the filter sees
+    # The map that the filter sees: the last one of those given are ellipsoids.
+    sees_all = is_splat and certified_against(config.filter, config.filter_parameters) in (HULLS, BOTH)
+    of_filter = obstacles if sees_all else obstacles[-1:] if is_splat else obstacles[:1]
     notes = require_room(
         PlanJudge(plan, [each for _, each in of_filter], radius, tolerance, jobs),
         radius + config.margin_m + inflation,
@@ -249,14 +256,19 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
     keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
     dt = 1 / config.rate_hz
     if mission.is_splat:
-        assert mission.scene is not None
+        scene, cover = mission.scene, mission.cover
+        suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
         world = SplatWorld(
-            index=ellipsoid_index(mission.scene, config.sigma, keep),
+            index=ellipsoid_index(scene, config.sigma, keep),
             body=quadrotor(vehicle),
             gains=tracking_gains(vehicle, config.catch_up_m_s),
             radius_m=keep,
             dt_s=dt,
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
+            hulls=None if cover is None else hull_obstacles(Hulls.from_cover(cover)),
+            hull_radius_m=vehicle.body.radius_m
+            + config.margin_m
+            + beyond_hulls(config.inflation_m, cover, suggested),
         )
         return make_splat_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None

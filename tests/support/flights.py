@@ -30,8 +30,8 @@ BALL = ball_scene([(2.0, 2.2, 1.0), (2.0, -1.0, 1.0)], 0.3)  # in the way of the
 
 def mission(name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=None, **fields):
     """By default past a pillar."""
-    is_splat = scene is not None
-    cover = box_cover(PILLAR) if cover is None and not is_splat else cover
+    is_splat = scene is not None or name == "shield"
+    cover = box_cover(PILLAR) if cover is None and scene is None else cover
     plan = plan or line_plan(START, GOAL)
     made = make_mission(
         FlyConfig(**{"filter": name, "allow_tight": True, **fields}),

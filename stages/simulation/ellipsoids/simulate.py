@@ -24,15 +24,13 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
-from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
+from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import (
     BOTH,
     ELLIPSOIDS,
     GUIDES,
     HULLS,
-    SHIELD,
-    SHIELD_MAP,
     NativeSplatFilter,
     certified_against,
 )
@@ -108,17 +106,9 @@ def resolve_splat(
         raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
     if config.guide == NO_FILTER and config.guide_parameters:
         raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
-    is_shield_in_cover = not has_scene and config.filter == SHIELD
-    preset = {SHIELD_MAP: HULLS} if is_shield_in_cover else {}
-    given = complete_parameters(config.filter, preset | dict(config.filter_parameters))
-    if not has_scene:
-        if config.guide != NO_FILTER:
-            raise UsageError(f"--guide {config.guide} needs a scene, for its ellipsoids; add --scene")
-        if certified_against(config.filter, given) != HULLS:
-            raise UsageError(
-                f"{config.filter} needs a scene, for its ellipsoids; in a cover alone --filter {SHIELD} "
-                f"flies, with {SHIELD_MAP}={HULLS}"
-            )
+    if not has_scene and config.guide != NO_FILTER:
+        raise UsageError(f"--guide {config.guide} needs a scene, for its ellipsoids; add --scene")
+    given = complete_parameters(config.filter, config.filter_parameters, has_ellipsoids=has_scene)
     speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
     peak = _peak_speed(plan) if plan is not None else speed
     assert peak is not None
@@ -200,7 +190,7 @@ def simulate_splat(
         hulls, centres = hull_obstacles(solid), solid.vertices_world
     if scene is not None:
         centres = np.asarray(scene["mean"], np.float64)
-    hull_keep = config.radius_m + _beyond(config, cover, suggested)
+    hull_keep = config.radius_m + beyond_hulls(config.inflation_m, cover, suggested)
     index = ellipsoid_index(scene, config.sigma, keep)
     gains = tracking_gains(vehicle, config.catch_up_m_s)
     # A point has no rotors: its controller and filters use only the translation, with any body.
@@ -321,13 +311,6 @@ def _check_fit(found_in: Artifact, plan: Artifact | None, cover: Artifact | None
                 f"the {other_role} is in the frame {other.manifest.frame!r}, the {role} in "
                 f"{found_in.manifest.frame!r}"
             )
-
-
-def _beyond(config: SimulateConfig, cover: Artifact | None, suggested_m: float) -> float:
-    """Length beyond the radius that shields keep from hulls [m]: those of a cover have grown already."""
-    if config.inflation_m is not None or cover is None:
-        return config.inflation_m or 0.0
-    return max(0.0, suggested_m - float(cover.manifest.inflation_m))  # type: ignore[attr-defined]
 
 
 def _room(

@@ -12,8 +12,8 @@ from alula.stages.flight.links.protocol import (
 )
 from alula.stages.flight.loop.supervisor import Event, State
 from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import BALL, GOAL, START, Breaking, after, fly, loop_of, mission
-from support.small_scenes import line_plan
+from support.flights import BALL, GOAL, PILLAR, START, Breaking, after, fly, loop_of, mission
+from support.small_scenes import ball_scene, box_cover, line_plan
 
 RATES, ACCELERATIONS, VELOCITIES = (
     frozenset({kind}) for kind in (RatesSetpoint, AccelerationSetpoint, VelocitySetpoint)
@@ -58,6 +58,27 @@ def test_velocities_are_filtered_among_hulls():
     assert loop.supervision.cause in (Event.TIMED_OUT, Event.HOLDS_USED_UP)
     margins = [s.filter.margin for s in loop.recorder.samples if s.filter]
     assert min(margins) > -0.05
+
+
+def test_a_shield_is_certified_against_hulls_without_a_scene():
+    through = line_plan((0.3, 1.0, 1.0), (3.7, 1.0, 1.0))  # straight into the pillar
+    made = mission("shield", plan=through, is_clear=True, max_time_s=12.0)
+    loop, _ = fly(made, accepts=RATES, position=(0.3, 1.0, 0.0))
+    path = loop.recorder.positions("fly", "hold")
+    assert 1.2 < path[:, 0].max() < 1.8 - RADIUS_M - made.config.margin_m  # it comes near, and stays in front
+    flown = [s.filter for s in loop.recorder.samples if s.filter]
+    assert any(f.status == FilterStatus.BACKUP for f in flown)
+    assert all(f.certified for f in flown)
+
+
+@pytest.mark.parametrize(
+    "scene", [None, ball_scene([(2.0, -3.0, 1.0)], 0.3)], ids=["cover", "cover and scene"]
+)
+def test_the_shield_of_a_plan_past_hulls_lets_it_pass(scene):
+    against_hulls = {"shield_map": "hulls"}
+    made = mission("shield", cover=box_cover(PILLAR), scene=scene, filter_parameters=against_hulls)
+    loop, _ = fly(made, accepts=RATES)
+    assert loop.recorder.states == AS_PLANNED
 
 
 def test_without_a_filter_the_plan_is_tracked():

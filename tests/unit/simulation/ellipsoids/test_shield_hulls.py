@@ -179,7 +179,7 @@ def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
 def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
     hulls = {"filter_parameters": {"shield_map": "hulls"}}
     with pytest.raises(
-        UsageError, match="shield_map=hulls needs the hulls of a cover: give the cover as SOURCE"
+        UsageError, match="shield_map=hulls needs the hulls of a cover, and there is none: give the cover"
     ):
         simulate_splat(quick(**hulls), BALL, FASTBRIDGE)
     with pytest.raises(
