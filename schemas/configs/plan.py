@@ -18,8 +18,8 @@ class AlongPlanConfig:
     via_tolerance_m: float | None = field(
         default=None,
         metadata={
-            "help": "Distance within which a via point of a plan counts as passed, and a flight as on its "
-            "plan [m]; default: the vehicle's radius, at least 0.1.",
+            "help": "Distance within which a via point of a plan counts as passed [m]; default: the "
+            "vehicle's radius, at least 0.1.",
             "option": "--via-tolerance",
         },
     )

@@ -36,13 +36,14 @@ class PlanJudge:
 
     The tube of a plan is the union of balls about its points. The radius of a ball is the distance of its
     centre to the map less the vehicle's radius, at most 5 m, where the vehicle is proven clear of the map; it
-    is at least the tolerance of via points, so that a filter may lead the vehicle a little aside.
+    is at least the distance r that the plan keeps. A filter that keeps psi >= r, which beside the corner of a
+    box is r only at a distance of sqrt(3) r, leads the vehicle at most (sqrt(3) - 1) r aside.
 
     Args:
         plan: an `alula/plan`.
         obstacles: map in the plan's frame.
         radius_m: of the vehicle [m].
-        via_tolerance_m: distance within which a via point counts as passed; minimum radius of the tube [m].
+        via_tolerance_m: distance within which a via point counts as passed [m].
         jobs: threads, 0 for all processors.
     """
 
@@ -66,7 +67,7 @@ class PlanJudge:
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         nearest = np.min([np.full(count, cap), *distance], axis=0)
         self.distance_m = float(nearest.min())  # of the plan to the map, or the cap
-        self.width = np.maximum(nearest - radius_m, via_tolerance_m)
+        self.width = np.maximum(nearest - radius_m, plan.manifest.radius_m)  # type: ignore[attr-defined]
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
