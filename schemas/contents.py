@@ -52,6 +52,18 @@ class FenceSummary(RunSummary, frozen=True, kw_only=True):
     max_speed_km_h: _NotNegative
     interventions: _Whole
     engaged_trials: _Whole
+    blended: _Whole | None = None
+    backup: _Whole | None = None
+    no_pilot: _Whole | None = None
+    hand_over: _Whole | None = None
+    refused: _Whole | None = None
+    altered_passes: _Whole | None = None
+    out_of_range: _Whole | None = None
+    longest_backup_s: _NotNegative | None = None
+    min_lambda: _Number | None = None
+    min_h_i_m: _Number | None = None
+    brake_distance_m: _Number | None = None
+    stop_distance_m: _Number | None = None
 
 
 class RunTiming(msgspec.Struct, frozen=True):

@@ -51,9 +51,10 @@ def about(kind: str, version: str) -> Facts:
 def manifest_facts(raw: Mapping[str, Any]) -> Facts:
     """Facts in a manifest as stored, for any version; fields of the kind come before common ones."""
     own = {key: value for key, value in raw.items() if key not in (*_COMMON, *_LAST)}
+    stored = raw.get("arrays")
     arrays = {
         str(name): {key: spec.get(key) for key in ("dtype", "shape", "unit", "meaning")}
-        for name, spec in (raw.get("arrays") or {}).items()
+        for name, spec in (stored.items() if isinstance(stored, dict) else ())
         if isinstance(spec, dict)
     }
     facts: Facts = {

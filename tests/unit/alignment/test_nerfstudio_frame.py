@@ -57,6 +57,7 @@ IDENTITY = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     ("text", "message"),
     [
         ("{", "is not JSON"),
+        (json.dumps({"transform": [[1e200] * 4] * 3, "scale": 1}), "are no rotation"),
         ("[1]", "is no JSON object"),
         (json.dumps({"scale": 1}), "has no 'transform'"),
         (json.dumps({"transform": IDENTITY}), "has no 'scale'"),
