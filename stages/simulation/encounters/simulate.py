@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
+from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
 from alula.schemas.run import ObstacleResult, TrialResult
 from alula.stages.clearance import hull_obstacles, is_collision
@@ -123,15 +124,7 @@ def fly_encounters(
     worst = closest_trial(scenario, flown.trials)
     if worst.index >= scenario.trials.logged:
         native = native_encounter(scenario, None if walls is None else hull_obstacles(walls))
-        (log,) = _core.fly_encounters(
-            native,
-            native_filter(scenario),
-            seed=scenario.trials.seed,
-            first=worst.index,
-            count=1,
-            keeps_path=True,
-            jobs=1,
-        )
+        (log,) = _logs(scenario, native, native_filter(scenario), worst.index, 1, keeps_path=True)
         again = EncounterFlight.of(worst.index, log, scenario.run.dt_s, scenario.run.log_rate_hz)
         flown = replace(flown, flights=[*flown.flights, again])
     return flown
@@ -180,13 +173,10 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
     """
     scenario, logged = chunk.scenario, chunk.scenario.trials.logged
     spec = native_encounter(scenario, None if chunk.walls is None else hull_obstacles(chunk.walls))
-    native, seed = native_filter(scenario), scenario.trials.seed
+    native = native_filter(scenario)
 
     def flown(first: int, count: int, keeps_path: bool) -> Iterator[tuple[int, dict[str, Any]]]:
-        logs = _core.fly_encounters(
-            spec, native, seed=seed, first=first, count=count, keeps_path=keeps_path, jobs=1
-        )
-        return enumerate(logs, first)
+        return enumerate(_logs(scenario, spec, native, first, count, keeps_path=keeps_path), first)
 
     kept = shown(chunk, logged)
     trials, ticks, commands, reactions, flights = [], [], [], [], []
@@ -209,6 +199,24 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
         reaction_s=b"".join(reactions),
         flights=flights,
     )
+
+
+def _logs(
+    scenario: Encounters, spec: Any, native: Any, first: int, count: int, *, keeps_path: bool
+) -> list[dict[str, Any]]:
+    """Native logs of consecutive trials; refuses obstacles that cannot meet the vehicle in one of them."""
+    try:
+        return _core.fly_encounters(
+            spec,
+            native,
+            seed=scenario.trials.seed,
+            first=first,
+            count=count,
+            keeps_path=keeps_path,
+            jobs=1,
+        )
+    except ValueError as error:
+        raise UsageError(f"`$.obstacles`: {error}") from error
 
 
 def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult:

@@ -335,3 +335,11 @@ def test_what_is_thrown_is_dodged_on_its_parabola():
     assert good({}) >= 48
     assert good({"filter.parameters.accelerated": False}) <= 40
     assert good({"filter.name": "none"}) <= 36
+
+
+def test_an_obstacle_that_cannot_meet_the_vehicle_is_a_wrong_scenario():
+    path = ROOT / "examples" / "dr-acbf" / "thrown.toml"
+    scenario = read_encounters(path, {"trials.count": 1})
+    heavy_air = [msgspec.structs.replace(each, drag_per_m=5.0) for each in scenario.obstacles]
+    with pytest.raises(UsageError, match=r"\$\.obstacles`: with this drag no throw reaches"):
+        fly_encounters(msgspec.structs.replace(scenario, obstacles=heavy_air))
