@@ -13,7 +13,8 @@ from alula import _core
 from alula.stages.compression.tiles import Ellipsoids, mark
 
 TILE = 64  # voxels
-_TILES = 160  # maximum number of tiles that are counted
+_TILES, _FEWEST = 160, 40  # numbers of tiles that are counted, at most and where ellipsoids overlap much
+_MARKS = 1.5e9  # voxels of overlapping ellipsoids that are marked in all counted tiles
 _FEW = (1, 10, 100)  # numbers of the largest Gaussians that are left out to try
 _NAMED = 5  # maximum number of rows that a message names
 _ROOM = 0.8  # fraction of the limit that a remedy aims at, as estimates have an error
@@ -92,8 +93,10 @@ def may_exceed(ellipsoids: Ellipsoids, limit: int, jobs: int) -> bool:
 def estimated_voxels(ellipsoids: Ellipsoids) -> float:
     """Estimate the number of voxels from an even sample of tiles, which are counted exactly.
 
-    The estimate is exact when there are at most 160 tiles of 64^3 voxels; else its error is about a tenth. It
-    does not depend on the number of threads. More than 2^20 tiles count as infinitely many voxels.
+    At most 160 tiles of 64^3 voxels are counted, and fewer, at least 40, where ellipsoids overlap so much
+    that this would take long. The estimate is exact when these are all; else its error is about a tenth, and
+    about a third with fewer tiles. It does not depend on the number of threads. More than 2^20 tiles count as
+    infinitely many voxels.
 
     Args:
         ellipsoids: the sets and the lattice.
@@ -105,7 +108,8 @@ def estimated_voxels(ellipsoids: Ellipsoids) -> float:
         return math.inf
     if len(tile) == 0:
         return 0.0
-    count = min(_TILES, len(tile))
+    affordable = int(_MARKS * len(tile) / max(most_voxels(ellipsoids), 1.0))
+    count = min(max(_FEWEST, min(_TILES, affordable)), len(tile))
     chosen = ((np.arange(count) + 0.5) * len(tile) / count).astype(int)
     lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
     found = 0

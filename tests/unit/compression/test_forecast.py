@@ -1,6 +1,7 @@
 """The number of voxels is known before the work: estimates, remedies, and Gaussians that dominate."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from alula.schemas.artifact import make_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
-from alula.stages.compression import tiles
+from alula.stages.compression import forecast, tiles
 from alula.stages.compression import voxelize as stage
 from alula.stages.compression.forecast import (
     dominant,
@@ -171,3 +172,27 @@ def test_a_scene_of_too_many_tiles_counts_as_infinite():
     ):
         voxelize(VoxelizeConfig(), scene_of(ellipsoids))
     assert tiles.LONGEST_EDGE == 2**20
+
+
+def test_balls_that_overlap_much_are_estimated_from_fewer_tiles(monkeypatch):
+    """300 balls nearly fill the same ball of 20 m; their union has its volume, and each tile all of them."""
+    rng = np.random.default_rng(0)
+    balls = Ellipsoids(
+        mean=rng.normal(scale=0.1, size=(300, 3)).astype(np.float32),
+        scale=np.full((300, 3), 20.0, np.float32),
+        quat_wxyz=np.tile(np.float32([1, 0, 0, 0]), (300, 1)),
+        sigma=1.0,
+        inflation_m=0.0,
+        voxel_size_m=0.1,
+        crop=None,
+        min_overlap=1,
+    )
+    counted = []
+    native = forecast._core
+    spy = SimpleNamespace(
+        tiles_of=native.tiles_of, voxelize=lambda **given: counted.append(1) or native.voxelize(**given)
+    )
+    monkeypatch.setattr(forecast, "_core", spy)
+    found = forecast.estimated_voxels(balls)
+    assert len(counted) == 40
+    assert found == pytest.approx(4 / 3 * np.pi * 203**3, rel=0.35)
