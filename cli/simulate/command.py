@@ -13,6 +13,7 @@ import click
 
 from alula.cli import options
 from alula.cli.runner import run
+from alula.schemas.configs.plan import AlongPlanConfig
 from alula.schemas.configs.simulate import ELLIPSOIDS_ONLY, HULLS_ONLY, SAMPLING_ONLY, SimulateConfig
 from alula.schemas.errors import CheckError, UsageError, WrongKindError
 from alula.schemas.provenance import parameters_of
@@ -144,7 +145,7 @@ def command(
     paths = inputs_of(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = is_among_ellipsoids(config.filter, paths)
-    _check_options(config, given, splat=splat)
+    _check_options(config, given, splat=splat, has_plan="plan" in paths)
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
     pairs: Pairs | None = None
     if pairs_path is not None:
@@ -297,8 +298,11 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     return False
 
 
-def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool) -> None:
+def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool, has_plan: bool) -> None:
     """Refuse options that do not apply to these flights."""
+    for field in dataclasses.fields(AlongPlanConfig):
+        if field.name in given and not has_plan:
+            raise UsageError(f"{_option_of(field.name)} is for flights of a plan")
     wrong = [name for name in (HULLS_ONLY if splat else ELLIPSOIDS_ONLY) if name in given]
     if wrong:
         others = "hulls of a cover" if splat else "ellipsoids of a scene"

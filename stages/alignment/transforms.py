@@ -31,7 +31,7 @@ def parse_transform(text: str, name: str) -> Similarity:
         raise InputError(f"{name}: is not JSON ({error})") from error
     try:
         if isinstance(found, dict) and "matrix" not in found:
-            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused below
+            with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
                 linear = float(found["scale"]) * np.array(found["rotation"], np.float64)
             if not float(found["scale"]) > 0:
                 raise InputError(f"{name}: the scale must be positive, not {found['scale']}")

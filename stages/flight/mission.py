@@ -67,6 +67,7 @@ class Mission:
         start: first point of the plan, shape (3,), world frame [m].
         obstacles: all obstacles of the map by name, for checks and verdict, world frame.
         inflation_m: distance that filters among ellipsoids add to radius and margin [m].
+        hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
         along: compares the flight with the plan.
@@ -83,6 +84,7 @@ class Mission:
     start: FloatArray
     obstacles: Obstacles
     inflation_m: float
+    hull_keep_m: float
     fence: _core.Fence
     is_clear: tuple[bool, str]
     along: PlanJudge
@@ -207,14 +209,15 @@ def make_mission(
     inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
     along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
-    # The map that the filter sees: the last one of those given are ellipsoids.
-    sees_all = is_splat and certified_against(config.filter, config.filter_parameters) in (HULLS, BOTH)
-    of_filter = obstacles if sees_all else obstacles[-1:] if is_splat else obstacles[:1]
+    suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+    keep = radius + config.margin_m + inflation
+    hull_keep = radius + config.margin_m
+    if is_splat:
+        hull_keep += beyond_hulls(config.inflation_m, cover, suggested)
+    sees_hulls = not is_splat or certified_against(config.filter, config.filter_parameters) in (HULLS, BOTH)
+    keeps = {"a hull": hull_keep if sees_hulls else None, "an ellipsoid": keep if is_splat else None}
     notes = require_room(
-        PlanJudge(plan, [each for _, each in of_filter], radius, tolerance, jobs),
-        radius + config.margin_m + inflation,
-        config.filter,
-        allow_tight=config.allow_tight,
+        along, [keeps[name] for name, _ in obstacles], config.filter, allow_tight=config.allow_tight
     )
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]
@@ -230,6 +233,7 @@ def make_mission(
         start=np.array(curve.at(np.zeros(1))[0, :3]),
         obstacles=obstacles,
         inflation_m=inflation,
+        hull_keep_m=hull_keep,
         fence=fence(box=(low, high), cover=keep_out),
         is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
         along=along,
@@ -256,19 +260,17 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
     keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
     dt = 1 / config.rate_hz
     if mission.is_splat:
-        scene, cover = mission.scene, mission.cover
-        suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+        hulls_of_cover = dict(mission.obstacles).get("a hull")
+        assert hulls_of_cover is None or isinstance(hulls_of_cover, _core.PolytopeSet)
         world = SplatWorld(
-            index=ellipsoid_index(scene, config.sigma, keep),
+            index=ellipsoid_index(mission.scene, config.sigma, keep),
             body=quadrotor(vehicle),
             gains=tracking_gains(vehicle, config.catch_up_m_s),
             radius_m=keep,
             dt_s=dt,
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
-            hulls=None if cover is None else hull_obstacles(Hulls.from_cover(cover)),
-            hull_radius_m=vehicle.body.radius_m
-            + config.margin_m
-            + beyond_hulls(config.inflation_m, cover, suggested),
+            hulls=hulls_of_cover,
+            hull_radius_m=mission.hull_keep_m,
         )
         return make_splat_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None

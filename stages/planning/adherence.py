@@ -65,8 +65,10 @@ class PlanJudge:
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
+        self.distances_m = [
+            float(each.min()) for each in distance
+        ]  # of the plan to each map, at most the cap
         nearest = np.min([np.full(count, cap), *distance], axis=0)
-        self.distance_m = float(nearest.min())  # of the plan to the map, or the cap
         self.width = np.maximum(nearest - radius_m, plan.manifest.radius_m)  # type: ignore[attr-defined]
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
@@ -100,15 +102,21 @@ class PlanJudge:
 
     def _outside(self, path: FloatArray) -> float:
         """Largest distance of a point of the path from the tube, from below; 0 within it [m]."""
+        from scipy.spatial import cKDTree
+
         length = np.concatenate([[0.0], np.linalg.norm(np.diff(path, axis=0), axis=1).cumsum()])
         step = max(_SPACING_M, length[-1] / _MOST_SAMPLES)
         points = path[
             np.unique(np.searchsorted(length, np.arange(0, length[-1] + step, step)).clip(0, len(path) - 1))
         ]
+        apart, at = cKDTree(self.centre).query(points)
+        doubtful = points[
+            apart - self.width[at] > self.gap_m
+        ]  # the others are in the ball of their nearest centre
         worst = 0.0
-        for i in range(0, len(points), 256):
-            apart = np.linalg.norm(points[i : i + 256, None] - self.centre[None], axis=2)
-            worst = max(worst, float((apart - self.width).min(axis=1).max()) - self.gap_m)
+        for point in doubtful:
+            outside = (np.linalg.norm(self.centre - point, axis=1) - self.width).min()
+            worst = max(worst, float(outside) - self.gap_m)
         return worst
 
 
@@ -121,12 +129,14 @@ def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatAr
     return apart
 
 
-def require_room(plan: PlanJudge, keep_m: float, filter_name: str, *, allow_tight: bool) -> list[str]:
-    """Refuse a plan that is nearer to the map than the filter lets the vehicle be.
+def require_room(
+    plan: PlanJudge, keeps_m: Sequence[float | None], filter_name: str, *, allow_tight: bool
+) -> list[str]:
+    """Refuse a plan that is nearer to a map than the filter lets the vehicle be.
 
     Args:
-        plan: judge with the map of the filter.
-        keep_m: distance that the filter keeps [m].
+        plan: judge with the maps.
+        keeps_m: distance that the filter keeps from each map [m]; None from one that it does not see.
         filter_name: its name; `none` keeps nothing.
         allow_tight: warn instead.
 
@@ -136,15 +146,20 @@ def require_room(plan: PlanJudge, keep_m: float, filter_name: str, *, allow_tigh
     Raises:
         UsageError: the plan is too near, with the option of `plan` that mends it.
     """
-    if filter_name == "none" or plan.distance_m >= keep_m - 1e-9:
+    if filter_name == "none":
         return []
-    words = (
-        f"the plan is {at_least(plan.distance_m)} m from the map, and {filter_name} keeps "
-        f"{at_most(keep_m)} m: it will hold the vehicle back"
-    )
-    if not allow_tight:
-        raise UsageError(f"{words}; plan with --radius {at_most(keep_m)}, or insist with --allow-tight")
-    return [words]
+    notes = []
+    for distance, keep in zip(plan.distances_m, keeps_m, strict=True):
+        if keep is None or distance >= keep - 1e-9:
+            continue
+        words = (
+            f"the plan is {at_least(distance)} m from the map, and {filter_name} keeps {at_most(keep)} m: it "
+            "will hold the vehicle back"
+        )
+        if not allow_tight:
+            raise UsageError(f"{words}; plan with --radius {at_most(keep)}, or insist with --allow-tight")
+        notes.append(words)
+    return notes
 
 
 def outcome_of_plan(outcome: Outcome, result: PlanResult | None) -> Outcome:

@@ -202,6 +202,7 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
     [
         (["COVER", "-o", "r.npz"], 2, "must end in .mcap"),
         (["COVER", "--map", "COVER"], 2, "is a cover; --map is for plans"),
+        (["COVER", "--via-tolerance", "0.2"], 2, "--via-tolerance is for flights of a plan"),
         (["COVER", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf"),
         (["COVER", "--beta", "101"], 2, "--beta must be at most 1 / dt = 100 at --dt 0.01, not 101"),
         (["COVER", "--dt", "1"], 2, "--beta must be at most 1 / dt = 1 at --dt 1, not 2"),

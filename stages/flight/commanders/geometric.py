@@ -119,7 +119,7 @@ class GeometricCommander:
         )
 
     def sent(self, setpoint: Setpoint) -> None:
-        """See `Commander`; the rotor model follows the set-point that was sent, whoever computed it."""
+        """See `Commander`; the rotor model follows the set-point that was sent, also one of the geofence."""
         if isinstance(setpoint, RatesSetpoint):
             thrust = setpoint.thrust_m_s2 * self.body.mass
             self._thrust = self._flown if setpoint is self._computed else thrust

@@ -228,10 +228,11 @@ def simulate_splat(
         return None if own is None else PlanJudge(own, judge.avoided, config.radius_m, tolerance, jobs)
 
     flown_plan = along(plan)
+    keeps = ([] if scene is None else [keep]) + ([hull_keep] if judge.avoids_hulls else [])
     notes = (
         []
         if flown_plan is None
-        else require_room(flown_plan, keep, config.filter, allow_tight=config.allow_tight)
+        else require_room(flown_plan, keeps, config.filter, allow_tight=config.allow_tight)
     )
     lower, upper = _room(centres, references, config.dt_s)
     rules = _core.FlightRules(

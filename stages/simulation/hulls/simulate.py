@@ -146,7 +146,7 @@ def simulate(
     notes = (
         []
         if flown_plan is None
-        else require_room(flown_plan, config.radius_m, config.filter, allow_tight=config.allow_tight)
+        else require_room(flown_plan, [config.radius_m], config.filter, allow_tight=config.allow_tight)
     )
     corners = hulls.vertices_world
     if given is not None and len(corners) == 0:

@@ -91,6 +91,17 @@ def without_via(result):
     return PlanResult(via_tolerance_m=0.1, closest_m=[], missed=[], outside_m=result.outside_m)
 
 
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=examples(40), deadline=None)
+def test_the_distance_from_the_tube_is_that_of_all_its_balls(flight, cover, seed):
+    rng = np.random.default_rng(seed)
+    judge = judge_of(flight, cover)
+    path = np.array([1, 0, 1]) + np.cumsum(rng.normal(size=(40, 3)) * 0.2, axis=0)
+    apart = np.linalg.norm(path[:, None] - judge.centre[None], axis=2)
+    expected = max((apart - judge.width).min(axis=1).max() - judge.gap_m, 0)
+    assert judge.result(path).outside_m == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_path_of_one_point_has_a_result(flight, cover):
     result = judge_of(flight, cover).result(np.array([[0.0, 0.0, 1.0]]))
     assert result.missed == [1, 2]
@@ -115,12 +126,13 @@ def test_a_plan_keeps_the_radius_and_the_margin_of_its_vehicle(cover):
 
 def test_a_filter_that_keeps_more_than_the_plan_is_refused_with_what_mends_it(flight, cover):
     judge = judge_of(flight, cover)
-    assert 0.2 <= judge.distance_m < 0.41
-    assert require_room(judge, 0.2, "polytope-cbf", allow_tight=False) == []
-    assert require_room(judge, 9.0, "none", allow_tight=False) == []
+    assert 0.2 <= judge.distances_m[0] < 0.41
+    assert require_room(judge, [0.2], "polytope-cbf", allow_tight=False) == []
+    assert require_room(judge, [None], "polytope-cbf", allow_tight=False) == []
+    assert require_room(judge, [9.0], "none", allow_tight=False) == []
     with pytest.raises(UsageError, match=r"plan with --radius 0\.5, or insist with --allow-tight"):
-        require_room(judge, 0.5, "polytope-cbf", allow_tight=False)
-    assert "it will hold the vehicle back" in require_room(judge, 0.5, "polytope-cbf", allow_tight=True)[0]
+        require_room(judge, [0.5], "polytope-cbf", allow_tight=False)
+    assert "it will hold the vehicle back" in require_room(judge, [0.5], "polytope-cbf", allow_tight=True)[0]
 
 
 def test_a_simulated_plan_is_judged_by_its_via_points(flight, cover):
