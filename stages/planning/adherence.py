@@ -65,9 +65,7 @@ class PlanJudge:
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
-        self.distances_m = [
-            float(each.min()) for each in distance
-        ]  # of the plan to each map, at most the cap
+        self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
         nearest = np.min([np.full(count, cap), *distance], axis=0)
         self.width = np.maximum(nearest - radius_m, plan.manifest.radius_m)  # type: ignore[attr-defined]
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
@@ -110,9 +108,7 @@ class PlanJudge:
             np.unique(np.searchsorted(length, np.arange(0, length[-1] + step, step)).clip(0, len(path) - 1))
         ]
         apart, at = cKDTree(self.centre).query(points)
-        doubtful = points[
-            apart - self.width[at] > self.gap_m
-        ]  # the others are in the ball of their nearest centre
+        doubtful = points[apart - self.width[at] > self.gap_m]  # others are in their nearest ball
         worst = 0.0
         for point in doubtful:
             outside = (np.linalg.norm(self.centre - point, axis=1) - self.width).min()
