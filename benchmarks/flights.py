@@ -199,7 +199,7 @@ class Replay:
         return len(self.state)
 
     def through(
-        self, native: _core.SplatFilter, *, seconds: float = math.inf, minimum: int = 0
+        self, native: _core.SafetyFilter, *, seconds: float = math.inf, minimum: int = 0
     ) -> tuple[list[dict[str, Any]], FloatArray]:
         """Reports and CPU seconds of at least `minimum` ticks, and of as many more as fit the time.
 

@@ -22,7 +22,7 @@ from alula.stages.filtering.splat_protocol import (
     SplatWorld,
 )
 
-_CLASSES: dict[str, Callable[..., _core.SplatFilter]] = {
+_CLASSES: dict[str, Callable[..., _core.SafetyFilter]] = {
     "cone-di": _core.ConeDi,
     "cone-ecbf": _core.ConeEcbf,
     "cone-backup": _core.ConeBackup,
@@ -44,7 +44,7 @@ class NativeSplatFilter:
         parameters: all of its parameters, defaults included.
     """
 
-    def __init__(self, native: _core.SplatFilter, parameters: Mapping[str, Any]) -> None:
+    def __init__(self, native: _core.SafetyFilter, parameters: Mapping[str, Any]) -> None:
         self.native = native
         self.parameters = dict(parameters)
 
@@ -143,7 +143,7 @@ def _surroundings(
     return both, max(world.index.radius, world.hull_radius_m)
 
 
-def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SplatFilter:
+def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
     """The filter itself, from all parameters."""
     given = {**parameters, "tick_s": world.dt_s, "motor_time_constant_s": world.motor_time_constant_s}
     backend = {}

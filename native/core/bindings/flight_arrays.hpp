@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "alula/filters/splat_filter.hpp"
+#include "alula/filters/safety_filter.hpp"
 #include "alula/planning/reference_curve.hpp"
 #include "arrays.hpp"
 

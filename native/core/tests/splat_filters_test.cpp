@@ -37,7 +37,7 @@ FlightState state(int i) {
   return s;
 }
 
-void test_no_tick_allocates(SplatFilter& filter) {
+void test_no_tick_allocates(SafetyFilter& filter) {
   Nominal nominal;
   nominal.acceleration = {3, 1, -1};
   nominal.position_error = {0.1, 0, 0};
@@ -46,13 +46,13 @@ void test_no_tick_allocates(SplatFilter& filter) {
   unsigned rows = 0, changed = 0;
   for (int i = 0; i < 300; ++i) {
     const FilterReport report = filter.filter(state(i), nominal);
-    rows += report.rows, changed += report.status != SplatFilterStatus::ok;
+    rows += report.rows, changed += report.status != SafetyStatus::ok;
   }
   CHECK(allocations == before);
   CHECK(rows > 1000 && changed > 100);
 }
 
-void test_a_clone_gives_the_same_bits(SplatFilter& filter) {
+void test_a_clone_gives_the_same_bits(SafetyFilter& filter) {
   const auto other = filter.clone();
   for (int i = 0; i < 50; ++i) {
     const FilterReport a = filter.filter(state(i), {}), b = other->filter(state(i), {});
@@ -191,8 +191,8 @@ int main() {
   SaferSplatOptions few;
   few.rows = SaferRows::nearest;
   SaferSplat distance(index, {}), nearest(index, few);
-  for (SplatFilter* filter : {static_cast<SplatFilter*>(&cone), static_cast<SplatFilter*>(&distance),
-                              static_cast<SplatFilter*>(&nearest)}) {
+  for (SafetyFilter* filter : {static_cast<SafetyFilter*>(&cone), static_cast<SafetyFilter*>(&distance),
+                               static_cast<SafetyFilter*>(&nearest)}) {
     test_no_tick_allocates(*filter);
     test_a_clone_gives_the_same_bits(*filter);
   }

@@ -38,17 +38,17 @@ bool same(const SplatFlightLog& a, const SplatFlightLog& b) {
          a.margin == b.margin && a.outcome == b.outcome;
 }
 
-class Wrong final : public SplatFilter {
+class Wrong final : public SafetyFilter {
  public:
   explicit Wrong(double thrust) : thrust_(thrust) {}
-  InputKind kind() const override { return InputKind::wrench; }
+  CommandKind kind() const override { return CommandKind::wrench; }
   FilterReport filter(const FlightState&, const Nominal& nominal) override {
     FilterReport report;
-    report.status = SplatFilterStatus::filtered;
+    report.status = SafetyStatus::filtered;
     report.wrench = {thrust_, nominal.wrench.torque};
     return report;
   }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<Wrong>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<Wrong>(*this); }
 
  private:
   double thrust_;

@@ -49,10 +49,10 @@ Nominal nominal() {
 }
 
 // States in an order that cannot occur in a flight: the filter's commitments do not apply and must not do harm.
-void test_ticks(SplatFilter& filter, bool has_rows = true) {
+void test_ticks(SafetyFilter& filter, bool has_rows = true) {
   const Quadrotor body = vehicle();
   const auto other = filter.clone();
-  for (SplatFilter* each : {&filter, other.get()}) {
+  for (SafetyFilter* each : {&filter, other.get()}) {
     for (int i = 0; i < 300; ++i) each->filter(state(i), nominal());
     each->reset();
   }
@@ -60,7 +60,7 @@ void test_ticks(SplatFilter& filter, bool has_rows = true) {
   unsigned rows = 0, changed = 0, certified = 0, different = 0, inadmissible = 0;
   for (int i = 0; i < 200; ++i) {
     const FilterReport report = filter.filter(state(i), nominal()), again = other->filter(state(i), nominal());
-    rows += report.rows, changed += report.status != SplatFilterStatus::ok, certified += report.certified;
+    rows += report.rows, changed += report.status != SafetyStatus::ok, certified += report.certified;
     different += std::memcmp(&report.wrench, &again.wrench, sizeof report.wrench) != 0;
     inadmissible += !body.admissible(report.wrench, 1e-9);
   }

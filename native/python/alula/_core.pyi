@@ -922,7 +922,7 @@ class Pruning:
         rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position
         """
 
-class SplatFilter:
+class SafetyFilter:
     """Safety filter among ellipsoids; one per thread."""
 
     def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
@@ -944,7 +944,7 @@ class SplatFilter:
     def reset(self) -> None:
         """Clear warm starts and commitments before another flight."""
 
-    def clone(self) -> SplatFilter: ...
+    def clone(self) -> SafetyFilter: ...
 
     @property
     def gives_wrench(self) -> bool: ...
@@ -1028,7 +1028,7 @@ class ConeDiOptions:
         Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
-class ConeDi(SplatFilter):
+class ConeDi(SafetyFilter):
     """The collision cone filter of a double integrator."""
 
     def __init__(self, index: EllipsoidIndex, options: ConeDiOptions = ..., *, qp_backend: object | None = None) -> None:
@@ -1087,7 +1087,7 @@ class SaferSplatOptions:
         Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
-class SaferSplat(SplatFilter):
+class SaferSplat(SafetyFilter):
     """The distance filter of SAFER-Splat for a double integrator."""
 
     def __init__(self, index: EllipsoidIndex, options: SaferSplatOptions = ...) -> None: ...
@@ -1644,7 +1644,7 @@ class ConeEcbfOptions:
         Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
-class ConeEcbf(SplatFilter):
+class ConeEcbf(SafetyFilter):
     """The exponential collision cone filter of a quadrotor."""
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
@@ -1768,7 +1768,7 @@ class ConeBackupOptions:
         Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
-class ConeBackup(SplatFilter):
+class ConeBackup(SafetyFilter):
     """The collision cone backup filter of a quadrotor."""
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
@@ -1794,7 +1794,7 @@ class ShieldFilterOptions:
         The check that a safe manoeuvre to rest remains after the returned input.
         """
 
-class ShieldFilter(SplatFilter):
+class ShieldFilter(SafetyFilter):
     """The shield alone: the nominal wrench where it is safe."""
 
     def __init__(self, policy: BackupPolicy, map: ObstacleMap, radius_m: float, options: ShieldFilterOptions = ...) -> None: ...
@@ -1849,7 +1849,7 @@ class FlightTrial:
     One flight a tick at a time: state() and nominal(), then advance() with the answer.
     """
 
-    def __init__(self, vehicle: FlightVehicle, rules: FlightRules, reference: ReferenceCurve, *, seed: int = 0, trial: int = 0, guide: SplatFilter | None = None) -> None: ...
+    def __init__(self, vehicle: FlightVehicle, rules: FlightRules, reference: ReferenceCurve, *, seed: int = 0, trial: int = 0, guide: SafetyFilter | None = None) -> None: ...
 
     def state(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], float, float, list[float]]:
         """
@@ -1874,7 +1874,7 @@ class FlightTrial:
     def log(self) -> dict[str, Any]:
         """All ticks so far, as `fly` returns them."""
 
-def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[ReferenceCurve], filter: SplatFilter | None, *, guide: SplatFilter | None = None, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[ReferenceCurve], filter: SafetyFilter | None, *, guide: SafetyFilter | None = None, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
     Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per tick, the path at the rate of the plant, and the outcome.
     """

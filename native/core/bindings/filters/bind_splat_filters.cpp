@@ -1,4 +1,4 @@
-// Bindings of alula/geometry/ellipsoid_index.hpp, alula/filters/splat_filter.hpp and the acceleration filters.
+// Bindings of alula/geometry/ellipsoid_index.hpp, alula/filters/safety_filter.hpp and the acceleration filters.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -35,7 +35,7 @@ using flight::FlightState;
 using flight::Nominal;
 using flight::Pruning;
 using flight::SaferSplat;
-using flight::SplatFilter;
+using flight::SafetyFilter;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
@@ -154,7 +154,7 @@ struct Fields<Tick> {
 
 namespace {
 
-Record filter(SplatFilter& self, const State12& state, const Array3& acceleration, const nb::kwargs& others) {
+Record filter(SafetyFilter& self, const State12& state, const Array3& acceleration, const nb::kwargs& others) {
   Tick tick;
   tick.state.x = {at(state, 0), at(state, 3), at(state, 6), at(state, 9)};
   tick.nominal.acceleration = vec(acceleration);
@@ -251,7 +251,7 @@ void bind_splat_filters(nb::module_& m) {
 
   fields::bind<Pruning>(m, "Pruning", "Selection of the ellipsoids that become rows of a tick.");
 
-  nb::class_<SplatFilter>(m, "SplatFilter", "Safety filter among ellipsoids; one per thread.")
+  nb::class_<SafetyFilter>(m, "SafetyFilter", "Safety filter among ellipsoids; one per thread.")
       .def("filter", &filter, "state"_a, "acceleration"_a, "others"_a,
            nb::sig(fields::signature(Tick{},
                                      "self, state: collections.abc.Sequence[float], "
@@ -263,12 +263,13 @@ void bind_splat_filters(nb::module_& m) {
                "Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; "
                "returns a dict of FilterReport.")
                .c_str())
-      .def("reset", &SplatFilter::reset, "Clear warm starts and commitments before another flight.")
-      .def("clone", &SplatFilter::clone)
-      .def_prop_ro("gives_wrench", [](const SplatFilter& self) { return self.kind() == flight::InputKind::wrench; });
+      .def("reset", &SafetyFilter::reset, "Clear warm starts and commitments before another flight.")
+      .def("clone", &SafetyFilter::clone)
+      .def_prop_ro("gives_wrench",
+                   [](const SafetyFilter& self) { return self.kind() == flight::CommandKind::wrench; });
 
   fields::bind<flight::ConeDiOptions>(m, "ConeDiOptions", "Options of the filter cone-di.");
-  nb::class_<ConeDi, SplatFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")
+  nb::class_<ConeDi, SafetyFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")
       .def(
           "__init__",
           [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, const flight::ConeDiOptions& options,
@@ -280,7 +281,7 @@ void bind_splat_filters(nb::module_& m) {
       .def_prop_ro("options", &ConeDi::options);
 
   fields::bind<flight::SaferSplatOptions>(m, "SaferSplatOptions", "Options of the filter safer-splat.");
-  nb::class_<SaferSplat, SplatFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")
+  nb::class_<SaferSplat, SafetyFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")
       .def(
           "__init__",
           [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, const flight::SaferSplatOptions& options) {

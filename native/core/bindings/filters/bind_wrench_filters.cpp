@@ -105,7 +105,7 @@ void bind_shield(nb::module_& m) {
 
 template <class Filter, class Options>
 void bind_filter(nb::module_& m, const char* name, const char* doc) {
-  nb::class_<Filter, SplatFilter>(m, name, doc)
+  nb::class_<Filter, SafetyFilter>(m, name, doc)
       .def(
           "__init__",
           [](Filter* self, const BackupPolicy& policy, Index index, const Options& options, nb::object qp_backend,
@@ -129,7 +129,7 @@ void bind_filters(nb::module_& m) {
   bind_filter<ConeBackup, ConeBackupOptions>(m, "ConeBackup", "The collision cone backup filter of a quadrotor.");
 
   fields::bind<ShieldFilterOptions>(m, "ShieldFilterOptions", "Options of the filter shield.");
-  nb::class_<ShieldFilter, SplatFilter>(m, "ShieldFilter", "The shield alone: the nominal wrench where it is safe.")
+  nb::class_<ShieldFilter, SafetyFilter>(m, "ShieldFilter", "The shield alone: the nominal wrench where it is safe.")
       .def(
           "__init__",
           [](ShieldFilter* self, const BackupPolicy& policy, Map map, double radius_m,

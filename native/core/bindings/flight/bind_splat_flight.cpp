@@ -92,7 +92,7 @@ struct Fields<FlightRulesArguments> {
 
 template <>
 struct Fields<Answer> {
-  static constexpr std::tuple all{Field{"status", &Answer::status, "SplatFilterStatus", Limits{}, true},
+  static constexpr std::tuple all{Field{"status", &Answer::status, "SafetyStatus", Limits{}, true},
                                   Field{"margin", &Answer::margin, "value of the barrier", Limits{}, true},
                                   Field{"active", &Answer::active, "ellipsoid that decides, or -1"},
                                   Field{"thrust_rate", &Answer::thrust_rate, "rate of the thrust [N/s]"},
@@ -133,8 +133,8 @@ LogDict to_dict(SplatFlightLog&& log) {
 }
 
 nb::typed<nb::list, LogDict> run(const FlightVehicle& vehicle, const FlightRules& rules,
-                                 const std::vector<ReferenceCurve>& references, const SplatFilter* filter,
-                                 const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                 const std::vector<ReferenceCurve>& references, const SafetyFilter* filter,
+                                 const SafetyFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
                                  unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<SplatFlightLog> logs;
@@ -154,7 +154,7 @@ struct SteppedFlight {
   FlightTrial trial;
 
   SteppedFlight(const FlightVehicle& what, const FlightRules& rules, const ReferenceCurve& curve, std::uint64_t seed,
-                std::uint32_t number, const SplatFilter* guide)
+                std::uint32_t number, const SafetyFilter* guide)
       : reference(curve), vehicle(what), trial(vehicle, rules, reference, seed, number, guide) {}
   SteppedFlight(const SteppedFlight&) = delete;
 
@@ -164,8 +164,8 @@ struct SteppedFlight {
     if (u.size() != 3 && u.size() != 4) throw std::invalid_argument("an input has 3 or 4 numbers");
     const bool is_wrench = u.size() == 4;
     FilterReport report;
-    report.status = static_cast<SplatFilterStatus>(answer.status);
-    if (report.status == SplatFilterStatus::refused)
+    report.status = static_cast<SafetyStatus>(answer.status);
+    if (report.status == SafetyStatus::refused)
       report.wrench.thrust = vehicle.body.hover_thrust();
     else if (is_wrench)
       report.wrench = {u.data()[0], {u.data()[1], u.data()[2], u.data()[3]}};
@@ -176,7 +176,7 @@ struct SteppedFlight {
     report.active = answer.active;
     report.infeasible = answer.infeasible;
     report.certified = answer.certified;
-    const InputKind kind = is_wrench ? InputKind::wrench : InputKind::acceleration;
+    const CommandKind kind = is_wrench ? CommandKind::wrench : CommandKind::acceleration;
     return static_cast<int>(trial.advance(report, kind, answer.filter_s));
   }
 };
@@ -221,7 +221,7 @@ void bind_splat_flight(nb::module_& m) {
   nb::class_<SteppedFlight>(m, "FlightTrial",
                             "One flight a tick at a time: state() and nominal(), then advance() with the answer.")
       .def(nb::init<const FlightVehicle&, const FlightRules&, const ReferenceCurve&, std::uint64_t, std::uint32_t,
-                    const SplatFilter*>(),
+                    const SafetyFilter*>(),
            "vehicle"_a, "rules"_a, "reference"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "guide"_a = nb::none())
       .def(
           "state",

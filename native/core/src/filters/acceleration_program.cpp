@@ -62,7 +62,7 @@ bool AccelerationProgram::holds(Vec3 a, double tolerance, bool with_soft) const 
 bool AccelerationProgram::accept(FilterReport& report, bool unsafe) const {
   if (!holds(nominal_, 0, true)) return false;
   report.acceleration = nominal_;
-  report.status = unsafe ? SplatFilterStatus::recovering : SplatFilterStatus::ok;
+  report.status = unsafe ? SafetyStatus::recovering : SafetyStatus::ok;
   return true;
 }
 
@@ -94,7 +94,7 @@ bool AccelerationProgram::solve(FilterReport& report, bool unsafe) {
     return false;
   }
   report.acceleration = a;
-  report.status = unsafe ? SplatFilterStatus::recovering : SplatFilterStatus::filtered;
+  report.status = unsafe ? SafetyStatus::recovering : SafetyStatus::filtered;
   double largest = 0;
   for (std::size_t i = 0; i < result.active_count; ++i) {
     if (result.active[i] >= item_.size() || !(result.multiplier[i] > largest)) continue;
@@ -112,7 +112,7 @@ void AccelerationProgram::brake(FilterReport& report, Vec3 v, double rate, doubl
     if (braking_rate * std::abs(v[axis]) > limit_) braking_rate = limit_ / std::abs(v[axis]);
   report.acceleration = -braking_rate * v;
   const bool good = holds(report.acceleration, kTolerance * (1 + braking_rate * speed), false);
-  report.status = good ? SplatFilterStatus::filtered : SplatFilterStatus::recovering;
+  report.status = good ? SafetyStatus::filtered : SafetyStatus::recovering;
 }
 
 }  // namespace alula::flight

@@ -106,19 +106,19 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
 
   Shield* const shield = o.shielded ? &shield_ : nullptr;
   const bool unsafe = inside || report.margin < 0;
-  const auto end = [&](const Wrench& wrench, double rate, SplatFilterStatus status) {
+  const auto end = [&](const Wrench& wrench, double rate, SafetyStatus status) {
     report.thrust_rate = rate;
-    finish(shield, state.x, wrench, unsafe ? SplatFilterStatus::recovering : status, status, near, report);
+    finish(shield, state.x, wrench, unsafe ? SafetyStatus::recovering : status, status, near, report);
     return report;
   };
   if (program_.holds(nominal_input) && program_.tracks(nominal_input) && vehicle.admissible(nominal.wrench))
-    return end(nominal.wrench, nominal.thrust_rate, SplatFilterStatus::ok);
+    return end(nominal.wrench, nominal.thrust_rate, SafetyStatus::ok);
 
   Vec4 best{};
   if (o.solver == BackupSolver::interpolation) {
     const Wrench base = flow_.input();
     if (program_.interpolate({base.thrust, base.torque.x, base.torque.y, base.torque.z}, best, report))
-      return end(vehicle.limited(program_.wrench(best)), 0, SplatFilterStatus::filtered);
+      return end(vehicle.limited(program_.wrench(best)), 0, SafetyStatus::filtered);
   } else {
     Vec4 target = nominal_input;
     if (head_on) {
@@ -126,7 +126,7 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
       for (std::size_t j = 0; j < 3; ++j) target[j + 1] += torque[static_cast<int>(j)];
     }
     if (program_.solve(target, best, report))
-      return end(vehicle.limited(program_.wrench(best)), 0, SplatFilterStatus::filtered);
+      return end(vehicle.limited(program_.wrench(best)), 0, SafetyStatus::filtered);
   }
   fly_backup(shield, policy_, state.x, o.try_nominal ? &nominal.wrench : nullptr, near, report);
   return report;

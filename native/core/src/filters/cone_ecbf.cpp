@@ -124,10 +124,10 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   const bool head_on = add_rows(state, map, near, moves, report, inside);
   program_.track(o.tracking, nominal, map.per_thrust, vehicle.gravity());
 
-  const auto end = [&](const Wrench& wrench, double rate, SplatFilterStatus status) {
+  const auto end = [&](const Wrench& wrench, double rate, SafetyStatus status) {
     report.thrust_rate = std::isfinite(rate) ? rate : 0;
-    finish(o.shielded ? &shield_ : nullptr, state.x, wrench, inside ? SplatFilterStatus::recovering : status, status,
-           near, report);
+    finish(o.shielded ? &shield_ : nullptr, state.x, wrench, inside ? SafetyStatus::recovering : status, status, near,
+           report);
     return report;
   };
   const double close = kSameThrust * vehicle.hover_thrust();
@@ -135,7 +135,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
       !extends || std::abs(program_.wrench(nominal_input).thrust - nominal.wrench.thrust) <= close;
   const bool holds = program_.holds(nominal_input), releases = smooth_.is_releasing();
   if (!releases && at_nominal && holds && program_.tracks(nominal_input) && vehicle.admissible(nominal.wrench))
-    return end(nominal.wrench, nominal.thrust_rate, SplatFilterStatus::ok);
+    return end(nominal.wrench, nominal.thrust_rate, SafetyStatus::ok);
 
   Vec4 target = nominal_input, best{};
   if (smooth_.is_on() && (releases || !(holds || program_.clears(nominal_input))) &&
@@ -151,7 +151,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   if (program_.solve(target, best, report)) {
     const Wrench wrench = vehicle.limited(program_.wrench(best));
     const double rate = extends ? state.thrust_rate + m * dt * best[0] : (wrench.thrust - state.thrust) / dt;
-    return end(wrench, rate, SplatFilterStatus::filtered);
+    return end(wrench, rate, SafetyStatus::filtered);
   }
   smooth_.hold();
   fly_backup(o.shielded ? &shield_ : nullptr, policy_, state.x, o.try_nominal ? &nominal.wrench : nullptr, near,

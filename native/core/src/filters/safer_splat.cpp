@@ -67,7 +67,7 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
     report.infeasible = true;
     program_.brake(report, v, options_.alpha / 2, options_.max_braking);
     const double tolerance = AccelerationProgram::kTolerance * (1 + largest(report.acceleration));
-    if (on_demand && !rows_.hold(report.acceleration, tolerance)) report.status = SplatFilterStatus::recovering;
+    if (on_demand && !rows_.hold(report.acceleration, tolerance)) report.status = SafetyStatus::recovering;
   }
   report.rows = static_cast<std::uint32_t>(program_.rows());
   if (on_demand) report.candidates = rows_.measured();

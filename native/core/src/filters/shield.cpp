@@ -158,7 +158,7 @@ Manoeuvre Shield::plan(const State& x, std::span<const Found> near) {
 // Sets the report to the manoeuvre to fly from x.
 void Shield::settle(const State& x, std::span<const Found> near, FilterReport& report) {
   report.certified = is_planned_ ? is_chosen_safe_ : choose(x, near);
-  report.status = report.certified ? SplatFilterStatus::backup : SplatFilterStatus::recovering;
+  report.status = report.certified ? SafetyStatus::backup : SafetyStatus::recovering;
   report.wrench = flown(x, chosen_, 0);
 }
 
@@ -169,7 +169,7 @@ void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport
   is_committed_ = report.certified, is_planned_ = false;
 }
 
-bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
+bool Shield::decide(const State& x, const Wrench& candidate, SafetyStatus accepted, std::span<const Found> near,
                     FilterReport& report) {
   has_escapes_ = has_escapes_ && is_planned_;
   if (accept_escaping(x, candidate, near)) {

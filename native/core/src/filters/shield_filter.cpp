@@ -22,8 +22,8 @@ FilterReport ShieldFilter::filter(const FlightState& state, const Nominal& nomin
   report.margin = distance < seen ? distance - shield_.radius() : std::numeric_limits<double>::infinity();
   const bool admissible = vehicle.admissible(nominal.wrench);
   report.thrust_rate = nominal.thrust_rate;
-  finish(&shield_, state.x, admissible ? nominal.wrench : vehicle.limited(nominal.wrench), SplatFilterStatus::ok,
-         admissible ? SplatFilterStatus::ok : SplatFilterStatus::filtered, {}, report);
+  finish(&shield_, state.x, admissible ? nominal.wrench : vehicle.limited(nominal.wrench), SafetyStatus::ok,
+         admissible ? SafetyStatus::ok : SafetyStatus::filtered, {}, report);
   return report;
 }
 

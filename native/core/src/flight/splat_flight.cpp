@@ -55,7 +55,7 @@ Vec3 acceleration_of(const Quadrotor& body, const State& x, double thrust) {
 }  // namespace
 
 FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
-                         std::uint64_t seed, std::uint32_t trial, const SplatFilter* guide)
+                         std::uint64_t seed, std::uint32_t trial, const SafetyFilter* guide)
     : vehicle_(vehicle),
       rules_(rules),
       reference_(reference),
@@ -65,7 +65,7 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
       guide_(guide == nullptr ? nullptr : guide->clone()) {
   check(vehicle, rules);
   if (guide_) {
-    if (guide_->kind() != InputKind::acceleration) throw std::invalid_argument("a guide gives accelerations");
+    if (guide_->kind() != CommandKind::acceleration) throw std::invalid_argument("a guide gives accelerations");
     guide_->reset();
   }
   const ReferencePoint start = reference.at(reference.start());
@@ -98,7 +98,7 @@ void FlightTrial::observe() {
     const auto start = Clock::now();
     const FilterReport bent = guide_->filter(seen_, nominal_);
     guide_s_ = seconds_since(start);
-    if (bent.status != SplatFilterStatus::ok && bent.status != SplatFilterStatus::refused) {
+    if (bent.status != SafetyStatus::ok && bent.status != SafetyStatus::refused) {
       if (is_rigid())
         nominal_.wrench = realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, bent.acceleration);
       nominal_.acceleration = bent.acceleration;
@@ -109,7 +109,7 @@ void FlightTrial::observe() {
 
 FilterReport FlightTrial::unfiltered() const {
   FilterReport report;
-  report.status = SplatFilterStatus::ok;
+  report.status = SafetyStatus::ok;
   report.acceleration = nominal_.acceleration;
   report.wrench = nominal_.wrench;
   report.thrust_rate = nominal_.thrust_rate;
@@ -117,9 +117,9 @@ FilterReport FlightTrial::unfiltered() const {
   return report;
 }
 
-Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double filter_s) {
+Outcome FlightTrial::advance(const FilterReport& answer, CommandKind kind, double filter_s) {
   if (log_.outcome != Outcome::flying) throw std::logic_error("the flight is over");
-  if (kind == InputKind::wrench && !is_rigid()) throw std::invalid_argument("a double integrator has no wrench");
+  if (kind == CommandKind::wrench && !is_rigid()) throw std::invalid_argument("a double integrator has no wrench");
   const double thrust_before = seen_.thrust;
   double error = 0, realise_s = 0;
   Wrench led;
@@ -134,7 +134,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
     x_ = point_.state();
   } else {
     const auto before = Clock::now();
-    if (is_turn(kind == InputKind::wrench ? rules_.filter_ticks : rules_.controller_ticks)) renew(answer, kind);
+    if (is_turn(kind == CommandKind::wrench ? rules_.filter_ticks : rules_.controller_ticks)) renew(answer, kind);
     led = predictor_.lead(flown_);
     realise_s = seconds_since(before);
     error = fly(led);
@@ -142,7 +142,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
     seen_.thrust = flown_.thrust;
     is_other_ = flown_.thrust != nominal_.wrench.thrust;
   }
-  seen_.thrust_rate = kind == InputKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
+  seen_.thrust_rate = kind == CommandKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
 
   append(log_.state, x_);
   append(log_.a_nominal, nominal_.acceleration);
@@ -169,8 +169,8 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
 }
 
 // Makes the wrench, its acceleration and its body rates from the report of a filter.
-void FlightTrial::renew(const FilterReport& answer, InputKind kind) {
-  const bool is_wrench = kind == InputKind::wrench;
+void FlightTrial::renew(const FilterReport& answer, CommandKind kind) {
+  const bool is_wrench = kind == CommandKind::wrench;
   const Wrench unlimited =
       is_wrench ? answer.wrench
                 : realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, answer.acceleration);
@@ -207,8 +207,8 @@ double FlightTrial::fly(const Wrench& led) {
   return worst;
 }
 
-Outcome FlightTrial::judged(SplatFilterStatus status) {
-  if (status == SplatFilterStatus::refused || !is_finite(x_) || !within(x_.p, rules_.lower, rules_.upper))
+Outcome FlightTrial::judged(SafetyStatus status) {
+  if (status == SafetyStatus::refused || !is_finite(x_) || !within(x_.p, rules_.lower, rules_.upper))
     return Outcome::refused;
   const double speed = norm(x_.v);
   const bool over = time_s() >= reference_.duration() - 1e-9;
@@ -221,15 +221,15 @@ Outcome FlightTrial::judged(SplatFilterStatus status) {
 }
 
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
-                                std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                std::span<const ReferenceCurve> references, const SafetyFilter* filter,
+                                const SafetyFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
                                 unsigned jobs, Control& control) {
   check(vehicle, rules);
   std::vector<SplatFlightLog> logs(references.size());
   parallel_chunks(references.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
-    const std::unique_ptr<SplatFilter> own = filter == nullptr ? nullptr : filter->clone();
+    const std::unique_ptr<SafetyFilter> own = filter == nullptr ? nullptr : filter->clone();
     // Without a filter a rigid body flies the controller's own wrench, the same that `realise` gives.
-    const InputKind kind = own ? own->kind() : InputKind::acceleration;
+    const CommandKind kind = own ? own->kind() : CommandKind::acceleration;
     for (std::size_t i = begin; i < end; ++i) {
       if (own) own->reset();
       FlightTrial trial(vehicle, rules, references[i], seed, first_trial + static_cast<std::uint32_t>(i), guide);

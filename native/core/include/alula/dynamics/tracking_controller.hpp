@@ -16,7 +16,7 @@
 
 #include "alula/base/jet.hpp"
 #include "alula/dynamics/quadrotor.hpp"
-#include "alula/filters/splat_filter.hpp"
+#include "alula/filters/safety_filter.hpp"
 #include "alula/planning/reference_curve.hpp"
 
 namespace alula::flight {

@@ -17,7 +17,7 @@
 #include <limits>
 
 #include "alula/dynamics/quadrotor.hpp"
-#include "alula/filters/splat_filter.hpp"
+#include "alula/filters/safety_filter.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
 
 namespace alula::flight {

@@ -25,17 +25,17 @@
 
 namespace alula::flight {
 
-class ConeBackup final : public SplatFilter {
+class ConeBackup final : public SafetyFilter {
  public:
   // `solver` solves the program. The shield certifies against `surroundings`, without a map against the ellipsoids of
   // the index for its radius. Throws std::invalid_argument for invalid options.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
              const ConeBackupOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {});
 
-  InputKind kind() const override { return InputKind::wrench; }
+  CommandKind kind() const override { return CommandKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { shield_.reset(), pruner_.reset(); }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeBackup>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ConeBackup>(*this); }
   const ConeBackupOptions& options() const { return options_; }
 
  private:

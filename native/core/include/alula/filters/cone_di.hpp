@@ -37,15 +37,15 @@ namespace alula::flight {
 // e = (e_p, e_v) demands V' <= -c V + xi. The undisturbed tracking law satisfies it for c <= 1 / lambda_max(P), 0.73
 // for the default gains, so it acts only where a cone does. Source: FastBridge (arXiv 2607.01200), eq. 9-11; the rows
 // on gamma are alula's own.
-class ConeDi final : public SplatFilter {
+class ConeDi final : public SafetyFilter {
  public:
   // `solver` solves the program. Throws std::invalid_argument for invalid options.
   ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options, QpSolver solver = {});
 
-  InputKind kind() const override { return InputKind::acceleration; }
+  CommandKind kind() const override { return CommandKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { pruner_.reset(); }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeDi>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ConeDi>(*this); }
   const ConeDiOptions& options() const { return options_; }
 
  private:

@@ -35,17 +35,17 @@ namespace alula::flight {
 // Choice of lambda: a pole slower than the time to contact (at most a second within the gate) demands the turn too
 // early; braking satisfies such a row, so flights end short of their goals. A pole that is much faster turns later
 // than the rotors can at speed, head-on, and the shield stops the vehicle.
-class ConeEcbf final : public SplatFilter {
+class ConeEcbf final : public SafetyFilter {
  public:
   // `solver` solves the program. The shield certifies against `surroundings`, without a map against the ellipsoids of
   // the index for its radius. Throws std::invalid_argument for invalid options, in particular w dt >= 1.
   ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
            const ConeEcbfOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {});
 
-  InputKind kind() const override { return InputKind::wrench; }
+  CommandKind kind() const override { return CommandKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { shield_.reset(), smooth_.reset(), pruner_.reset(); }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
   const ConeEcbfOptions& options() const { return options_; }
 
  private:

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "alula/filters/splat_filter.hpp"
+#include "alula/filters/safety_filter.hpp"
 
 namespace alula::flight {
 

@@ -31,15 +31,15 @@ namespace alula::flight {
 // Without a solution `infeasible` is reported and the vehicle brakes, a = -v min(alpha/2, max_braking / |v|)
 // within the box. The status is `filtered` if this satisfies all rows and `recovering` if not; the published filter
 // flies the nominal input there. Inputs that are not finite are refused, with a = 0.
-class SaferSplat final : public SplatFilter {
+class SaferSplat final : public SafetyFilter {
  public:
   // Throws std::invalid_argument for invalid options.
   SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options);
 
-  InputKind kind() const override { return InputKind::acceleration; }
+  CommandKind kind() const override { return CommandKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { pruner_.reset(); }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<SaferSplat>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<SaferSplat>(*this); }
   const SaferSplatOptions& options() const { return options_; }
   const EllipsoidIndex& index() const { return pruner_.index(); }
   const DistanceLaw& law() const { return rows_.law(); }

@@ -98,7 +98,7 @@ class Shield {
   // and the backup's, or the backup's (status backup), or the best remaining one (recovering). In the last case
   // `candidate` is used only where it comes no nearer than now. `cone_escape` turns away from the cones of the
   // ellipsoids `near`. Returns true if the candidate itself was accepted.
-  bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
+  bool decide(const State& x, const Wrench& candidate, SafetyStatus accepted, std::span<const Found> near,
               FilterReport& report);
 
   // The same without a candidate.

@@ -10,17 +10,17 @@
 
 namespace alula::flight {
 
-class ShieldFilter final : public SplatFilter {
+class ShieldFilter final : public SafetyFilter {
  public:
   // Throws std::invalid_argument for invalid options, and for `cone_escape`, which needs ellipsoids.
   ShieldFilter(const BackupPolicy& policy, Surroundings surroundings, const ShieldFilterOptions& options = {});
 
-  InputKind kind() const override { return InputKind::wrench; }
+  CommandKind kind() const override { return CommandKind::wrench; }
 
   // `margin` is the clearance now: the distance to the map less the radius, infinite beyond 1 m.
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { shield_.reset(); }
-  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ShieldFilter>(*this); }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ShieldFilter>(*this); }
   const ShieldFilterOptions& options() const { return options_; }
 
  private:

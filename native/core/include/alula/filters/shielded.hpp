@@ -60,15 +60,15 @@ inline bool is_usable(const FlightState& state, const Nominal& nominal) {
 // Returns hover, for inputs that are not finite.
 inline FilterReport refused(const Quadrotor& vehicle) {
   FilterReport report;
-  report.status = SplatFilterStatus::refused;
+  report.status = SafetyStatus::refused;
   report.wrench = {vehicle.hover_thrust(), {}};
   return report;
 }
 
 // `wrench` satisfies all rows: it is returned as `certified_status` when the shield accepts it, or as `bare_status`
 // unchecked without a shield. report.thrust_rate is that of `wrench`, and 0 when another wrench is flown.
-inline void finish(Shield* shield, const State& x, const Wrench& wrench, SplatFilterStatus bare_status,
-                   SplatFilterStatus certified_status, std::span<const Found> near, FilterReport& report) {
+inline void finish(Shield* shield, const State& x, const Wrench& wrench, SafetyStatus bare_status,
+                   SafetyStatus certified_status, std::span<const Found> near, FilterReport& report) {
   if (shield == nullptr) {
     report.wrench = wrench, report.status = bare_status;
   } else if (!shield->decide(x, wrench, certified_status, near, report)) {
@@ -81,9 +81,9 @@ inline void fly_backup(Shield* shield, const BackupPolicy& policy, const State& 
                        std::span<const Found> near, FilterReport& report) {
   report.thrust_rate = 0;
   if (shield == nullptr) {
-    report.wrench = policy(x), report.status = SplatFilterStatus::backup;
+    report.wrench = policy(x), report.status = SafetyStatus::backup;
   } else if (nominal != nullptr) {
-    shield->decide(x, policy.vehicle().limited(*nominal), SplatFilterStatus::backup, near, report);
+    shield->decide(x, policy.vehicle().limited(*nominal), SafetyStatus::backup, near, report);
   } else {
     shield->fall_back(x, near, report);
   }

@@ -15,7 +15,7 @@
 #include "alula/dynamics/plant.hpp"
 #include "alula/dynamics/state_predictor.hpp"
 #include "alula/dynamics/tracking_controller.hpp"
-#include "alula/filters/splat_filter.hpp"
+#include "alula/filters/safety_filter.hpp"
 #include "alula/flight/rollout.hpp"
 
 namespace alula::flight {
@@ -94,7 +94,7 @@ class FlightTrial {
   // `seed` and `trial` are of the plant's noise; `guide` is cloned, or null. Throws std::invalid_argument when a
   // rule means nothing or the guide does not give accelerations.
   FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
-              std::uint64_t seed, std::uint32_t trial, const SplatFilter* guide = nullptr);
+              std::uint64_t seed, std::uint32_t trial, const SafetyFilter* guide = nullptr);
 
   const FlightState& state() const { return seen_; }
   const Nominal& nominal() const { return nominal_; }
@@ -107,7 +107,7 @@ class FlightTrial {
   FilterReport unfiltered() const;
 
   // Flies the filter's report for a tick; `filter_s` is the filter's time, to which the guide's time is added.
-  Outcome advance(const FilterReport& answer, InputKind kind, double filter_s);
+  Outcome advance(const FilterReport& answer, CommandKind kind, double filter_s);
 
   SplatFlightLog& log() { return log_; }
 
@@ -115,9 +115,9 @@ class FlightTrial {
   bool is_rigid() const { return vehicle_.kind == PlantKind::quadrotor; }
   bool is_turn(std::int64_t ticks) const { return static_cast<std::int64_t>(log_.ticks()) % ticks == 0; }
   void observe();
-  void renew(const FilterReport& answer, InputKind kind);
+  void renew(const FilterReport& answer, CommandKind kind);
   double fly(const Wrench& led);
-  Outcome judged(SplatFilterStatus status);
+  Outcome judged(SafetyStatus status);
 
   FlightVehicle vehicle_;
   FlightRules rules_;
@@ -133,7 +133,7 @@ class FlightTrial {
   Vec3 command_, rates_;  // its acceleration and, for the interface body_rates, its rates
   bool is_limited_ = false;
   Vec3 goal_;
-  std::unique_ptr<SplatFilter> guide_;
+  std::unique_ptr<SafetyFilter> guide_;
   double stop_distance_, controller_s_ = 0, guide_s_ = 0;
   bool is_other_ = false;  // the applied thrust differs from the controller's
   std::int64_t max_ticks_, still_ = 0;
@@ -143,8 +143,8 @@ class FlightTrial {
 // Flies every reference with clones of `guide` and `filter`, each of which may be null, on `jobs` threads. All but
 // the measured times is independent of `jobs`; trial i has the number `first_trial` + i.
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
-                                std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                std::span<const ReferenceCurve> references, const SafetyFilter* filter,
+                                const SafetyFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
                                 unsigned jobs, Control& control);
 
 // Minimum of gamma = r^T A r - 1, r = centre - p, over all grown ellipsoids and the points (3 numbers each): below 0

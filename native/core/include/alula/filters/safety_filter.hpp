@@ -1,0 +1,86 @@
+// Protocol of all safety filters: estimate and nominal command in, checked command out.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+
+#include "alula/dynamics/quadrotor.hpp"
+#include "alula/dynamics/racer.hpp"
+#include "alula/filters/options.hpp"
+#include "alula/geometry/ellipsoid_index.hpp"
+#include "alula_avoidance.h"
+
+namespace alula::flight {
+
+// The values of `alula_filter_status` in native/onboard, and one more.
+enum class SafetyStatus : std::uint8_t {
+  ok = 0,          // the nominal input satisfies all rows and is returned bit by bit
+  filtered = 1,    // the nearest input that satisfies all rows
+  shortened = 2,   // filtered, and scaled down so that the held step stays clear; of velocities only
+  recovering = 3,  // no safe input was found: best effort, reported as unsafe
+  refused = 4,     // non-finite input, or the solver has no verdict: hover, zero acceleration or zero velocity
+  backup = 5       // the backup policy is flown
+};
+
+// Vehicle state of a filter; thrust and its rate are the last applied values.
+struct FlightState {
+  State x;
+  double thrust = 0;       // T [N]
+  double thrust_rate = 0;  // T' [N/s]
+  // Thrust of each rotor now [N], for a shield with a motor time constant; without a value the rotors hover.
+  std::optional<Vec4> rotors;
+  // What moves, predicted to now, as a tracker estimates it.
+  std::span<const alula_track> tracks;
+  Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
+  bool is_known = true;    // false: there is no navigation, and the state means nothing
+};
+
+// Nominal input of the tracking controller, and its tracking errors. A filter reads the command of its kind.
+struct Nominal {
+  Vec3 velocity;                                    // [m/s]
+  Vec3 acceleration;                                // of the translation: a_r - (K_p e_p + K_v e_v) / m [m/s^2]
+  Wrench wrench;                                    // T and tau of the geometric controller
+  double thrust_rate = 0, thrust_acceleration = 0;  // T', T'' of the same
+  Vec3 position_error, velocity_error, reference_acceleration;  // e_p, e_v, a_r, for the CLF row
+  std::optional<RacerCommand> sticks;                           // throttle and body rates; without a value: silent
+};
+
+// Kinds of commands, from the outermost loop of a vehicle to the innermost.
+enum class CommandKind : std::uint8_t { velocity, acceleration, wrench, sticks };
+
+struct FilterReport {
+  SafetyStatus status = SafetyStatus::refused;
+  Vec3 velocity;           // for CommandKind::velocity
+  Vec3 acceleration;       // for CommandKind::acceleration
+  Wrench wrench;           // for CommandKind::wrench
+  double thrust_rate = 0;  // T' at the end of the tick, for CommandKind::wrench
+  RacerCommand sticks;     // for CommandKind::sticks
+  double margin =
+      0;  // the filter's own barrier: minimum of h over the rows, or h_b for cone-backup; infinite without rows
+  std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
+  // Values for the log.
+  double gate_m = 0;              // distance gate of this tick
+  std::uint32_t candidates = 0;   // ellipsoids within the gate, at most k
+  std::uint32_t rows = 0;         // barrier rows of the program
+  std::uint32_t iterations = 0;   // of the program
+  bool capped = false;            // the cap k excluded ellipsoids within the gate
+  bool infeasible = false;        // the program has no solution
+  bool certified = false;         // the returned input was checked to leave a safe backup manoeuvre
+  bool certified_moving = false;  // that manoeuvre is also clear of the tubes of all tracks, as far as they reach
+};
+
+// One per thread. `filter` returns only inputs that it has checked and that are finite.
+class SafetyFilter {
+ public:
+  virtual ~SafetyFilter() = default;
+  virtual CommandKind kind() const = 0;  // of the command that it changes and returns
+  virtual FilterReport filter(const FlightState& state, const Nominal& nominal) = 0;
+  // Reports the acceleration that is flown when it is not the returned one; the next tick uses it.
+  virtual void flown(Vec3 /*acceleration*/) {}
+  virtual void reset() {}  // before another flight: clear warm starts and commitments
+  virtual std::unique_ptr<SafetyFilter> clone() const = 0;
+};
+
+}  // namespace alula::flight
