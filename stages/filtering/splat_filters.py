@@ -51,7 +51,7 @@ class NativeSplatFilter:
     @property
     def kind(self) -> InputKind:
         """The kind of input that the filter returns."""
-        return "wrench" if self.native.gives_wrench else "acceleration"
+        return self.native.kind  # type: ignore[return-value]
 
     def __call__(self, state: FlightState, nominal: Nominal) -> SplatFilterResult:
         """Filter one tick; see `SplatFilter`."""

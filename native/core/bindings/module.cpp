@@ -24,6 +24,7 @@ void bind_splat_filters(nb::module_& m);
 void bind_backup(nb::module_& m);
 void bind_wrench_filters(nb::module_& m);
 void bind_splat_flight(nb::module_& m);
+void bind_flight(nb::module_& m);
 void bind_tracker(nb::module_& m);
 void bind_moving_world(nb::module_& m);
 void bind_encounter(nb::module_& m);
@@ -65,4 +66,5 @@ NB_MODULE(_core, m) {
   bind_geofence(m);
   bind_pendulum(m);
   bind_rates(m);
+  bind_flight(m);
 }

@@ -65,7 +65,7 @@ ObstacleSpec ahead(Vec3 position, Vec3 velocity) {
 
 EncounterSpec ideal() {
   EncounterSpec spec;
-  spec.radar.kind = SensorKind::ideal;
+  spec.moving.radar.kind = SensorKind::ideal;
   return spec;
 }
 
@@ -115,7 +115,7 @@ void test_the_plant_is_late_and_keeps_its_limits() {
 
 void test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says() {
   EncounterSpec spec = ideal();
-  spec.obstacles = {ahead({50, 1, 10}, {-6, 0, 0}), ahead({50, 0.2, 10}, {-6, 0, 0})};
+  spec.moving.obstacles = {ahead({50, 1, 10}, {-6, 0, 0}), ahead({50, 0.2, 10}, {-6, 0, 0})};
   const EncounterLog log = fly(spec, nominal())[0];
   CHECK(std::abs(log.obstacle[0].closest_m - 1) < 1e-9 && !log.obstacle[0].collided);
   CHECK(std::abs(log.obstacle[1].closest_m - 0.2) < 1e-9 && log.obstacle[1].collided);
@@ -128,7 +128,7 @@ void test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says() {
 
 void test_warnings_and_manoeuvres_are_timed() {
   EncounterSpec spec = ideal();
-  spec.obstacles = {ahead({50, 1, 10}, {-6, 0, 0})};
+  spec.moving.obstacles = {ahead({50, 1, 10}, {-6, 0, 0})};
   const Scripted filter([](int tick, std::span<const alula_track> tracks, auto, Vec3 a) {
     const std::uint8_t mode = tick < 400 ? ALULA_NOMINAL : tick < 450 ? ALULA_AVOID : ALULA_HOVER;
     MovingReport report = flown(a, tick < 480 ? mode : std::uint8_t{ALULA_NOMINAL});
@@ -174,8 +174,8 @@ void test_a_filter_is_notified_of_the_command_flown_where_it_refused() {
 
 void test_trials_do_not_depend_on_their_order() {
   EncounterSpec spec;
-  spec.obstacles.resize(2);
-  spec.obstacles[0].azimuth = {0.2, 0.5}, spec.obstacles[0].either_side = true;
+  spec.moving.obstacles.resize(2);
+  spec.moving.obstacles[0].azimuth = {0.2, 0.5}, spec.moving.obstacles[0].either_side = true;
   spec.rules.max_time_s = 3;
   const std::vector<EncounterLog> all = fly(spec, nominal(), 0, 9, 1), many = fly(spec, nominal(), 0, 9, 3);
   const EncounterLog alone = fly(spec, nominal(), 5)[0];
@@ -249,8 +249,8 @@ void test_invalid_specifications_are_rejected() {
   CHECK(refused([](EncounterSpec& s) { s.vehicle.max_jerk_m_s3 = NAN; }));
   CHECK(refused([](EncounterSpec& s) { s.rules.dt_s = 0; }));
   CHECK(refused([](EncounterSpec& s) { s.rules.plant_steps = 0; }));
-  CHECK(refused([](EncounterSpec& s) { s.obstacles.resize(ALULA_OBSTACLES + 1); }));
-  CHECK(refused([](EncounterSpec& s) { s.radar.rate_hz = 0; }));
+  CHECK(refused([](EncounterSpec& s) { s.moving.obstacles.resize(ALULA_OBSTACLES + 1); }));
+  CHECK(refused([](EncounterSpec& s) { s.moving.radar.rate_hz = 0; }));
 }
 
 void test_all() {

@@ -923,9 +923,9 @@ class Pruning:
         """
 
 class SafetyFilter:
-    """Safety filter among ellipsoids; one per thread."""
+    """Safety filter of one kind of command; one per thread."""
 
-    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, velocity: Sequence[float] = [0.0, 0.0, 0.0], wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
         """
         Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
 
@@ -933,6 +933,7 @@ class SafetyFilter:
             thrust: last applied thrust [N]
             thrust_rate: its rate [N/s]
             rotors: thrust of each rotor now [N]; None: the rotors hover
+            velocity: nominal velocity [m/s]
             wrench: nominal thrust and torque [N, N m]
             nominal_thrust_rate: rate of the nominal thrust [N/s]
             nominal_thrust_acceleration: its second derivative [N/s^2]
@@ -947,7 +948,10 @@ class SafetyFilter:
     def clone(self) -> SafetyFilter: ...
 
     @property
-    def gives_wrench(self) -> bool: ...
+    def kind(self) -> str:
+        """
+        Command that it changes and returns: velocity, acceleration, wrench or sticks.
+        """
 
 class ConeDiOptions:
     """Options of the filter cone-di."""
@@ -2224,6 +2228,14 @@ def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64]
 def own_states(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> NDArray[numpy.float64]:
     """Measurements of its own state by a vehicle at states (N, 9)."""
 
+class MovingSpec:
+    """What moves around a vehicle, and how it senses that."""
+
+    def __init__(self, *, obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., yaw_rate_rad_s: float = 1.0) -> None:
+        """
+        yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course.
+        """
+
 class MovingReport:
     """Report of a filter among moving obstacles for one tick."""
 
@@ -2348,7 +2360,7 @@ class EncounterVehicle:
     A sphere among moving obstacles that moves as a double integrator with limits of speed, acceleration and jerk; it holds its start or goes to its goal.
     """
 
-    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False, yaw_rate_rad_s: float = 1.0) -> None:
+    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False) -> None:
         """
         Args:
             start: start [m]
@@ -2362,7 +2374,6 @@ class EncounterVehicle:
             max_jerk_m_s3: maximum |da/dt|_inf of the executed motion [m/s^3]
             actuation_delay_s: time from a command until it acts [s]
             hovers: hold the start instead of flying to the goal
-            yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course [rad/s]
         """
 
     @property
@@ -2409,12 +2420,6 @@ class EncounterVehicle:
     def hovers(self) -> bool:
         """hold the start instead of flying to the goal"""
 
-    @property
-    def yaw_rate_rad_s(self) -> float:
-        """
-        maximum rate at which the sensor turns; 0: it looks along the course [rad/s]
-        """
-
 class EncounterRules:
     """Timing of an encounter and its end conditions."""
 
@@ -2451,7 +2456,7 @@ class EncounterRules:
 class EncounterSpec:
     """Specification of an encounter, without the filter."""
 
-    def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., walls: PolytopeSet | None = None) -> None:
+    def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., moving: MovingSpec = ..., walls: PolytopeSet | None = None) -> None:
         """Create a specification; ValueError if it is invalid."""
 
 def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
@@ -2810,3 +2815,220 @@ class Rates:
 
     def commands(self, channels: NDArray[numpy.uint16]) -> tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]:
         """Commands (N, 4) for pulses (N, 4), and which pulses are refused."""
+
+class VelocityFilter(SafetyFilter):
+    """polytope-cbf as a safety filter of velocities."""
+
+    def __init__(self, filter: PolytopeCbf) -> None: ...
+
+class MovingSafety(SafetyFilter):
+    """A filter among moving obstacles, with walls of a map."""
+
+    def __init__(self, filter: MovingFilter, walls: ObstacleMap | None = None, *, max_speed_m_s: float, max_acceleration_m_s2: float, radius_m: float) -> None:
+        """walls: static obstacles, or None."""
+
+class FenceFilter(SafetyFilter):
+    """The geofence, or with alpha the filter backup-qp."""
+
+    def __init__(self, geofence: Geofence, alpha: float | None = None) -> None: ...
+
+class PythonFilter(SafetyFilter):
+    """A filter in Python; flights run in one thread."""
+
+    def __init__(self, kind: object, made: object) -> None:
+        """made: has tick(state, nominal) -> dict and reset()."""
+
+class VehicleSpec:
+    """A vehicle, as modelled and as it truly is."""
+
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0) -> None:
+        """
+        Args:
+            model: single-integrator, double-integrator, quadrotor or racer
+            interface: velocity, acceleration, wrench, body-rates or sticks
+            gains: gains of the tracking controller
+            plant: true lag, air, noise and delay
+            assumed: lag and delay that controller and filters assume
+            max_rate_rad_s: limit of a commanded body rate [rad/s]
+            rate_time_constant_s: of the vehicle's own rate loop [s]
+            velocity_gain_per_s: of the velocity loop [1/s]
+            max_speed_m_s: limit of velocity commands, and of points [m/s]
+            max_acceleration_m_s2: limit of points [m/s^2]
+            max_jerk_m_s3: limit of a double integrator [m/s^3]
+            actuation_delay_s: of a double integrator [s]
+            radius_m: of the sphere [m]
+            racer: thrust by throttle, for sticks
+            racer_options: what the true racer has and its model lacks
+            mass_scale: true mass over that of the body
+        """
+
+class FlightOptions:
+    """Timing of a flight on board."""
+
+    def __init__(self, *, dt_s: float = 0.01, controller_ticks: int = 1, filter_ticks: int = 1, stale_s: float = 0.5, has_losses: bool = False) -> None:
+        """
+        Args:
+            dt_s: a tick [s]
+            controller_ticks: ticks for which the nominal command is held
+            filter_ticks: ticks for which the filters' command is held
+            stale_s: a measurement older than this is not predicted any more [s]
+            has_losses: measurements can be missing
+        """
+
+    @property
+    def dt_s(self) -> float:
+        """a tick [s]"""
+
+    @property
+    def controller_ticks(self) -> int:
+        """ticks for which the nominal command is held"""
+
+    @property
+    def filter_ticks(self) -> int:
+        """ticks for which the filters' command is held"""
+
+    @property
+    def stale_s(self) -> float:
+        """a measurement older than this is not predicted any more [s]"""
+
+    @property
+    def has_losses(self) -> bool:
+        """measurements can be missing"""
+
+class Losses:
+    """Losses of measurements and of the pilot's radio."""
+
+    def __init__(self, *, share: float = 0.0, from_s: float = float('inf'), for_s: float = 0.0, radio_from_s: float = float('inf'), radio_for_s: float = 0.0) -> None:
+        """
+        Args:
+            share: probability that a measurement is lost
+            from_s: beginning of an outage [s]
+            for_s: its duration [s]
+            radio_from_s: beginning of an outage of the pilot's radio [s]
+            radio_for_s: its duration [s]
+        """
+
+    @property
+    def share(self) -> float:
+        """probability that a measurement is lost"""
+
+    @property
+    def from_s(self) -> float:
+        """beginning of an outage [s]"""
+
+    @property
+    def for_s(self) -> float:
+        """its duration [s]"""
+
+    @property
+    def radio_from_s(self) -> float:
+        """beginning of an outage of the pilot's radio [s]"""
+
+    @property
+    def radio_for_s(self) -> float:
+        """its duration [s]"""
+
+class SimulationRules:
+    """Timing of a simulation, and when a flight ends."""
+
+    def __init__(self, *, plant_steps: int = 10, max_time_s: float = 60.0, stop_distance_m: float = 0.05, stop_speed_m_s: float = 0.1, stuck_speed_m_s: float = 0.02, stuck_ticks: int = 200, receded_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0], ends_when_refused: bool = True) -> None:
+        """
+        Args:
+            plant_steps: steps of the plant in a tick
+            max_time_s: time limit [s]
+            stop_distance_m: reached within this distance of the goal [m],
+            stop_speed_m_s: slower than this, with the reference at its end [m/s]
+            stuck_speed_m_s: stuck below this speed, away from the reference [m/s],
+            stuck_ticks: for this many ticks
+            receded_s: ends when all obstacles have receded for so long; 0: does not [s]
+            lower: lower corner of the box that must not be left [m]
+            upper: upper corner of that box [m]
+            ends_when_refused: a refused command ends the flight
+        """
+
+    @property
+    def plant_steps(self) -> int:
+        """steps of the plant in a tick"""
+
+    @property
+    def max_time_s(self) -> float:
+        """time limit [s]"""
+
+    @property
+    def stop_distance_m(self) -> float:
+        """reached within this distance of the goal [m],"""
+
+    @property
+    def stop_speed_m_s(self) -> float:
+        """slower than this, with the reference at its end [m/s]"""
+
+    @property
+    def stuck_speed_m_s(self) -> float:
+        """stuck below this speed, away from the reference [m/s],"""
+
+    @property
+    def stuck_ticks(self) -> int:
+        """for this many ticks"""
+
+    @property
+    def receded_s(self) -> float:
+        """ends when all obstacles have receded for so long; 0: does not [s]"""
+
+    @property
+    def lower(self) -> list[float]:
+        """lower corner of the box that must not be left [m]"""
+
+    @property
+    def upper(self) -> list[float]:
+        """upper corner of that box [m]"""
+
+    @property
+    def ends_when_refused(self) -> bool:
+        """a refused command ends the flight"""
+
+class Mission:
+    """What makes the nominal command."""
+
+    @staticmethod
+    def along(curve: ReferenceCurve, *, gain_per_s: float = 2.0, speed_m_s: float = float('inf'), hovers: bool = False) -> Mission:
+        """Track a curve; with `hovers` until the time is over."""
+
+    @staticmethod
+    def to(goal: Sequence[float], *, gain_per_s: float = 2.0, speed_m_s: float = float('inf'), hovers: bool = False) -> Mission:
+        """Straight to a goal; with `hovers` hold it."""
+
+    @staticmethod
+    def by_sticks() -> Mission:
+        """By the sticks of a pilot."""
+
+class Task:
+    """
+    A trial: its start, its mission, and a simulated pilot where it flies by sticks.
+    """
+
+    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, pilot: Pilot | None = None) -> None: ...
+
+class SimulationSpec:
+    """All parts of simulated flights but the tasks and the filters."""
+
+    def __init__(self, vehicle: VehicleSpec, *, options: FlightOptions = ..., rules: SimulationRules = ..., losses: Losses = ..., moving: MovingSpec = ...) -> None: ...
+
+def simulate(spec: SimulationSpec, tasks: Sequence[Task], filters: Sequence[SafetyFilter], *, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+    """
+    Fly every task behind clones of the filters, in their order; per flight a dict of arrays with a row per tick: alula/flight/simulation.hpp.
+    """
+
+class Flight:
+    """A flight as the computer on board sees it: observe, then decide."""
+
+    def __init__(self, vehicle: VehicleSpec, options: FlightOptions, mission: Mission, filters: Sequence[SafetyFilter]) -> None: ...
+
+    def observe(self, now_s: float, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None, *, tracks: bytes = ..., position_variance: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None) -> None:
+        """
+        The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them.
+        """
+
+    def decide(self) -> dict[str, Any]:
+        """
+        A dict: command (11), is_refused, is_stale, is_limited, estimate, and a record of each filter.
+        """

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounter_filter import native_options
-from alula.schemas.encounters import Encounters, ObstacleTable, WallTable, interval
+from alula.schemas.encounters import Encounters, WallTable
 from alula.schemas.errors import UsageError
 from alula.stages.compression.hulls import Hulls
+from alula.stages.simulation.moving import moving_spec
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 # Fraction of the maximum acceleration that braking before a wall counts on. Below 1 / sqrt(3), so that the
@@ -84,7 +84,6 @@ def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _
                 max_jerk_m_s3=body.j_max_m_s3,
                 actuation_delay_s=body.actuation_delay_s,
                 hovers=encounter.hovers,
-                yaw_rate_rad_s=body.yaw_rate_rad_s,
             ),
             rules=_core.EncounterRules(
                 dt_s=run.dt_s,
@@ -93,39 +92,13 @@ def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _
                 receded_s=encounter.receded_s,
                 risk_window_s=scenario.filter.parameters.h_max_s,
             ),
-            obstacles=[_obstacle(i, table) for i, table in enumerate(scenario.obstacles)],
-            radar=_made(_core.RadarOptions, msgspec.structs.asdict(scenario.sensor), "sensor"),
-            tracker=_tracker(scenario),
+            moving=moving_spec(
+                scenario.obstacles, scenario.sensor, scenario.tracker, yaw_rate_rad_s=body.yaw_rate_rad_s
+            ),
             walls=walls,
         )
     except ValueError as error:
         raise UsageError(f"`$.encounter`: {error}") from error
-
-
-def _made(native: Any, values: dict[str, Any], where: str) -> Any:
-    try:
-        return native(**values)
-    except ValueError as error:
-        raise UsageError(f"`$.{where}`: {error}") from error
-
-
-def _tracker(scenario: Encounters) -> _core.TrackerOptions:
-    options: _core.TrackerOptions = _made(
-        _core.TrackerOptions, msgspec.structs.asdict(scenario.tracker), "tracker"
-    )
-    _made(_core.Tracker, {"options": options}, "tracker")  # its constructor checks the options
-    return options
-
-
-def _obstacle(index: int, table: ObstacleTable) -> _core.ObstacleSpec:
-    values = msgspec.structs.asdict(table)
-    position = values.pop("position_m")
-    for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
-        values[key] = interval(values[key])
-    values |= {"kind": values.pop("motion"), "way_points": list(values.pop("way_points_m"))}
-    values |= {"is_relative": position is None, "position": position or (0.0, 0.0, 0.0)}
-    made: _core.ObstacleSpec = _made(_core.ObstacleSpec, values, f"obstacles[{index}]")
-    return made
 
 
 def native_filter(scenario: Encounters) -> _core.MovingFilter:

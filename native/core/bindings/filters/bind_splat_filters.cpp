@@ -97,6 +97,7 @@ std::tuple<Doubles, Doubles> grown(const EllipsoidIndex& self) {
 Record to_record(const FilterReport& report) {
   Record result;
   result["status"] = static_cast<int>(report.status);
+  result["velocity"] = array(report.velocity);
   result["acceleration"] = array(report.acceleration);
   const geometry::Vec3 torque = report.wrench.torque;
   result["wrench"] = Array4{report.wrench.thrust, torque.x, torque.y, torque.z};
@@ -129,8 +130,14 @@ struct fields::Python<flight::Wrench> {
 };
 
 template <>
+struct Choices<flight::CommandKind> {
+  static constexpr std::array names{"velocity", "acceleration", "wrench", "sticks"};
+};
+
+template <>
 struct Fields<Nominal> {
   static constexpr std::tuple all{
+      Field{"velocity", &Nominal::velocity, "nominal velocity [m/s]"},
       Field{"wrench", &Nominal::wrench, "nominal thrust and torque [N, N m]"},
       Field{"nominal_thrust_rate", &Nominal::thrust_rate, "rate of the nominal thrust [N/s]"},
       Field{"nominal_thrust_acceleration", &Nominal::thrust_acceleration, "its second derivative [N/s^2]"},
@@ -251,7 +258,7 @@ void bind_splat_filters(nb::module_& m) {
 
   fields::bind<Pruning>(m, "Pruning", "Selection of the ellipsoids that become rows of a tick.");
 
-  nb::class_<SafetyFilter>(m, "SafetyFilter", "Safety filter among ellipsoids; one per thread.")
+  nb::class_<SafetyFilter>(m, "SafetyFilter", "Safety filter of one kind of command; one per thread.")
       .def("filter", &filter, "state"_a, "acceleration"_a, "others"_a,
            nb::sig(fields::signature(Tick{},
                                      "self, state: collections.abc.Sequence[float], "
@@ -265,8 +272,9 @@ void bind_splat_filters(nb::module_& m) {
                .c_str())
       .def("reset", &SafetyFilter::reset, "Clear warm starts and commitments before another flight.")
       .def("clone", &SafetyFilter::clone)
-      .def_prop_ro("gives_wrench",
-                   [](const SafetyFilter& self) { return self.kind() == flight::CommandKind::wrench; });
+      .def_prop_ro(
+          "kind", [](const SafetyFilter& self) { return fields::Python<flight::CommandKind>::out(self.kind()); },
+          "Command that it changes and returns: velocity, acceleration, wrench or sticks.");
 
   fields::bind<flight::ConeDiOptions>(m, "ConeDiOptions", "Options of the filter cone-di.");
   nb::class_<ConeDi, SafetyFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")

@@ -32,9 +32,7 @@ struct Fields<flight::EncounterVehicle> {
       Field{"max_acceleration_m_s2", &Vehicle::max_acceleration_m_s2, "maximum |a|_inf of a command [m/s^2]"},
       Field{"max_jerk_m_s3", &Vehicle::max_jerk_m_s3, "maximum |da/dt|_inf of the executed motion [m/s^3]"},
       Field{"actuation_delay_s", &Vehicle::actuation_delay_s, "time from a command until it acts [s]"},
-      Field{"hovers", &Vehicle::hovers, "hold the start instead of flying to the goal"},
-      Field{"yaw_rate_rad_s", &Vehicle::yaw_rate_rad_s,
-            "maximum rate at which the sensor turns; 0: it looks along the course [rad/s]"}};
+      Field{"hovers", &Vehicle::hovers, "hold the start instead of flying to the goal"}};
 };
 
 template <>
@@ -122,15 +120,13 @@ void bind_encounter(nb::module_& m) {
       .def(
           "__init__",
           [](EncounterSpec* self, const EncounterVehicle& vehicle, const EncounterRules& rules,
-             std::vector<ObstacleSpec> obstacles, const RadarOptions& radar, const TrackerOptions& tracker,
-             const PolytopeSet* walls) {
-            const EncounterSpec spec{vehicle, rules, std::move(obstacles), radar, tracker, walls};
+             const MovingSpec& moving, const PolytopeSet* walls) {
+            const EncounterSpec spec{vehicle, rules, moving, walls};
             check(spec);
             new (self) EncounterSpec(spec);
           },
-          nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{},
-          "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{}, "tracker"_a = TrackerOptions{},
-          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
+          nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{}, "moving"_a = MovingSpec{},
+          "walls"_a.none() = nb::none(), nb::keep_alive<1, 5>(),
           "Create a specification; ValueError if it is invalid.");
   m.def(
       "fly_encounters",

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "alula/flight/meeting.hpp"
+#include "alula/flight/moving_world.hpp"
 #include "alula/tracking/radar.hpp"
 #include "fields.hpp"
 #include "flight_arrays.hpp"
@@ -251,6 +252,21 @@ void bind_radar(nb::module_& m) {
       "Measurements of its own state by a vehicle at states (N, 9).");
 }
 
+void bind_moving(nb::module_& m) {
+  nb::class_<MovingSpec>(m, "MovingSpec", "What moves around a vehicle, and how it senses that.")
+      .def(
+          "__init__",
+          [](MovingSpec* self, std::vector<ObstacleSpec> obstacles, const RadarOptions& radar,
+             const TrackerOptions& tracker, double yaw_rate_rad_s) {
+            MovingSpec spec{std::move(obstacles), radar, tracker, yaw_rate_rad_s};
+            check(spec);
+            new (self) MovingSpec(std::move(spec));
+          },
+          nb::kw_only(), "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{},
+          "tracker"_a = TrackerOptions{}, "yaw_rate_rad_s"_a = MovingSpec{}.yaw_rate_rad_s,
+          "yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course.");
+}
+
 }  // namespace
 }  // namespace flight
 }  // namespace alula
@@ -258,4 +274,5 @@ void bind_radar(nb::module_& m) {
 void bind_moving_world(nb::module_& m) {
   alula::flight::bind_spec(m);
   alula::flight::bind_radar(m);
+  alula::flight::bind_moving(m);
 }

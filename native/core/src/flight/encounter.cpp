@@ -17,7 +17,6 @@ using geometry::Vec3;
 using Clock = std::chrono::steady_clock;
 
 constexpr double kSameTime = 1e-9;  // tolerance between two multiples of a step [s]
-constexpr double kNear = 5;         // a track this near an obstacle may belong to it [m]
 constexpr double kReacted = 0.05;   // an acceleration this far from the nominal is a reaction [m/s^2]
 constexpr double kWallsAhead = 5;   // walls farther than this time at full speed are not passed on [s], ...
 constexpr double kBraking = 0.5;    // ... unless stopping before them takes this fraction of the maximum acceleration
@@ -33,12 +32,6 @@ Vec3 braking(Vec3 v, double limit, double dt) {
   return clipped(-std::min(1 / dt, limit / std::max(largest, 1e-12)) * v, limit);
 }
 
-struct Scan {
-  double time = 0;
-  FieldOfView field;
-  std::vector<Detection> detections;
-};
-
 // State of consecutive trials; memory is kept between them.
 class Encounter {
  public:
@@ -46,20 +39,18 @@ class Encounter {
       : spec_(spec),
         filter_(filter.clone()),
         plant_(spec.vehicle, spec.rules),
-        tracker_(spec.tracker),
+        world_(spec.moving, spec.rules.dt_s, spec.rules.plant_steps),
         seed_(seed),
         keeps_path_(keeps_path),
         course_(spec.vehicle.goal - spec.vehicle.start) {
     const double length = norm(course_);
     course_ = spec.vehicle.hovers || !(length > 0) ? Vec3{1, 0, 0} : 1 / length * course_;
-    for (const ObstacleSpec& o : spec.obstacles) track_radius_ = std::max(track_radius_, o.radius_m);
   }
 
   EncounterLog fly(std::uint32_t trial);
 
  private:
   void begin(std::uint32_t trial);
-  void sense(std::int64_t step);
   void see(double now, std::int64_t tick);
   void see_walls();
   Vec3 nominal() const;
@@ -67,26 +58,17 @@ class Encounter {
   void advance();
   bool have_receded(double now);
   void keep(const MovingReport& report, Vec3 command, Vec3 nominal);
-  std::int64_t obstacle_near(const float* position) const;
 
   const EncounterSpec& spec_;
   std::unique_ptr<MovingFilter> filter_;
   EncounterPlant plant_;
-  Tracker tracker_;
+  MovingWorld world_;
   std::uint64_t seed_;
   bool keeps_path_;
   Vec3 course_;
-  double track_radius_ = 0;  // sensors do not measure the size: the largest radius is used
-
-  RandomStream random_;
-  std::vector<std::unique_ptr<ObstacleMotion>> obstacle_;
-  std::vector<Kinematics> truth_;
-  std::vector<Scan> scan_;  // pending scans, oldest first; then buffers for reuse
-  std::size_t scans_ = 0;
-  std::uint64_t scanned_ = 0;
   alula_vehicle_state seen_{};
   Vec3 seen_p_, seen_v_;
-  std::vector<alula_track> tracks_;
+  std::span<const alula_track> tracks_;
   std::vector<alula_wall> walls_;
   struct Separating {
     double gap, spare;  // spare: possible increase of the speed towards it
@@ -98,7 +80,7 @@ class Encounter {
     double reacted_s = EncounterMetrics::kNever;
   };
   std::vector<Window> window_;
-  double receded_s_ = 0, yaw_ = 0;
+  double receded_s_ = 0;
   RiskWindows risk_;
   std::uint32_t nearest_wall_ = 0;
   std::vector<double> scratch_;
@@ -106,51 +88,23 @@ class Encounter {
 };
 
 void Encounter::begin(std::uint32_t trial) {
-  random_ = {seed_, trial};
   const Kinematics start{spec_.vehicle.start, spec_.vehicle.start_speed_m_s * course_, {}};
   plant_.reset(start);
-  tracker_.reset();
   filter_->reset();
-  obstacle_.clear(), truth_.clear();
-  for (std::size_t i = 0; i < spec_.obstacles.size(); ++i) {
-    obstacle_.push_back(draw(spec_.obstacles[i], start, random_, static_cast<std::uint32_t>(i)));
-    truth_.push_back(obstacle_.back()->state());
-  }
-  scans_ = 0, scanned_ = 0, receded_s_ = 0;
-  yaw_ = std::atan2(course_.y, course_.x);
-  window_.assign(truth_.size(), {});
+  world_.begin({seed_, trial}, start, course_);
+  receded_s_ = 0;
+  window_.assign(world_.size(), {});
   risk_.reset(spec_.rules.risk_window_s, spec_.rules.dt_s);
   log_ = {};
-  log_.obstacle.resize(truth_.size());
+  log_.obstacle.resize(world_.size());
 }
 
-// Makes the scans that are due at a step of the plant.
-void Encounter::sense(std::int64_t step) {
-  const RadarOptions& radar = spec_.radar;
-  const double now = static_cast<double>(step) * spec_.rules.dt_s / spec_.rules.plant_steps;
-  if (now < static_cast<double>(scanned_) / radar.rate_hz - kSameTime) return;
-  ++scanned_;
-  if (scans_ == scan_.size()) scan_.emplace_back();
-  Scan& made = scan_[scans_++];
-  made.time = now;
-  made.detections.clear();
-  made.field =
-      field_of_view(radar, own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step)), yaw_);
-  scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
-}
-
-// Inputs of the filter in a tick: scans that have arrived, confirmed tracks, the vehicle's own state.
+// Inputs of the filter in a tick: confirmed tracks, walls, the vehicle's own state.
 void Encounter::see(double now, std::int64_t tick) {
-  const RadarOptions& radar = spec_.radar;
   const std::int64_t step = tick * spec_.rules.plant_steps;
-  sense(step);
-  std::size_t arrived = 0;
-  for (; arrived < scans_ && scan_[arrived].time + radar.delay_s <= now + kSameTime; ++arrived)
-    tracker_.update(scan_[arrived].time, scan_[arrived].detections, &scan_[arrived].field);
-  std::rotate(scan_.begin(), scan_.begin() + static_cast<std::ptrdiff_t>(arrived), scan_.end());
-  scans_ -= arrived;
-
-  const Kinematics own = own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step));
+  world_.sense(step, plant_.state());
+  const RadarOptions& radar = spec_.moving.radar;
+  const Kinematics own = world_.own_state(plant_.state(), step);
   seen_p_ = own.p, seen_v_ = own.v;
   const auto variance = static_cast<float>(radar.own_position_sigma_m * radar.own_position_sigma_m);
   for (int i = 0; i < 3; ++i) {
@@ -159,27 +113,12 @@ void Encounter::see(double now, std::int64_t tick) {
   }
   seen_.covariance[0] = seen_.covariance[3] = seen_.covariance[5] = variance;
 
-  tracks_.clear();
-  for (const Track& track : tracker_.tracks(now)) {
-    if (!track.is_confirmed || tracks_.size() == ALULA_OBSTACLES) continue;
-    alula_track& t = tracks_.emplace_back();
-    t.id = track.id;
-    t.radius_m = static_cast<float>(track_radius_);
-    for (int i = 0; i < 3; ++i) {
-      t.position[i] = static_cast<float>(track.p[i]);
-      t.velocity[i] = static_cast<float>(track.v[i]);
-      t.acceleration[i] = static_cast<float>(track.a[i]);
-    }
-    for (std::size_t i = 0; i < track.covariance.size(); ++i)
-      t.covariance[i] = static_cast<float>(track.covariance[i]);
-    const std::int64_t of = obstacle_near(t.position);
+  tracks_ = world_.tracks(now, seen_);
+  for (const alula_track& track : tracks_) {
+    const std::int64_t of = world_.obstacle_near(track.position);
     if (of < 0) continue;
     EncounterMetrics& m = log_.obstacle[static_cast<std::size_t>(of)];
     if (std::isnan(m.detected_s)) m.detected_s = now;
-  }
-  if (spec_.vehicle.yaw_rate_rad_s > 0) {
-    const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
-    yaw_ += std::clamp(turn_to(tracks_, seen_, yaw_, radar.half_azimuth_rad, course_), -limit, limit);
   }
   see_walls();
 }
@@ -229,26 +168,15 @@ Vec3 Encounter::nominal() const {
   return clipped(v.gain * (wanted - seen_v_), v.max_acceleration_m_s2);
 }
 
-std::int64_t Encounter::obstacle_near(const float* position) const {
-  const Vec3 p{position[0], position[1], position[2]};
-  std::int64_t found = -1;
-  double best = kNear;
-  for (std::size_t i = 0; i < truth_.size(); ++i) {
-    const double distance = norm(truth_[i].p - p);
-    if (distance < best) best = distance, found = static_cast<std::int64_t>(i);
-  }
-  return found;
-}
-
 void Encounter::judge_answer(const MovingReport& report, Vec3 command, Vec3 nominal, double now, double took) {
   const bool has_warned = report.warned && report.urgent >= 0;
   const std::int64_t urgent =
-      has_warned ? obstacle_near(tracks_[static_cast<std::size_t>(report.urgent)].position) : -1;
+      has_warned ? world_.obstacle_near(tracks_[static_cast<std::size_t>(report.urgent)].position) : -1;
   if (urgent >= 0) {
     const auto i = static_cast<std::size_t>(urgent);
     EncounterMetrics& m = log_.obstacle[i];
     if (std::isnan(m.warned_s)) {
-      const Vec3 p = truth_[i].p - plant_.state().p, v = truth_[i].v - plant_.state().v;
+      const Vec3 p = world_.truth()[i].p - plant_.state().p, v = world_.truth()[i].v - plant_.state().v;
       m.warned_s = now;
       m.closing_m_s = std::max(0.0, -dot(p, v) / std::max(norm(p), 1e-9));
       m.separation_m = norm(p);
@@ -285,12 +213,11 @@ void Encounter::advance() {
   const Kinematics before = plant_.state();
   plant_.step();
   const Kinematics& after = plant_.state();
-  for (std::size_t i = 0; i < truth_.size(); ++i) {
-    const Kinematics was = truth_[i];
-    obstacle_[i]->step(h, before);
-    truth_[i] = obstacle_[i]->state();
-    const Vec3 a = 1 / h * ((truth_[i].v - after.v) - (was.v - before.v));
-    const double closest = closest_approach(was.p - before.p, truth_[i].p - after.p, a, h);
+  world_.advance(h, before);
+  for (std::size_t i = 0; i < world_.size(); ++i) {
+    const Kinematics &was = world_.before()[i], &is = world_.truth()[i];
+    const Vec3 a = 1 / h * ((is.v - after.v) - (was.v - before.v));
+    const double closest = closest_approach(was.p - before.p, is.p - after.p, a, h);
     EncounterMetrics& m = log_.obstacle[i];
     m.closest_m = std::min(m.closest_m, closest);
     if (window_[i].is_open) m.separation_m = std::min(m.separation_m, closest);
@@ -306,10 +233,11 @@ void Encounter::advance() {
 }
 
 bool Encounter::have_receded(double now) {
-  if (truth_.empty()) return false;
-  for (std::size_t i = 0; i < truth_.size(); ++i) {
-    const bool recedes =
-        now >= spec_.obstacles[i].start_s && dot(truth_[i].p - plant_.state().p, truth_[i].v - plant_.state().v) > 0;
+  const std::vector<Kinematics>& truth = world_.truth();
+  if (truth.empty()) return false;
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    const bool recedes = now >= spec_.moving.obstacles[i].start_s &&
+                         dot(truth[i].p - plant_.state().p, truth[i].v - plant_.state().v) > 0;
     if (!recedes) {
       receded_s_ = now;
       return false;
@@ -322,15 +250,12 @@ void Encounter::keep(const MovingReport& report, Vec3 command, Vec3 nominal) {
   const auto add = [](std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); };
   const Kinematics& x = plant_.state();
   for (const Vec3 v : {x.p, x.v, x.a}) add(log_.vehicle, v);
-  for (const Kinematics& o : truth_) {
+  for (const Kinematics& o : world_.truth()) {
     add(log_.obstacles, o.p);
-    Vec3 found{EncounterMetrics::kNever, EncounterMetrics::kNever, EncounterMetrics::kNever};
-    double best = kNear;
-    for (const alula_track& t : tracks_) {
-      const Vec3 p{t.position[0], t.position[1], t.position[2]};
-      if (norm(p - o.p) < best) best = norm(p - o.p), found = p;
-    }
-    add(log_.tracks, found);
+    const std::int64_t nearest = world_.track_near(o.p);
+    const float* p = nearest < 0 ? nullptr : tracks_[static_cast<std::size_t>(nearest)].position;
+    constexpr double none = EncounterMetrics::kNever;
+    add(log_.tracks, p == nullptr ? Vec3{none, none, none} : Vec3{p[0], p[1], p[2]});
   }
   add(log_.command, command);
   add(log_.nominal, nominal);
@@ -364,7 +289,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     if (keeps_path_) keep(report, command, desired);
     plant_.command(command);
     for (std::int64_t s = 0; s < rules.plant_steps; ++s) {
-      if (s > 0) sense(tick * rules.plant_steps + s);
+      if (s > 0) world_.sense(tick * rules.plant_steps + s, plant_.state());
       advance();
     }
     const Vec3 v = plant_.state().v;
@@ -378,8 +303,10 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
   }
   log_.mission_risk = risk_.sum();
   log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
-  for (std::size_t i = 0; i < truth_.size(); ++i)
-    log_.obstacle[i].collided = log_.obstacle[i].closest_m <= spec_.vehicle.radius_m + spec_.obstacles[i].radius_m;
+  for (std::size_t i = 0; i < world_.size(); ++i) {
+    const double sum = spec_.vehicle.radius_m + spec_.moving.obstacles[i].radius_m;
+    log_.obstacle[i].collided = log_.obstacle[i].closest_m <= sum;
+  }
   return std::move(log_);
 }
 

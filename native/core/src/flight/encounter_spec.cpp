@@ -19,21 +19,6 @@ bool is_within(double value, double low, double high) { return value >= low && v
 
 }  // namespace
 
-double closest_approach(Vec3 r0, Vec3 r1, Vec3 a, double h) {
-  const Vec3 chord = 1 / h * (r1 - r0), c = chord - h / 2 * a;
-  const double ends = std::min(dot(r0, r0), dot(r1, r1)), square = dot(chord, chord);
-  double t = square > 0 ? std::clamp(-dot(r0, chord) / square, 0.0, h) : 0;
-  double best = ends;
-  for (int step = 0; step < 4; ++step) {  // Newton steps on r . r', from the chord's closest point
-    const Vec3 r = r0 + t * c + t * t / 2 * a, v = c + t * a;
-    best = std::min(best, dot(r, r));
-    const double slope = dot(v, v) + dot(r, a);
-    if (!(slope > 0)) break;
-    t = std::clamp(t - dot(r, v) / slope, 0.0, h);
-  }
-  return std::sqrt(best);
-}
-
 void check(const EncounterSpec& spec) {
   const EncounterVehicle& v = spec.vehicle;
   const EncounterRules& r = spec.rules;
@@ -53,10 +38,8 @@ void check(const EncounterSpec& spec) {
   require(is_within(v.radius_m, 0, 1e3), "the radius must be in 0..1000 m");
   require(is_within(v.max_acceleration_m_s2, 1e-3, 1e4), "the largest acceleration must be in 0.001..10000 m/s^2");
   require(is_within(v.max_jerk_m_s3, 1e-3, 1e9), "the largest jerk must be in 0.001..1e9 m/s^3");
-  require(is_within(v.yaw_rate_rad_s, 0, 100), "the rate of yaw must be in 0..100 rad/s");
   require(is_within(v.actuation_delay_s, 0, 10), "the delay of the actuation must be in 0..10 s");
-  require(spec.obstacles.size() <= ALULA_OBSTACLES, "there are too many obstacles");
-  check(spec.radar);
+  check(spec.moving);
 }
 
 }  // namespace alula::flight

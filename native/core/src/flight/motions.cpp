@@ -150,7 +150,7 @@ class Thrown final : public Starting {
 
 class Flown final : public Starting {
  public:
-  Flown(double start_s, const Pilot& pilot, Vec3 p, ReferenceCurve path)
+  Flown(double start_s, const FlownBody& pilot, Vec3 p, ReferenceCurve path)
       : Starting(start_s, p), pilot_(pilot), plant_(pilot.body), path_(std::move(path)) {
     State x;
     x.p = p;
@@ -168,7 +168,7 @@ class Flown final : public Starting {
     state_ = {plant_.state().p, plant_.state().v, plant_.acceleration()};
   }
 
-  Pilot pilot_;
+  FlownBody pilot_;
   Plant plant_;
   ReferenceCurve path_;
 };
@@ -220,7 +220,7 @@ Vec3 throw_velocity(Vec3 p, Vec3 target, double t, double drag) {
   return v;
 }
 
-std::unique_ptr<ObstacleMotion> move_flown(double start_s, const Pilot& pilot, const std::vector<Vec3>& points,
+std::unique_ptr<ObstacleMotion> move_flown(double start_s, const FlownBody& pilot, const std::vector<Vec3>& points,
                                            const Leg& leg) {
   return std::make_unique<Flown>(start_s, pilot, points.front(), path_through(points, leg));
 }

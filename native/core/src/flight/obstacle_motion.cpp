@@ -115,7 +115,7 @@ bool has_velocity(const ObstacleSpec& s) { return norm(s.velocity) > 0; }
 
 }  // namespace
 
-Pilot small_quadrotor() {
+FlownBody small_quadrotor() {
   const double arm = 0.0325, most = 0.1125, least = 0.02;
   const Vec3 inertia{16.6e-6, 16.6e-6, 29.3e-6};
   TrackingGains gains;

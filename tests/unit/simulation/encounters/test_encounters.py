@@ -50,7 +50,7 @@ def test_defaults_are_those_of_the_native_code():
     options = {key: float(np.float32(value)) for key, value in filter_options(made()).items()}
     native = {key: float(np.float32(value)) for key, value in _core.moving_filter_defaults().items()}
     assert options == native
-    bare = _core.EncounterSpec(obstacles=[_core.ObstacleSpec()])
+    bare = _core.EncounterSpec(moving=_core.MovingSpec(obstacles=[_core.ObstacleSpec()]))
     ours = native_encounter(made(obstacles=[{}]), None)
     filters = native_filter(made())
     for first in (0, 7):

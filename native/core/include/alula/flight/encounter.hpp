@@ -18,8 +18,8 @@
 
 #include "alula/base/parallel.hpp"
 #include "alula/filters/moving_filter.hpp"
+#include "alula/flight/moving_world.hpp"
 #include "alula/geometry/clearance.hpp"
-#include "alula/tracking/tracker.hpp"
 
 namespace alula::flight {
 
@@ -33,9 +33,6 @@ struct EncounterVehicle {
   double max_jerk_m_s3 = 60;         // limit of the executed |da/dt|_inf, except where the speed limit acts
   double actuation_delay_s = 0;      // time from a command until it begins to act
   bool hovers = false;               // the goal is the start: hold it
-  // Maximum turn rate of the sensor, on a vehicle with free yaw. It turns to the middle of all approaching tracks if
-  // the field of view is wide enough for them, else to the most urgent one. 0: it always looks along the course.
-  double yaw_rate_rad_s = 1;
 };
 
 struct EncounterRules {
@@ -49,9 +46,7 @@ struct EncounterRules {
 struct EncounterSpec {
   EncounterVehicle vehicle;
   EncounterRules rules;
-  std::vector<ObstacleSpec> obstacles;
-  RadarOptions radar;
-  TrackerOptions tracker;
+  MovingSpec moving;
   // Not owned, may be null. For each polytope the filter receives the plane with the best separation, nearest first;
   // of more than ALULA_WALLS, those that allow the vehicle the least speed.
   const PolytopeSet* walls = nullptr;
@@ -101,9 +96,5 @@ void check(const EncounterSpec& spec);
 std::vector<EncounterLog> fly_encounters(const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed,
                                          std::uint32_t first, std::uint32_t count, bool keeps_path, unsigned jobs,
                                          Control& control);
-
-// Minimum |r(t)| for 0 <= t <= h of the parabola from r0 to r1 with the acceleration a. Exact to rounding where the
-// distance has one minimum, else too large by at most |a| h^2 / 8.
-double closest_approach(geometry::Vec3 r0, geometry::Vec3 r1, geometry::Vec3 a, double h);
 
 }  // namespace alula::flight

@@ -57,7 +57,7 @@ std::unique_ptr<ObstacleMotion> move_thrown(double start_s, Vec3 p, Vec3 v, doub
 Vec3 throw_velocity(Vec3 p, Vec3 target, double t, double drag);
 
 // Flight from rest to rest through points; consecutive points differ.
-std::unique_ptr<ObstacleMotion> move_flown(double start_s, const Pilot& pilot, const std::vector<Vec3>& points,
+std::unique_ptr<ObstacleMotion> move_flown(double start_s, const FlownBody& pilot, const std::vector<Vec3>& points,
                                            const Leg& leg);
 
 }  // namespace alula::flight

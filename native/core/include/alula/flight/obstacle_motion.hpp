@@ -40,13 +40,13 @@ struct Range {
 };
 
 // Body and controller gains of a quadrotor that flies as an obstacle.
-struct Pilot {
+struct FlownBody {
   Quadrotor body;
   TrackingGains gains;
 };
 
 // A Crazyflie 2.1 as in examples/vehicles.
-Pilot small_quadrotor();
+FlownBody small_quadrotor();
 
 struct ObstacleSpec {
   MotionKind kind = MotionKind::constant_velocity;
@@ -79,7 +79,7 @@ struct ObstacleSpec {
   // leg through the meeting point to the same distance beyond it, or 2 mm if it starts at that point.
   // `acceleration_m_s2` limits the acceleration of a leg; 0: up to g / 2.
   std::vector<geometry::Vec3> way_points;
-  Pilot pilot = small_quadrotor();
+  FlownBody pilot = small_quadrotor();
 };
 
 // Throws std::invalid_argument for an invalid specification.

@@ -1,0 +1,386 @@
+// Bindings of alula/flight/flight.hpp, alula/flight/simulation.hpp and alula/filters/adapters.hpp.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstring>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "alula/filters/adapters.hpp"
+#include "alula/flight/simulation.hpp"
+#include "fields.hpp"
+#include "flight_arrays.hpp"
+#include "python_control.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula {
+
+template <>
+struct Choices<flight::VehicleModel> {
+  static constexpr std::array names{"single-integrator", "double-integrator", "quadrotor", "racer"};
+};
+
+template <>
+struct Choices<flight::Interface> {
+  static constexpr std::array names{"velocity", "acceleration", "wrench", "body-rates", "sticks"};
+};
+
+template <>
+struct Choices<flight::CommandKind> {
+  static constexpr std::array names{"velocity", "acceleration", "wrench", "sticks"};
+};
+
+template <>
+struct Fields<flight::VehicleSpec> {
+  using Spec = flight::VehicleSpec;
+  static constexpr std::tuple all{
+      Field{"model", &Spec::model, "single-integrator, double-integrator, quadrotor or racer"},
+      Field{"interface", &Spec::interface, "velocity, acceleration, wrench, body-rates or sticks"},
+      Field{"gains", &Spec::gains, "gains of the tracking controller"},
+      Field{"plant", &Spec::plant, "true lag, air, noise and delay"},
+      Field{"assumed", &Spec::assumed, "lag and delay that controller and filters assume"},
+      Field{"max_rate_rad_s", &Spec::max_rate, "limit of a commanded body rate [rad/s]"},
+      Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of the vehicle's own rate loop [s]"},
+      Field{"velocity_gain_per_s", &Spec::velocity_gain, "of the velocity loop [1/s]"},
+      Field{"max_speed_m_s", &Spec::max_speed, "limit of velocity commands, and of points [m/s]"},
+      Field{"max_acceleration_m_s2", &Spec::max_acceleration, "limit of points [m/s^2]"},
+      Field{"max_jerk_m_s3", &Spec::max_jerk, "limit of a double integrator [m/s^3]"},
+      Field{"actuation_delay_s", &Spec::actuation_delay_s, "of a double integrator [s]"},
+      Field{"radius_m", &Spec::radius_m, "of the sphere [m]"},
+      Field{"racer", &Spec::racer, "thrust by throttle, for sticks"},
+      Field{"racer_options", &Spec::racer_options, "what the true racer has and its model lacks"},
+      Field{"mass_scale", &Spec::mass_scale, "true mass over that of the body"}};
+};
+
+template <>
+struct Fields<flight::FlightOptions> {
+  using Options = flight::FlightOptions;
+  static constexpr std::tuple all{
+      Field{"dt_s", &Options::dt_s, "a tick [s]"},
+      Field{"controller_ticks", &Options::controller_ticks, "ticks for which the nominal command is held"},
+      Field{"filter_ticks", &Options::filter_ticks, "ticks for which the filters' command is held"},
+      Field{"stale_s", &Options::stale_s, "a measurement older than this is not predicted any more [s]"},
+      Field{"has_losses", &Options::has_losses, "measurements can be missing"}};
+};
+
+template <>
+struct Fields<flight::Losses> {
+  using Losses = flight::Losses;
+  static constexpr std::tuple all{
+      Field{"share", &Losses::share, "probability that a measurement is lost"},
+      Field{"from_s", &Losses::from_s, "beginning of an outage [s]"},
+      Field{"for_s", &Losses::for_s, "its duration [s]"},
+      Field{"radio_from_s", &Losses::radio_from_s, "beginning of an outage of the pilot's radio [s]"},
+      Field{"radio_for_s", &Losses::radio_for_s, "its duration [s]"}};
+};
+
+template <>
+struct Fields<flight::SimulationRules> {
+  using Rules = flight::SimulationRules;
+  static constexpr std::tuple all{
+      Field{"plant_steps", &Rules::plant_steps, "steps of the plant in a tick"},
+      Field{"max_time_s", &Rules::max_time_s, "time limit [s]"},
+      Field{"stop_distance_m", &Rules::stop_distance_m, "reached within this distance of the goal [m],"},
+      Field{"stop_speed_m_s", &Rules::stop_speed, "slower than this, with the reference at its end [m/s]"},
+      Field{"stuck_speed_m_s", &Rules::stuck_speed, "stuck below this speed, away from the reference [m/s],"},
+      Field{"stuck_ticks", &Rules::stuck_ticks, "for this many ticks"},
+      Field{"receded_s", &Rules::receded_s, "ends when all obstacles have receded for so long; 0: does not [s]"},
+      Field{"lower", &Rules::lower, "lower corner of the box that must not be left [m]"},
+      Field{"upper", &Rules::upper, "upper corner of that box [m]"},
+      Field{"ends_when_refused", &Rules::ends_when_refused, "a refused command ends the flight"}};
+};
+
+namespace flight {
+namespace {
+
+using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
+using Filters = std::vector<SafetyFilter*>;
+
+// A filter in Python behind the protocol. It runs in one thread: clones share the object.
+class PythonFilter final : public SafetyFilter {
+ public:
+  PythonFilter(CommandKind kind, nb::object made) : kind_(kind), made_(std::move(made)) {}
+  PythonFilter(const PythonFilter& other) : kind_(other.kind_) {
+    const nb::gil_scoped_acquire acquire;
+    made_ = other.made_;
+  }
+  PythonFilter& operator=(const PythonFilter&) = delete;
+  ~PythonFilter() override {
+    const nb::gil_scoped_acquire acquire;
+    made_.reset();
+  }
+
+  CommandKind kind() const override { return kind_; }
+  FilterReport filter(const FlightState& state, const Nominal& nominal) override;
+  void reset() override {
+    const nb::gil_scoped_acquire acquire;
+    made_.attr("reset")();
+  }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<PythonFilter>(*this); }
+
+ private:
+  CommandKind kind_;
+  nb::object made_;
+};
+
+nb::dict state_of(const FlightState& s) {
+  nb::dict d;
+  d["position"] = triple_of(s.x.p), d["sigma"] = triple_of(s.x.sigma);
+  d["velocity"] = triple_of(s.x.v), d["omega"] = triple_of(s.x.omega);
+  d["thrust"] = s.thrust, d["thrust_rate"] = s.thrust_rate;
+  d["rotors"] = s.rotors ? nb::cast(*s.rotors) : nb::object(nb::none());
+  d["is_known"] = s.is_known;
+  std::vector<double> rows;
+  for (const alula_track& t : s.tracks) {
+    rows.push_back(t.id);
+    for (const float v : t.position) rows.push_back(v);
+    for (const float v : t.velocity) rows.push_back(v);
+    for (const float v : t.covariance) rows.push_back(v);
+    rows.push_back(t.radius_m);
+    for (const float v : t.acceleration) rows.push_back(v);
+  }
+  d["tracks"] = to_numpy(std::move(rows), {s.tracks.size(), 32});
+  return d;
+}
+
+nb::dict nominal_of(const Nominal& n) {
+  nb::dict d;
+  d["velocity"] = triple_of(n.velocity), d["acceleration"] = triple_of(n.acceleration);
+  d["wrench"] = Vec4{n.wrench.thrust, n.wrench.torque.x, n.wrench.torque.y, n.wrench.torque.z};
+  d["thrust_rate"] = n.thrust_rate, d["thrust_acceleration"] = n.thrust_acceleration;
+  d["position_error"] = triple_of(n.position_error), d["velocity_error"] = triple_of(n.velocity_error);
+  d["reference_acceleration"] = triple_of(n.reference_acceleration);
+  d["sticks"] = n.sticks ? nb::cast(Vec4{n.sticks->throttle, n.sticks->rates.x, n.sticks->rates.y, n.sticks->rates.z})
+                         : nb::object(nb::none());
+  return d;
+}
+
+FilterReport PythonFilter::filter(const FlightState& state, const Nominal& nominal) {
+  const nb::gil_scoped_acquire acquire;
+  const nb::dict answer = nb::cast<nb::dict>(made_.attr("tick")(state_of(state), nominal_of(nominal)));
+  FilterReport report;
+  report.status = static_cast<SafetyStatus>(nb::cast<int>(answer["status"]));
+  const auto u = nb::cast<std::vector<double>>(answer["u"]);
+  const std::size_t needed = kind_ < CommandKind::wrench ? 3 : 4;
+  if (u.size() != needed) throw std::invalid_argument("a filter returned a command of another kind");
+  for (const double value : u)
+    if (!std::isfinite(value)) throw std::invalid_argument("a filter returned a command that is not finite");
+  const Vec3 first{u[0], u[1], u[2]};
+  if (kind_ == CommandKind::velocity) report.velocity = first;
+  if (kind_ == CommandKind::acceleration) report.acceleration = first;
+  if (kind_ == CommandKind::wrench) report.wrench = wrench_at(u.data());
+  if (kind_ == CommandKind::sticks) report.sticks = {u[0], {u[1], u[2], u[3]}};
+  report.margin = nb::cast<double>(answer["margin"]);
+  report.active = nb::cast<std::int64_t>(answer["active"]);
+  report.thrust_rate = nb::cast<double>(answer["thrust_rate"]);
+  report.infeasible = nb::cast<bool>(answer["infeasible"]);
+  report.certified = nb::cast<bool>(answer["certified"]);
+  return report;
+}
+
+std::vector<const SafetyFilter*> borrowed(const Filters& filters) { return {filters.begin(), filters.end()}; }
+
+LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
+  static constexpr const char* kEnds[] = {"flying", "reached", "stuck", "timeout", "refused", "passed", "ended"};
+  const auto ticks = static_cast<std::size_t>(f.ticks);
+  const std::size_t points = f.path.size() / 3, n = f.closest_m.size(), tracks = f.tracks.size();
+  LogDict d;
+  d["end"] = kEnds[static_cast<std::size_t>(f.end)];
+  d["path"] = to_numpy(std::move(f.path), {points, 3});
+  d["state"] = to_numpy(std::move(f.state), {ticks + 1, 12});
+  d["estimate"] = to_numpy(std::move(f.estimate), {ticks, 12});
+  d["measured"] = to_numpy(std::move(f.measured), {ticks, 12});
+  d["nominal"] = to_numpy(std::move(f.nominal), {ticks, 3});
+  d["command"] = to_numpy(std::move(f.command), {ticks, 11});
+  d["sticks"] = to_numpy(std::move(f.sticks), {ticks, 4});
+  d["obstacle"] = to_numpy(std::move(f.obstacle), {ticks, n, 3});
+  d["track"] = to_numpy(std::move(f.track), {ticks, n, 3});
+  d["margin"] = to_numpy(std::move(f.margin), {ticks, filters});
+  d["active"] = to_numpy(std::move(f.active), {ticks, filters});
+  d["rows"] = to_numpy(std::move(f.rows), {ticks, filters});
+  d["iterations"] = to_numpy(std::move(f.iterations), {ticks, filters});
+  d["status"] = to_numpy(std::move(f.status), {ticks, filters});
+  d["flags"] = to_numpy(std::move(f.flags), {ticks, filters});
+  d["filter_s"] = to_numpy(std::move(f.filter_s), {ticks, filters});
+  d["tick_s"] = to_numpy(std::move(f.tick_s), {ticks});
+  d["mark"] = to_numpy(std::move(f.mark), {ticks});
+  d["closest_m"] = to_numpy(std::move(f.closest_m), {n});
+  d["detected_s"] = to_numpy(std::move(f.detected_s), {n});
+  d["track_start"] = to_numpy(std::move(f.track_start), {ticks + 1});
+  d["tracks"] = nb::bytes(reinterpret_cast<const char*>(f.tracks.data()), tracks * sizeof(alula_track));
+  return d;
+}
+
+nb::typed<nb::list, LogDict> run(const SimulationSpec& spec, const std::vector<Task>& tasks, const Filters& filters,
+                                 std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, nb::object progress) {
+  PythonControl control(std::move(progress));
+  std::vector<SimulatedFlight> flights;
+  {
+    const nb::gil_scoped_release release;
+    flights = simulate(spec, tasks, borrowed(filters), seed, first_trial, jobs, control);
+  }
+  nb::typed<nb::list, LogDict> result;
+  for (SimulatedFlight& flight : flights) result.append(to_dict(std::move(flight), filters.size()));
+  return result;
+}
+
+// A flight on board that owns its tracks of this tick.
+struct SteppedFlight {
+  Flight flight;
+  std::vector<alula_track> tracks;
+
+  SteppedFlight(const VehicleSpec& vehicle, const FlightOptions& options, const Mission& mission,
+                const Filters& filters)
+      : flight(vehicle, options, mission, borrowed(filters)) {}
+  SteppedFlight(const SteppedFlight&) = delete;
+
+  void observe(double now_s, const std::optional<InState>& measured, const nb::bytes& seen, const Triple& variance,
+               const std::optional<Vec4>& sticks) {
+    if (seen.size() % sizeof(alula_track) != 0) throw std::invalid_argument("these are no tracks");
+    tracks.resize(seen.size() / sizeof(alula_track));
+    std::memcpy(tracks.data(), seen.data(), seen.size());
+    Observation observation;
+    observation.now_s = now_s;
+    if (measured) observation.measured = state_at(measured->data());
+    observation.tracks = tracks;
+    observation.position_variance = vector_of(variance);
+    if (sticks) observation.sticks = RacerCommand{(*sticks)[0], {(*sticks)[1], (*sticks)[2], (*sticks)[3]}};
+    flight.observe(observation);
+  }
+
+  LogDict decide() {
+    Decision decision;
+    {
+      const nb::gil_scoped_release release;
+      decision = flight.decide();
+    }
+    const Command& c = decision.command;
+    LogDict d;
+    const Vec3 outer = c.interface == Interface::velocity       ? c.velocity
+                       : c.interface == Interface::acceleration ? c.acceleration
+                                                                : c.rates;
+    d["command"] = Rows(1).add(outer).add(c.wrench).add(c.sticks.throttle).add(c.sticks.rates).array({11});
+    d["is_refused"] = decision.is_refused, d["is_stale"] = decision.is_stale;
+    d["is_limited"] = decision.is_limited;
+    d["estimate"] = to_array(flight.estimate().x);
+    nb::list filters;
+    for (const FilterRecord& r : flight.records()) {
+      LogDict one;
+      one["status"] = static_cast<int>(r.report.status), one["margin"] = r.report.margin;
+      one["active"] = r.report.active, one["rows"] = r.report.rows;
+      one["certified"] = r.report.certified, one["certified_moving"] = r.report.certified_moving;
+      one["infeasible"] = r.report.infeasible, one["seconds"] = r.seconds;
+      filters.append(one);
+    }
+    d["filters"] = filters;
+    return d;
+  }
+};
+
+void bind_adapters(nb::module_& m) {
+  nb::class_<VelocityFilter, SafetyFilter>(m, "VelocityFilter", "polytope-cbf as a safety filter of velocities.")
+      .def(nb::init<const PolytopeCbf&>(), "filter"_a);
+  nb::class_<MovingSafety, SafetyFilter>(m, "MovingSafety", "A filter among moving obstacles, with walls of a map.")
+      .def(
+          "__init__",
+          [](MovingSafety* self, const MovingFilter& filter, std::shared_ptr<ObstacleMap> walls, double max_speed,
+             double max_acceleration, double radius) {
+            new (self) MovingSafety(filter.clone(), {std::move(walls), max_speed, max_acceleration, radius});
+          },
+          "filter"_a, "walls"_a.none() = nb::none(), nb::kw_only(), "max_speed_m_s"_a, "max_acceleration_m_s2"_a,
+          "radius_m"_a, "walls: static obstacles, or None.");
+  nb::class_<FenceFilter, SafetyFilter>(m, "FenceFilter", "The geofence, or with alpha the filter backup-qp.")
+      .def(nb::init<const Geofence&, std::optional<double>>(), "geofence"_a, "alpha"_a = nb::none(),
+           nb::keep_alive<1, 2>());
+  nb::class_<PythonFilter, SafetyFilter>(m, "PythonFilter", "A filter in Python; flights run in one thread.")
+      .def(
+          "__init__",
+          [](PythonFilter* self, nb::handle kind, nb::object made) {
+            new (self) PythonFilter(fields::choice<CommandKind>(kind, "kind"), std::move(made));
+          },
+          "kind"_a, "made"_a, "made: has tick(state, nominal) -> dict and reset().");
+}
+
+void bind_specs(nb::module_& m) {
+  nb::class_<VehicleSpec>(m, "VehicleSpec", "A vehicle, as modelled and as it truly is.")
+      .def(
+          "__init__",
+          [](VehicleSpec* self, const Quadrotor& body, const nb::kwargs& others) {
+            VehicleSpec made{.body = body};
+            fields::assign(made, others, "VehicleSpec");
+            check(made);
+            new (self) VehicleSpec(std::move(made));
+          },
+          "body"_a, "others"_a,
+          nb::sig(fields::signature(VehicleSpec{.body = small_quadrotor().body}, "self, body: Quadrotor").c_str()),
+          fields::documentation(VehicleSpec{.body = small_quadrotor().body}).c_str());
+  fields::bind<FlightOptions>(m, "FlightOptions", "Timing of a flight on board.");
+  fields::bind<Losses>(m, "Losses", "Losses of measurements and of the pilot's radio.");
+  fields::bind<SimulationRules>(m, "SimulationRules", "Timing of a simulation, and when a flight ends.");
+  nb::class_<Mission>(m, "Mission", "What makes the nominal command.")
+      .def_static(
+          "along",
+          [](const ReferenceCurve& curve, double gain, double speed, bool hovers) {
+            return Mission{
+                MissionKind::curve, std::make_shared<const ReferenceCurve>(curve), {}, gain, speed, hovers};
+          },
+          "curve"_a, nb::kw_only(), "gain_per_s"_a = Mission{}.gain, "speed_m_s"_a = Mission{}.speed,
+          "hovers"_a = false, "Track a curve; with `hovers` until the time is over.")
+      .def_static(
+          "to",
+          [](const Triple& goal, double gain, double speed, bool hovers) {
+            return Mission{MissionKind::goal, nullptr, vector_of(goal), gain, speed, hovers};
+          },
+          "goal"_a, nb::kw_only(), "gain_per_s"_a = Mission{}.gain, "speed_m_s"_a = Mission{}.speed,
+          "hovers"_a = false, "Straight to a goal; with `hovers` hold it.")
+      .def_static("by_sticks", [] { return Mission{.kind = MissionKind::pilot}; }, "By the sticks of a pilot.");
+  nb::class_<Task>(m, "Task", "A trial: its start, its mission, and a simulated pilot where it flies by sticks.")
+      .def(
+          "__init__",
+          [](Task* self, const InState& start, const Mission& mission, const std::optional<Pilot>& pilot) {
+            if (pilot) check(*pilot);
+            new (self) Task{state_at(start.data()), mission, pilot};
+          },
+          "start"_a, "mission"_a, "pilot"_a = nb::none());
+  nb::class_<SimulationSpec>(m, "SimulationSpec", "All parts of simulated flights but the tasks and the filters.")
+      .def(
+          "__init__",
+          [](SimulationSpec* self, const VehicleSpec& vehicle, const FlightOptions& options,
+             const SimulationRules& rules, const Losses& losses, const MovingSpec& moving) {
+            const SimulationSpec spec{vehicle, options, rules, losses, moving};
+            check(spec);
+            new (self) SimulationSpec(spec);
+          },
+          "vehicle"_a, nb::kw_only(), "options"_a = FlightOptions{}, "rules"_a = SimulationRules{},
+          "losses"_a = Losses{}, "moving"_a = MovingSpec{});
+}
+
+}  // namespace
+}  // namespace flight
+}  // namespace alula
+
+void bind_flight(nb::module_& m) {
+  using namespace alula;
+  using namespace alula::flight;
+  bind_adapters(m);
+  bind_specs(m);
+  m.def("simulate", &run, "spec"_a, "tasks"_a, "filters"_a, nb::kw_only(), "seed"_a = 0, "first_trial"_a = 0,
+        "jobs"_a = 0, "progress"_a = nb::none(),
+        "Fly every task behind clones of the filters, in their order; per flight a dict of arrays with a row per "
+        "tick: alula/flight/simulation.hpp.");
+  nb::class_<SteppedFlight>(m, "Flight", "A flight as the computer on board sees it: observe, then decide.")
+      .def(nb::init<const VehicleSpec&, const FlightOptions&, const Mission&, const Filters&>(), "vehicle"_a,
+           "options"_a, "mission"_a, "filters"_a)
+      .def("observe", &SteppedFlight::observe, "now_s"_a, "measured"_a.none(), nb::kw_only(),
+           "tracks"_a = nb::bytes("", 0), "position_variance"_a = Triple{}, "sticks"_a = nb::none(),
+           "The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them.")
+      .def("decide", &SteppedFlight::decide,
+           "A dict: command (11), is_refused, is_stale, is_limited, estimate, and a record of each filter.");
+}

@@ -1,0 +1,127 @@
+// A flight as the computer on board sees it: measurements in, commands out, a tick at a time.
+//
+// The simulation calls it for thousands of trials, and `fly` with the measurements of a link, so what was simulated
+// is what flies. In each tick:
+//
+//   observe   the newest measurement, if one arrived, is predicted to now; tracks of what moves are taken as they are
+//   decide    mission -> nominal command -> the filters in their order, each with the command of the one before it ->
+//             command of the vehicle's interface
+//
+// Commands go from the outermost loop of the vehicle to the innermost, and so do the filters: velocities, then
+// accelerations, then wrenches, then sticks. Between two kinds stands one cascade: a velocity is held by the tracking
+// controller (of a double integrator: by a gain), an acceleration flown through its attitude loop, a wrench turned
+// into body rates or, by the map of the throttle, into sticks. The last filter is what is certified.
+//
+// A refused command is never flown: braking, rest or hovering stands in its place until the next filter. When the
+// last filter refuses, or the state is older than `stale_s`, the decision says so.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "alula/dynamics/state_predictor.hpp"
+#include "alula/filters/safety_filter.hpp"
+#include "alula/flight/simulated_vehicle.hpp"
+#include "alula/planning/reference_curve.hpp"
+
+namespace alula::flight {
+
+enum class MissionKind : std::uint8_t {
+  curve,  // a reference, at rest after its end; a curve of one point hovers
+  goal,   // straight to a goal, by a law of the outermost loop
+  pilot   // by the sticks of each tick
+};
+
+// What makes the nominal command.
+struct Mission {
+  MissionKind kind = MissionKind::curve;
+  std::shared_ptr<const ReferenceCurve> curve;
+  Vec3 goal;
+  // u = v_ref + gain / 2 (p_ref - p), at most `speed`: PolyMerge (arXiv 2606.16232), eq. 16. Of accelerations to a
+  // goal: a = gain (u - v) with |u| = min(speed, sqrt(a_max d)), and while hovering gain d / 2.
+  double gain = 2;
+  double speed = std::numeric_limits<double>::infinity();  // [m/s]
+  bool hovers = false;
+
+  double duration() const { return kind == MissionKind::curve ? curve->duration() : 0; }
+};
+
+struct FlightOptions {
+  double dt_s = 0.01;
+  std::int64_t controller_ticks = 1;  // the nominal command is held for this many ticks,
+  std::int64_t filter_ticks = 1;      // and the command of the filters for this many
+  double stale_s = 0.5;               // a measurement older than this is not predicted any more
+  bool has_losses = false;            // measurements can be missing: the predictor keeps commands for stale_s
+};
+
+struct Observation {
+  double now_s = 0;
+  std::optional<State> measured;  // nothing: none arrived in this tick
+  std::span<const alula_track> tracks;
+  Vec3 position_variance;
+  std::optional<RacerCommand> sticks;  // of the pilot
+};
+
+// Record of one filter in one tick.
+struct FilterRecord {
+  FilterReport report;
+  float seconds = 0;  // measured
+};
+
+struct Decision {
+  Command command;
+  bool is_refused = false;  // the last filter refused, or there is no state
+  bool is_stale = false;
+  bool is_limited = false;  // the rotors cannot realise what the filters returned
+};
+
+class Flight {
+ public:
+  // Filters are cloned. Throws std::invalid_argument for filters that are not in the order of their kinds or beyond
+  // the vehicle's interface, and for options out of range.
+  Flight(const VehicleSpec& vehicle, const FlightOptions& options, const Mission& mission,
+         std::span<const SafetyFilter* const> filters);
+
+  void observe(const Observation& seen);
+  const Decision& decide();
+
+  const FlightState& estimate() const { return seen_; }
+  const Nominal& nominal() const { return first_; }  // of the mission, before any filter
+  std::span<const FilterRecord> records() const { return records_; }
+  const ReferencePoint& target() const { return target_; }
+  double now_s() const { return now_; }
+
+ private:
+  bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
+  bool is_rigid() const { return vehicle_.model == VehicleModel::quadrotor; }
+  void predict();
+  void make_nominal();
+  void lower(CommandKind from, CommandKind to);
+  void take(const FilterReport& report, CommandKind kind);
+  void stand_in(CommandKind kind);
+  void finish();
+
+  VehicleSpec vehicle_;
+  FlightOptions options_;
+  Mission mission_;
+  std::vector<std::unique_ptr<SafetyFilter>> filters_;
+  StatePredictor predictor_;
+  FlightState seen_;
+  Nominal first_, nominal_;
+  CommandKind level_ = CommandKind::acceleration;  // of `nominal_`
+  ReferencePoint target_, reference_;              // of the mission; of the cascade in this tick
+  State last_;                                     // newest measurement
+  double now_ = 0, arrived_ = -1;
+  bool has_state_ = false;
+  std::int64_t tick_ = 0;
+  Wrench flown_;
+  bool is_other_ = false;   // the applied thrust differs from the controller's
+  std::vector<Vec3> past_;  // commanded velocities or accelerations of the last ticks, newest last
+  std::vector<FilterRecord> records_;
+  Decision decision_;
+};
+
+}  // namespace alula::flight

@@ -1,0 +1,96 @@
+// Simulated flights: a vehicle, what it measures, what moves around it, and the flight that decides.
+//
+// Per tick: the sensor measures, unless the measurement is lost; `Flight` decides; the vehicle flies the command in
+// steps, while obstacles move. The encounters with them are measured from the truth at every step, in continuous
+// time. Clearance to static obstacles is judged after the flight from the path. A flight is a function of
+// (seed, trial) and of its parts, except for measured times.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "alula/base/control.hpp"
+#include "alula/flight/flight.hpp"
+#include "alula/flight/geofence_pilot.hpp"
+#include "alula/flight/moving_world.hpp"
+
+namespace alula::flight {
+
+// Losses of measurements, and of the pilot's radio. Times are those of the flight [s].
+struct Losses {
+  double share = 0;  // probability that a measurement is lost, each on its own
+  double from_s = std::numeric_limits<double>::infinity(), for_s = 0;
+  double radio_from_s = std::numeric_limits<double>::infinity(), radio_for_s = 0;
+};
+
+struct SimulationRules {
+  int plant_steps = 10;
+  double max_time_s = 60;
+  double stop_distance_m = 0.05;   // reached: within this distance of the goal,
+  double stop_speed = 0.1;         // slower than this, with the reference at its end [m/s]
+  double stuck_speed = 0.02;       // stuck: slower than this and outside that distance of the reference,
+  std::int64_t stuck_ticks = 200;  // for this many ticks
+  double receded_s = 0;            // above 0: the flight ends when all obstacles have receded for this time
+  Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
+  Vec3 upper{1e9, 1e9, 1e9};
+  bool ends_when_refused = true;  // otherwise it flies on with what stands in for refused commands
+};
+
+struct SimulationSpec {
+  VehicleSpec vehicle;
+  FlightOptions options;
+  SimulationRules rules;
+  Losses losses;
+  MovingSpec moving;
+};
+
+// One trial: where it starts and what it shall do.
+struct Task {
+  State start;
+  Mission mission;
+  std::optional<Pilot> pilot;
+};
+
+enum class End : std::uint8_t { flying, reached, stuck, timeout, refused, passed, ended };
+
+// Rows of ticks are for the time at their beginning.
+struct SimulatedFlight {
+  End end = End::flying;
+  std::int64_t ticks = 0;
+  std::vector<double> path;      // (ticks * plant_steps + 1, 3) [m]
+  std::vector<double> state;     // (ticks + 1, 12): p, sigma, v, omega
+  std::vector<double> estimate;  // (ticks, 12)
+  std::vector<double> measured;  // (ticks, 12), NaN where it was lost
+  std::vector<double>
+      nominal;  // (ticks, 3): velocity or acceleration of the mission; throttle and two rates of sticks
+  std::vector<double> command;   // (ticks, 11): velocity or acceleration or rates (3), wrench (4), sticks (4)
+  std::vector<double> sticks;    // (ticks, 4) of the pilot, NaN when silent
+  std::vector<double> obstacle;  // (ticks, n, 3)
+  std::vector<double> track;     // (ticks, n, 3), NaN without one
+  // (ticks, filters); flags: 1 capped, 2 infeasible, 4 certified, 8 certified against tubes
+  std::vector<double> margin;
+  std::vector<std::int64_t> active;
+  std::vector<std::uint32_t> rows, iterations;
+  std::vector<std::uint8_t> status, flags;
+  std::vector<float> filter_s;            // measured
+  std::vector<float> tick_s;              // (ticks) measured: all of observe and decide
+  std::vector<std::uint8_t> mark;         // (ticks): 1 refused, 2 stale, 4 beyond the rotors' limits
+  std::vector<alula_track> tracks;        // as the flight saw them, of all ticks
+  std::vector<std::int64_t> track_start;  // (ticks + 1): first row of a tick
+  // Per obstacle.
+  std::vector<double> closest_m;   // minimum distance of the centres
+  std::vector<double> detected_s;  // first time with a confirmed track near it, or NaN
+};
+
+// Throws std::invalid_argument for an invalid specification.
+void check(const SimulationSpec& spec);
+
+// Flies every task with clones of the filters, on `jobs` threads; task i has the number `first_trial` + i.
+std::vector<SimulatedFlight> simulate(const SimulationSpec& spec, std::span<const Task> tasks,
+                                      std::span<const SafetyFilter* const> filters, std::uint64_t seed,
+                                      std::uint32_t first_trial, unsigned jobs, Control& control);
+
+}  // namespace alula::flight

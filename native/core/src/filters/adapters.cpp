@@ -1,0 +1,137 @@
+#include "alula/filters/adapters.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "alula/filters/moving_guide.hpp"
+
+namespace alula::flight {
+namespace {
+
+constexpr double kWallsAhead = 5;  // walls farther than this time at full speed are not passed on [s], ...
+constexpr double kBraking = 0.5;   // ... unless stopping before them takes this fraction of the maximum acceleration
+constexpr std::size_t kLooked = 4 * ALULA_WALLS;  // nearest obstacles of which walls are chosen
+
+SafetyStatus status_of(alula_geofence_status status) {
+  switch (status) {
+    case ALULA_GEOFENCE_PASSED:
+      return SafetyStatus::ok;
+    case ALULA_GEOFENCE_BLENDED:
+      return SafetyStatus::filtered;
+    case ALULA_GEOFENCE_BACKUP:
+    case ALULA_GEOFENCE_NO_PILOT:
+      return SafetyStatus::backup;
+    case ALULA_GEOFENCE_HAND_OVER:
+      return SafetyStatus::recovering;
+    default:
+      return SafetyStatus::refused;
+  }
+}
+
+}  // namespace
+
+WallPlanes::WallPlanes(std::shared_ptr<const ObstacleMap> map, double max_speed, double max_acceleration,
+                       double radius)
+    : map_(std::move(map)), brake_(kBraking * max_acceleration), radius_(radius) {
+  farthest_ = std::max(kWallsAhead * max_speed, max_speed * max_speed / (2 * brake_));
+  if (map_) memory_ = map_->memory();
+  near_.reserve(kLooked), walls_.reserve(ALULA_WALLS);
+}
+
+std::span<const alula_wall> WallPlanes::at(Vec3 p, Vec3 v) {
+  walls_.clear();
+  if (!map_ || !geometry::is_finite(p)) return {};
+  map_->near(p, farthest_, kLooked, near_, memory_);
+  if (near_.size() > ALULA_WALLS) {
+    const auto spare = [&](const Contact& c) {  // possible increase of the speed towards it
+      return std::sqrt(2 * brake_ * std::max(0.0, c.distance - radius_)) + dot(c.normal, v);
+    };
+    std::nth_element(near_.begin(), near_.begin() + ALULA_WALLS, near_.end(),
+                     [&](const Contact& a, const Contact& b) { return spare(a) < spare(b); });
+    near_.resize(ALULA_WALLS);
+    std::sort(near_.begin(), near_.end(), [](const Contact& a, const Contact& b) { return a.distance < b.distance; });
+  }
+  for (const Contact& c : near_) {
+    const auto n = to_float(c.normal);
+    walls_.push_back({{n[0], n[1], n[2]}, round_down(c.distance)});
+  }
+  return walls_;
+}
+
+FilterReport VelocityFilter::filter(const FlightState& state, const Nominal& nominal) {
+  const geometry::Vec3 p = state.x.p, u = nominal.velocity;
+  const FilterOutput output = filter_.filter({p.x, p.y, p.z}, {u.x, u.y, u.z});
+  FilterReport report;
+  report.status = static_cast<SafetyStatus>(output.status);
+  report.velocity = {output.u[0], output.u[1], output.u[2]};
+  report.margin = output.detail.margin_m;
+  report.active = output.detail.active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(output.detail.active);
+  return report;
+}
+
+FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nominal) {
+  alula_vehicle_state own{};
+  for (int i = 0; i < 3; ++i) {
+    own.position[i] = static_cast<float>(state.x.p[i]);
+    own.velocity[i] = static_cast<float>(state.x.v[i]);
+  }
+  own.covariance[0] = static_cast<float>(state.position_variance.x);
+  own.covariance[3] = static_cast<float>(state.position_variance.y);
+  own.covariance[5] = static_cast<float>(state.position_variance.z);
+  const MovingReport found =
+      filter_->filter(own, state.tracks, walls_.at(state.x.p, state.x.v), nominal.acceleration);
+  FilterReport report;
+  report.status = static_cast<SafetyStatus>(found.status);
+  report.acceleration = found.acceleration;
+  report.margin = -found.violation;
+  report.active = found.warned ? found.urgent : -1;
+  report.rows = found.rows;
+  report.iterations = found.iterations;
+  report.infeasible = found.status != MovingStatus::refused && !found.feasible;
+  return report;
+}
+
+FenceFilter::FenceFilter(const Geofence& geofence, std::optional<double> alpha) : geofence_(geofence), alpha_(alpha) {
+  if (alpha_) program_.emplace(geofence_, *alpha_);
+}
+
+void FenceFilter::reset() {
+  geofence_.reset();
+  if (program_) program_->reset();
+}
+
+FilterReport FenceFilter::filter(const FlightState& state, const Nominal& nominal) {
+  const RacerState x = to_racer(state.x);
+  const std::optional<RacerCommand>& pilot = nominal.sticks;
+  FilterReport report;
+  if (program_ && pilot && state.is_known && is_finite(*pilot)) {
+    const BackupQpReport found = program_->filter(x, *pilot);
+    report.sticks = found.command;
+    report.margin = found.h_i;
+    report.rows = static_cast<std::uint32_t>(found.rows);
+    report.infeasible = found.is_infeasible;
+    report.status = found.is_passed       ? SafetyStatus::ok
+                    : found.is_infeasible ? SafetyStatus::backup
+                                          : SafetyStatus::filtered;
+    return report;
+  }
+  const GeofenceReport found = geofence_.filter(state.is_known ? &x : nullptr, pilot ? &*pilot : nullptr);
+  report.sticks = found.command;
+  report.margin = found.detail.h_i;
+  report.status = status_of(found.status);
+  return report;
+}
+
+RacerState to_racer(const State& x) {
+  const double n = dot(x.sigma, x.sigma), scale = 1 / (1 + n);
+  return {x.p, x.v, {scale * (1 - n), 2 * scale * x.sigma.x, 2 * scale * x.sigma.y, 2 * scale * x.sigma.z}, x.omega};
+}
+
+State from_racer(const RacerState& x) {
+  const double sign = x.q[0] < 0 ? -1 : 1;
+  const Vec3 axis{x.q[1], x.q[2], x.q[3]};
+  return {x.p, sign / (1 + std::abs(x.q[0])) * axis, x.v, x.omega};
+}
+
+}  // namespace alula::flight

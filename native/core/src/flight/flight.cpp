@@ -1,0 +1,325 @@
+#include "alula/flight/flight.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+namespace alula::flight {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using geometry::norm;
+
+Vec3 limited(Vec3 v, double most) {
+  const double length = norm(v);
+  return length > most ? most / length * v : v;
+}
+
+// Acceleration that brakes along the velocity to rest, without reversal.
+Vec3 braking(Vec3 v, double most, double dt) {
+  const double speed = norm(v);
+  return -std::min(1 / dt, (std::isfinite(most) ? most : 5) / std::max(speed, 1e-12)) * v;
+}
+
+// The innermost command that a vehicle's interface takes.
+CommandKind innermost(Interface interface) {
+  switch (interface) {
+    case Interface::velocity:
+      return CommandKind::velocity;
+    case Interface::acceleration:
+      return CommandKind::acceleration;
+    case Interface::wrench:
+      return CommandKind::wrench;
+    case Interface::body_rates:
+    case Interface::sticks:
+      break;
+  }
+  return CommandKind::sticks;
+}
+
+ActuatorModel remembered(const VehicleSpec& vehicle, const FlightOptions& options) {
+  ActuatorModel model = vehicle.assumed;
+  if (options.has_losses) model.delay_s += options.stale_s;
+  return model;
+}
+
+}  // namespace
+
+Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const Mission& mission,
+               std::span<const SafetyFilter* const> filters)
+    : vehicle_(vehicle),
+      options_(options),
+      mission_(mission),
+      predictor_(vehicle.body, remembered(vehicle, options), options.dt_s) {
+  check(vehicle);
+  if (!(options.dt_s > 0 && options.controller_ticks > 0 && options.filter_ticks > 0 && options.stale_s > 0))
+    throw std::invalid_argument("the ticks of a flight and the age of its states must be positive");
+  if (mission.kind == MissionKind::curve && !mission.curve)
+    throw std::invalid_argument("a mission along a curve needs the curve");
+  CommandKind outer = CommandKind::velocity;
+  for (const SafetyFilter* filter : filters) {
+    if (filter->kind() < outer)
+      throw std::invalid_argument(
+          "filters stand in the order of their commands: velocities, accelerations, wrenches, sticks");
+    outer = filter->kind();
+    filters_.push_back(filter->clone());
+    filters_.back()->reset();
+  }
+  if (outer > innermost(vehicle.interface))
+    throw std::invalid_argument("a filter's command is beyond what the vehicle takes");
+  records_.resize(filters_.size());
+  past_.resize(
+      static_cast<std::size_t>(std::ceil((vehicle.assumed.delay_s + options.stale_s) / options.dt_s - 1e-9)) + 1);
+  seen_.thrust = vehicle.body.hover_thrust();
+  flown_ = vehicle.body.limited({vehicle.body.hover_thrust(), {}});
+}
+
+void Flight::observe(const Observation& seen) {
+  now_ = seen.now_s;
+  if (seen.measured && is_finite(*seen.measured)) last_ = *seen.measured, arrived_ = now_, has_state_ = true;
+  seen_.tracks = seen.tracks;
+  seen_.position_variance = seen.position_variance;
+  nominal_.sticks = seen.sticks;
+  predict();
+}
+
+// The state now, from the newest measurement and the commands since.
+void Flight::predict() {
+  const double waited = now_ - arrived_;
+  const bool by_sticks = vehicle_.interface == Interface::sticks;
+  // The geofence predicts itself, with a bound of the error, where navigation is missing.
+  seen_.is_known = has_state_ && (by_sticks ? waited == 0 : waited <= options_.stale_s);
+  seen_.x = last_;
+  if (!seen_.is_known || by_sticks) return;
+  const double age = std::min(now_, vehicle_.assumed.delay_s) + waited;
+  if (is_rigid() && vehicle_.interface >= Interface::wrench) {
+    seen_.x = predictor_.now(last_, age);
+    seen_.rotors = predictor_.rotors();
+    return;
+  }
+  // A point, or a vehicle with its own cascade: by the commands of the last ticks, each held for a tick.
+  double left = age;
+  const bool is_velocity = vehicle_.interface == Interface::velocity;
+  const auto ticks = static_cast<std::size_t>(std::ceil(age / options_.dt_s - 1e-9));
+  for (std::size_t k = std::min(ticks, past_.size()); k > 0 && left > 1e-12; --k) {
+    const Vec3 command = past_[past_.size() - k];
+    double held = left - static_cast<double>(k - 1) * options_.dt_s;
+    if (k == 1) held = left;
+    if (!(held > 0)) continue;
+    if (vehicle_.model == VehicleModel::single_integrator) {
+      seen_.x.p = seen_.x.p + held * command;
+    } else {
+      const Vec3 a = is_velocity ? velocity_loop(vehicle_, command, seen_.x.v) : command;
+      seen_.x.p = seen_.x.p + held * seen_.x.v + held * held / 2 * a;
+      seen_.x.v = seen_.x.v + held * a;
+    }
+    left -= held;
+  }
+}
+
+// The nominal command of the mission, as far in as it goes; `level_` is the outermost kind.
+void Flight::make_nominal() {
+  const std::optional<RacerCommand> sticks = nominal_.sticks;
+  if (mission_.kind == MissionKind::pilot) {
+    nominal_ = {};
+    nominal_.sticks = sticks;
+    level_ = CommandKind::sticks;
+    return;
+  }
+  const State& x = seen_.x;
+  Vec3 towards = mission_.goal - x.p;
+  Vec3 velocity;
+  if (mission_.kind == MissionKind::curve) {
+    target_ = mission_.curve->at(mission_.curve->start() + now_);
+    velocity = target_.v + mission_.gain / 2 * (target_.p - x.p);
+  } else {
+    target_ = reference_for(mission_.goal, {}, target_.yaw);
+    velocity = mission_.gain / 2 * towards;
+  }
+  reference_ = target_;
+  const bool is_point = vehicle_.model == VehicleModel::double_integrator;
+  const bool by_law = mission_.kind == MissionKind::goal && vehicle_.model != VehicleModel::single_integrator;
+  if (by_law) {
+    const double distance = norm(towards),
+                 most = std::isfinite(vehicle_.max_acceleration) ? vehicle_.max_acceleration : 5;
+    double speed = std::min(mission_.speed, std::sqrt(most * distance));
+    // The square root is steep at the goal, which matters when hovering there: use a well-damped spring.
+    if (mission_.hovers) speed = std::min(speed, mission_.gain / 2 * distance);
+    velocity = distance > 0 ? speed / distance * towards : Vec3{};
+  } else {
+    velocity = limited(velocity, std::min(mission_.speed, vehicle_.max_speed));
+  }
+  const bool by_velocity = (!filters_.empty() && filters_.front()->kind() == CommandKind::velocity) ||
+                           vehicle_.interface == Interface::velocity || by_law;
+  if (by_velocity || vehicle_.model == VehicleModel::single_integrator) {
+    nominal_ = {};
+    nominal_.velocity = velocity;
+    level_ = CommandKind::velocity;
+    if (by_law && is_point) {
+      nominal_.acceleration = mission_.gain * (velocity - x.v);
+      for (int i = 0; i < 3; ++i)
+        nominal_.acceleration[i] =
+            std::clamp(nominal_.acceleration[i], -vehicle_.max_acceleration, vehicle_.max_acceleration);
+      if (vehicle_.interface == Interface::acceleration &&
+          (filters_.empty() || filters_.front()->kind() != CommandKind::velocity))
+        level_ = CommandKind::acceleration;
+    }
+  } else {
+    // The controller uses its own thrust, unless another one is applied.
+    nominal_ = track(vehicle_.body, vehicle_.gains, x, target_, is_other_ ? seen_.thrust : own_thrust);
+    nominal_.velocity = velocity;
+    level_ = CommandKind::acceleration;  // the wrench belongs to it
+  }
+  nominal_.sticks = sticks;
+}
+
+// From the command that `nominal_` holds at one level to that of another, inwards.
+void Flight::lower(CommandKind from, CommandKind to) {
+  const State& x = seen_.x;
+  if (from == CommandKind::velocity && to > CommandKind::velocity) {
+    const Vec3 velocity = nominal_.velocity;
+    if (is_rigid()) {
+      reference_ = reference_for(x.p, velocity, target_.yaw);
+      const std::optional<RacerCommand> sticks = nominal_.sticks;
+      nominal_ = track(vehicle_.body, vehicle_.gains, x, reference_);
+      nominal_.velocity = velocity, nominal_.sticks = sticks;
+    } else {
+      nominal_.acceleration = velocity_loop(vehicle_, velocity, x.v);
+    }
+  }
+  if (to == CommandKind::sticks && from < CommandKind::sticks) {
+    const Wrench u = vehicle_.body.limited(nominal_.wrench);
+    const double held = options_.dt_s * static_cast<double>(options_.filter_ticks);
+    nominal_.sticks = RacerCommand{vehicle_.racer.throttle_for(u.thrust / vehicle_.body.mass()),
+                                   body_rates(vehicle_.body, x, u, held, vehicle_.max_rate)};
+  }
+}
+
+// The command of a filter becomes the nominal one of the next.
+void Flight::take(const FilterReport& report, CommandKind kind) {
+  switch (kind) {
+    case CommandKind::velocity:
+      nominal_.velocity = report.velocity;
+      break;
+    case CommandKind::acceleration:
+      if (is_rigid())  // the nominal acceleration gives the nominal wrench, bit by bit
+        nominal_.wrench = realise(vehicle_.body, vehicle_.gains, seen_.x, reference_, nominal_, report.acceleration);
+      nominal_.acceleration = report.acceleration;
+      break;
+    case CommandKind::wrench:
+      nominal_.wrench = report.wrench;
+      nominal_.thrust_rate = report.thrust_rate;
+      break;
+    case CommandKind::sticks:
+      nominal_.sticks = report.sticks;
+      break;
+  }
+}
+
+// What is flown instead of a refused command.
+void Flight::stand_in(CommandKind kind) {
+  FilterReport rest;
+  rest.status = SafetyStatus::recovering;
+  rest.acceleration = seen_.is_known ? braking(seen_.x.v, vehicle_.max_acceleration, options_.dt_s) : Vec3{};
+  rest.wrench = {vehicle_.body.hover_thrust(), {}};
+  rest.sticks = {vehicle_.racer.throttle_for(vehicle_.racer.gravity), {}};
+  take(rest, kind);
+}
+
+const Decision& Flight::decide() {
+  decision_.is_refused = decision_.is_stale = false;
+  const bool is_controlled = is_turn(options_.controller_ticks), is_filtered = is_turn(options_.filter_ticks);
+  if (!seen_.is_known && mission_.kind != MissionKind::pilot) {
+    decision_.is_refused = decision_.is_stale = true;
+    level_ = innermost(vehicle_.interface);
+    stand_in(vehicle_.interface == Interface::body_rates ? CommandKind::wrench : level_);
+    for (FilterRecord& record : records_) record = {};
+    finish();
+    return decision_;
+  }
+  if (is_controlled) make_nominal(), first_ = nominal_;
+  if (is_filtered || is_controlled) {
+    if (!is_controlled) nominal_ = first_;
+    for (std::size_t i = 0; i < filters_.size(); ++i) {
+      SafetyFilter& filter = *filters_[i];
+      FilterRecord& record = records_[i];
+      const CommandKind kind = filter.kind();
+      if (level_ < kind) lower(level_, kind);
+      level_ = std::max(level_, kind);
+      if (is_filtered) {
+        const auto start = Clock::now();
+        record.report = filter.filter(seen_, nominal_);
+        record.seconds = std::chrono::duration<float>(Clock::now() - start).count();
+      }
+      if (record.report.status == SafetyStatus::refused) {
+        stand_in(kind);
+        if (kind == CommandKind::acceleration) filter.flown(nominal_.acceleration);
+        decision_.is_refused = i + 1 == filters_.size();
+      } else {
+        take(record.report, kind);
+      }
+    }
+  }
+  finish();
+  return decision_;
+}
+
+// The command of the interface, and what later ticks need of it.
+void Flight::finish() {
+  Command& c = decision_.command;
+  c.interface = vehicle_.interface;
+  c.yaw = target_.yaw;
+  Vec3 remembered;
+  switch (vehicle_.interface) {
+    case Interface::velocity:
+      c.velocity = remembered = limited(nominal_.velocity, vehicle_.max_speed);
+      break;
+    case Interface::acceleration:
+      if (level_ == CommandKind::velocity) lower(level_, CommandKind::acceleration);
+      c.acceleration = nominal_.acceleration;
+      for (int i = 0; i < 3 && !is_rigid(); ++i)
+        c.acceleration[i] = std::clamp(c.acceleration[i], -vehicle_.max_acceleration, vehicle_.max_acceleration);
+      remembered = c.acceleration;
+      break;
+    case Interface::wrench:
+    case Interface::body_rates: {
+      if (level_ == CommandKind::velocity) lower(level_, CommandKind::wrench);
+      const double thrust_before = seen_.thrust;
+      // An acceleration waits for the controller, through whose attitude loop it is flown.
+      const bool by_wrench = !filters_.empty() && filters_.back()->kind() >= CommandKind::wrench;
+      const std::int64_t held_ticks = by_wrench ? options_.filter_ticks : options_.controller_ticks;
+      if (level_ == CommandKind::sticks) {
+        const RacerCommand u = nominal_.sticks.value_or(RacerCommand{});
+        flown_ = {vehicle_.body.mass() * vehicle_.racer.acceleration(u.throttle), {}};
+        c.wrench = flown_, c.rates = u.rates;
+      } else {
+        if (is_turn(held_ticks) || decision_.is_stale) {
+          const Wrench wanted = nominal_.wrench;
+          flown_ = vehicle_.body.limited(wanted);
+          decision_.is_limited = flown_.thrust != wanted.thrust || flown_.torque.x != wanted.torque.x ||
+                                 flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
+          const double held = options_.dt_s * static_cast<double>(held_ticks);
+          if (vehicle_.interface == Interface::body_rates)
+            c.rates = body_rates(vehicle_.body, seen_.x, flown_, held, vehicle_.max_rate);
+        }
+        c.wrench = predictor_.lead(flown_);
+      }
+      predictor_.fly(c.wrench);
+      seen_.thrust = flown_.thrust;
+      seen_.thrust_rate =
+          by_wrench ? records_.back().report.thrust_rate : (seen_.thrust - thrust_before) / options_.dt_s;
+      is_other_ = flown_.thrust != first_.wrench.thrust;
+      break;
+    }
+    case Interface::sticks:
+      c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
+      break;
+  }
+  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
+  past_.back() = remembered;
+  ++tick_;
+}
+
+}  // namespace alula::flight

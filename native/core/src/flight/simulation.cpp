@@ -1,0 +1,268 @@
+#include "alula/flight/simulation.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "alula/base/parallel.hpp"
+#include "alula/filters/adapters.hpp"
+
+namespace alula::flight {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using geometry::dot;
+using geometry::norm;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr std::uint32_t kLoss = 0x5000'0000;  // channel of random numbers
+constexpr double kSameTime = 1e-9;            // [s]
+constexpr double kFastest = 1e5;              // [m/s] a higher speed means that the integration diverges
+
+void append(std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); }
+void append(std::vector<double>& rows, const State& x) {
+  for (const Vec3& part : {x.p, x.sigma, x.v, x.omega}) append(rows, part);
+}
+void append(std::vector<double>& rows, const RacerCommand& u) { rows.push_back(u.throttle), append(rows, u.rates); }
+
+bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for NaN
+  for (int i = 0; i < 3; ++i)
+    if (!(p[i] >= lower[i] && p[i] <= upper[i])) return false;
+  return true;
+}
+
+bool is_during(double time, double from, double length) { return time >= from && time < from + length; }
+
+// One simulated flight.
+class Trial {
+ public:
+  Trial(const SimulationSpec& spec, const Task& task, std::span<const SafetyFilter* const> filters,
+        const RandomStream& random)
+      : spec_(spec),
+        task_(task),
+        random_(random),
+        vehicle_(spec.vehicle, spec.options.dt_s, spec.rules.plant_steps, random),
+        world_(spec.moving, spec.options.dt_s, spec.rules.plant_steps),
+        flight_(spec.vehicle, spec.options, task.mission, filters) {
+    if (task.pilot) hand_.emplace(*task.pilot, spec.vehicle.racer, random, task.start.p.z);
+  }
+
+  SimulatedFlight fly();
+
+ private:
+  Vec3 course() const;
+  Observation see(double now);
+  void note(const Observation& seen, const Decision& decision, float seconds);
+  void step(std::int64_t index);
+  bool have_receded(double now);
+  Vec3 goal() const;
+  End judged(const Decision& decision);
+
+  const SimulationSpec& spec_;
+  const Task& task_;
+  RandomStream random_;
+  SimulatedVehicle vehicle_;
+  MovingWorld world_;
+  Flight flight_;
+  std::optional<PilotHand> hand_;
+  double receded_s_ = 0;
+  std::int64_t still_ = 0;
+  SimulatedFlight log_;
+};
+
+Vec3 Trial::goal() const {
+  const Mission& m = task_.mission;
+  return m.kind == MissionKind::curve ? m.curve->at(m.curve->end()).p : m.goal;
+}
+
+// The horizontal direction of the flight, and its mean velocity, by which obstacles are drawn.
+Vec3 Trial::course() const {
+  const Mission& m = task_.mission;
+  if (m.kind == MissionKind::pilot) return task_.start.v;
+  const Vec3 way = goal() - task_.start.p;
+  if (m.kind == MissionKind::curve && m.duration() > 0) return 1 / m.duration() * way;
+  const double length = norm(way);
+  return length > 0 && std::isfinite(m.speed) ? m.speed / length * way : Vec3{};
+}
+
+Observation Trial::see(double now) {
+  const SimulationSpec& s = spec_;
+  const std::int64_t step = log_.ticks * s.rules.plant_steps;
+  Observation seen;
+  seen.now_s = now;
+  const bool is_lost = is_during(now, s.losses.from_s, s.losses.for_s) ||
+                       (s.losses.share > 0 && log_.ticks > 0 &&
+                        random_.uniforms(static_cast<std::uint64_t>(log_.ticks), kLoss)[0] < s.losses.share);
+  if (!is_lost) seen.measured = vehicle_.measured();
+  const double sigma = s.vehicle.plant.sensor.position_noise_m;
+  seen.position_variance = {sigma * sigma, sigma * sigma, sigma * sigma};
+  if (world_.size() > 0) {
+    world_.sense(step, vehicle_.kinematics());
+    const Kinematics own = world_.own_state(vehicle_.kinematics(), step);
+    alula_vehicle_state at{};
+    for (int i = 0; i < 3; ++i) {
+      at.position[i] = static_cast<float>(own.p[i]);
+      at.velocity[i] = static_cast<float>(own.v[i]);
+    }
+    seen.tracks = world_.tracks(now, at);
+    for (const alula_track& track : seen.tracks) {
+      const std::int64_t of = world_.obstacle_near(track.position);
+      if (of >= 0 && std::isnan(log_.detected_s[static_cast<std::size_t>(of)]))
+        log_.detected_s[static_cast<std::size_t>(of)] = now;
+    }
+  }
+  if (hand_) {
+    seen.sticks = (*hand_)(now, to_racer(vehicle_.state()));
+    if (is_during(now, s.losses.radio_from_s, s.losses.radio_for_s)) seen.sticks.reset();
+  }
+  return seen;
+}
+
+void Trial::note(const Observation& seen, const Decision& decision, float seconds) {
+  append(log_.estimate, flight_.estimate().x);
+  if (seen.measured)
+    append(log_.measured, *seen.measured);
+  else
+    log_.measured.insert(log_.measured.end(), 12, kNaN);
+  const Nominal& first = flight_.nominal();
+  append(log_.nominal, spec_.vehicle.interface == Interface::velocity ? first.velocity : first.acceleration);
+  const Command& c = decision.command;
+  append(log_.command, c.interface == Interface::velocity       ? c.velocity
+                       : c.interface == Interface::acceleration ? c.acceleration
+                                                                : c.rates);
+  log_.command.push_back(c.wrench.thrust), append(log_.command, c.wrench.torque);
+  append(log_.command, c.sticks);
+  append(log_.sticks, seen.sticks.value_or(RacerCommand{kNaN, {kNaN, kNaN, kNaN}}));
+  for (const Kinematics& o : world_.truth()) {
+    append(log_.obstacle, o.p);
+    const std::int64_t near = world_.track_near(o.p);
+    const float* p = near < 0 ? nullptr : world_.tracks()[static_cast<std::size_t>(near)].position;
+    append(log_.track, p == nullptr ? Vec3{kNaN, kNaN, kNaN} : Vec3{p[0], p[1], p[2]});
+  }
+  for (const FilterRecord& r : flight_.records()) {
+    const FilterReport& report = r.report;
+    log_.margin.push_back(report.margin);
+    log_.active.push_back(report.active);
+    log_.rows.push_back(report.rows);
+    log_.iterations.push_back(report.iterations);
+    log_.status.push_back(static_cast<std::uint8_t>(report.status));
+    log_.flags.push_back(static_cast<std::uint8_t>((report.capped ? 1 : 0) | (report.infeasible ? 2 : 0) |
+                                                   (report.certified ? 4 : 0) | (report.certified_moving ? 8 : 0)));
+    log_.filter_s.push_back(r.seconds);
+  }
+  log_.tick_s.push_back(seconds);
+  log_.mark.push_back(static_cast<std::uint8_t>((decision.is_refused ? 1 : 0) | (decision.is_stale ? 2 : 0) |
+                                                (decision.is_limited ? 4 : 0)));
+  log_.tracks.insert(log_.tracks.end(), seen.tracks.begin(), seen.tracks.end());
+  log_.track_start.push_back(static_cast<std::int64_t>(log_.tracks.size()));
+}
+
+void Trial::step(std::int64_t index) {
+  const double h = spec_.options.dt_s / spec_.rules.plant_steps;
+  if (world_.size() > 0 && index % spec_.rules.plant_steps > 0) world_.sense(index, vehicle_.kinematics());
+  const Kinematics before = vehicle_.kinematics();
+  vehicle_.step();
+  append(log_.path, vehicle_.state().p);
+  if (world_.size() == 0) return;
+  const Kinematics after = vehicle_.kinematics();
+  world_.advance(h, before);
+  for (std::size_t i = 0; i < world_.size(); ++i) {
+    const Kinematics &was = world_.before()[i], &is = world_.truth()[i];
+    const Vec3 a = 1 / h * ((is.v - after.v) - (was.v - before.v));
+    log_.closest_m[i] = std::min(log_.closest_m[i], closest_approach(was.p - before.p, is.p - after.p, a, h));
+  }
+}
+
+bool Trial::have_receded(double now) {
+  const std::vector<Kinematics>& truth = world_.truth();
+  if (truth.empty() || !(spec_.rules.receded_s > 0)) return false;
+  const State& x = vehicle_.state();
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (now >= spec_.moving.obstacles[i].start_s && dot(truth[i].p - x.p, truth[i].v - x.v) > 0) continue;
+    receded_s_ = now;
+    return false;
+  }
+  return now - receded_s_ >= spec_.rules.receded_s - kSameTime;
+}
+
+End Trial::judged(const Decision& decision) {
+  const SimulationRules& rules = spec_.rules;
+  const Mission& m = task_.mission;
+  const State& x = vehicle_.state();
+  const double now = static_cast<double>(log_.ticks) * spec_.options.dt_s;
+  if (!is_finite(x) || !within(x.p, rules.lower, rules.upper)) return End::refused;
+  if (decision.is_refused && rules.ends_when_refused) return End::refused;
+  const double speed = norm(x.v);
+  if (!(speed < kFastest))
+    throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
+  if (have_receded(now)) return End::passed;
+  const bool is_over =
+      log_.ticks >= static_cast<std::int64_t>(std::ceil(rules.max_time_s / spec_.options.dt_s * (1 - 1e-7)));
+  if (m.kind == MissionKind::pilot || m.hovers) return is_over ? End::ended : End::flying;
+  const Vec3 target = m.kind == MissionKind::curve ? m.curve->at(m.curve->start() + now).p : m.goal;
+  const bool has_arrived = now >= m.duration() - kSameTime;
+  const double still = spec_.vehicle.model == VehicleModel::single_integrator ? 1e300 : rules.stop_speed;
+  if (has_arrived && norm(x.p - goal()) <= rules.stop_distance_m && speed <= still) return End::reached;
+  // A vehicle may rest where the reference rests; it is stuck only if it is away from the reference.
+  const bool is_behind = norm(x.p - target) > rules.stop_distance_m;
+  still_ = speed < rules.stuck_speed && is_behind ? still_ + 1 : 0;
+  if (still_ >= rules.stuck_ticks) return End::stuck;
+  return is_over ? End::timeout : End::flying;
+}
+
+SimulatedFlight Trial::fly() {
+  const int steps = spec_.rules.plant_steps;
+  vehicle_.reset(task_.start);
+  const Vec3 mean = course();
+  const double length = std::hypot(mean.x, mean.y);
+  world_.begin(random_, {task_.start.p, mean, {}}, length > 0 ? 1 / norm(mean) * mean : Vec3{1, 0, 0});
+  log_.closest_m.assign(world_.size(), std::numeric_limits<double>::infinity());
+  log_.detected_s.assign(world_.size(), kNaN);
+  append(log_.path, task_.start.p);
+  append(log_.state, task_.start);
+  log_.track_start.push_back(0);
+  while (log_.end == End::flying) {
+    const Observation seen = see(static_cast<double>(log_.ticks) * spec_.options.dt_s);
+    const auto begin = Clock::now();
+    flight_.observe(seen);
+    const Decision& decision = flight_.decide();
+    const float seconds = std::chrono::duration<float>(Clock::now() - begin).count();
+    note(seen, decision, seconds);
+    vehicle_.command(decision.command);
+    for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
+    vehicle_.end_tick();
+    ++log_.ticks;
+    append(log_.state, vehicle_.state());
+    log_.end = judged(decision);
+  }
+  return std::move(log_);
+}
+
+}  // namespace
+
+void check(const SimulationSpec& spec) {
+  check(spec.vehicle), check(spec.moving);
+  const SimulationRules& r = spec.rules;
+  const FlightOptions& o = spec.options;
+  const bool good = o.dt_s >= 1e-4 && o.dt_s <= 1 && r.plant_steps >= 1 && r.plant_steps <= 1000 &&
+                    r.max_time_s >= o.dt_s && r.max_time_s <= 1e5 && r.stop_distance_m > 0 && r.stop_speed > 0 &&
+                    r.stuck_speed >= 0 && r.stuck_ticks > 0 && r.receded_s >= 0 && spec.losses.share >= 0 &&
+                    spec.losses.share <= 1 && spec.losses.for_s >= 0 && spec.losses.radio_for_s >= 0;
+  if (!good) throw std::invalid_argument("the rules of a simulation are out of range");
+}
+
+std::vector<SimulatedFlight> simulate(const SimulationSpec& spec, std::span<const Task> tasks,
+                                      std::span<const SafetyFilter* const> filters, std::uint64_t seed,
+                                      std::uint32_t first_trial, unsigned jobs, Control& control) {
+  check(spec);
+  std::vector<SimulatedFlight> flights(tasks.size());
+  parallel_chunks(tasks.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i)
+      flights[i] = Trial(spec, tasks[i], filters, {seed, first_trial + static_cast<std::uint32_t>(i)}).fly();
+  });
+  return flights;
+}
+
+}  // namespace alula::flight

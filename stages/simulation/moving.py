@@ -1,0 +1,63 @@
+"""Moving obstacles of a scenario as native specifications."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from alula import _core
+from alula.schemas.encounters import ObstacleTable, SensorTable, TrackerTable, interval
+from alula.schemas.errors import UsageError
+
+
+def moving_spec(
+    obstacles: Sequence[ObstacleTable],
+    sensor: SensorTable,
+    tracker: TrackerTable,
+    *,
+    yaw_rate_rad_s: float,
+    where: str = "",
+) -> _core.MovingSpec:
+    """Make the native obstacles with the sensor that detects them and the tracker.
+
+    Args:
+        obstacles: one table for each.
+        sensor: of the vehicle.
+        tracker: that makes tracks of its detections.
+        yaw_rate_rad_s: maximum rate at which the sensor turns [rad/s].
+        where: path of the tables in the scenario, for messages.
+
+    Raises:
+        UsageError: values are inconsistent; the message has the path of their key.
+    """
+    options = _made(_core.TrackerOptions, msgspec.structs.asdict(tracker), f"{where}tracker")
+    _made(_core.Tracker, {"options": options}, f"{where}tracker")  # its constructor checks the options
+    try:
+        return _core.MovingSpec(
+            obstacles=[_obstacle(i, table) for i, table in enumerate(obstacles)],
+            radar=_made(_core.RadarOptions, msgspec.structs.asdict(sensor), f"{where}sensor"),
+            tracker=options,
+            yaw_rate_rad_s=yaw_rate_rad_s,
+        )
+    except ValueError as error:
+        raise UsageError(f"`$.{where}sensor`: {error}") from error
+
+
+def _obstacle(index: int, table: ObstacleTable) -> _core.ObstacleSpec:
+    values = msgspec.structs.asdict(table)
+    position = values.pop("position_m")
+    for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
+        values[key] = interval(values[key])
+    values |= {"kind": values.pop("motion"), "way_points": list(values.pop("way_points_m"))}
+    values |= {"is_relative": position is None, "position": position or (0.0, 0.0, 0.0)}
+    made: _core.ObstacleSpec = _made(_core.ObstacleSpec, values, f"obstacles[{index}]")
+    return made
+
+
+def _made(native: Any, values: dict[str, Any], where: str) -> Any:
+    try:
+        return native(**values)
+    except ValueError as error:
+        raise UsageError(f"`$.{where}`: {error}") from error
