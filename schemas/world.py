@@ -63,6 +63,7 @@ from alula.schemas.world_tables import (
     WorldTable,
     about,
 )
+from alula.schemas.world_upgrade import upgraded_tree
 
 WORLD_VERSION = "2.0"
 
@@ -162,8 +163,6 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     tree = read_tree(path)
     is_old = _major(path, tree) < parse_version(WORLD_VERSION)[0]
     if is_old:
-        from alula.schemas.world_upgrade import upgraded_tree
-
         tree = upgraded_tree(path)
     given = msgspec.msgpack.decode(msgspec.msgpack.encode(tree))
     for key, value in (changes or {}).items():

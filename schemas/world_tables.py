@@ -272,7 +272,7 @@ class MissionTable(Table, frozen=True, kw_only=True):
         ),
     ] = 0.01
     via_tolerance_m: Annotated[
-        Annotated[float, Meta(gt=0, le=100)] | None,
+        Annotated[float, Meta(ge=1e-6, le=1e3)] | None,
         about("distance within which a via point counts as passed; default: the radius, at least 0.1 [m]"),
     ] = None
     allow_tight: Annotated[
