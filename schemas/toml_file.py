@@ -43,10 +43,7 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
         VersionError: it was written for a later major version.
         UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
-    try:
-        tree = _decoded(path)
-    except MalformedError as error:
-        raise InputError(f"{path}: is not TOML ({error})") from error
+    tree = read_tree(path)
     # The version is checked first, because later versions may have keys that are unknown here.
     version = str(tree.get("version", VERSION))
     try:
@@ -59,6 +56,21 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
         return convert(tree, table)
     except MalformedError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """Read a file into plain values.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: the file cannot be read, is empty or is not TOML.
+    """
+    try:
+        return _decoded(path)
+    except MalformedError as error:
+        raise InputError(f"{path}: is not TOML ({error})") from error
 
 
 def _decoded(path: Path) -> dict[str, Any]:

@@ -1,0 +1,63 @@
+"""Vehicles that are built in by name; `examples/vehicles` has them as files, with sources of all numbers."""
+
+from __future__ import annotations
+
+from alula.schemas.vehicle import (
+    FASTBRIDGE,
+    BodyTable,
+    LimitsTable,
+    RatesTable,
+    RotorsTable,
+    ThrottleTable,
+    TrackingTable,
+    Vehicle,
+)
+
+_CRAZYFLIE21 = Vehicle(
+    name="crazyflie21",
+    model="quadrotor",
+    body=BodyTable(radius_m=0.075, mass_kg=0.029, inertia_kg_m2=(16.6e-6, 16.6e-6, 29.3e-6)),
+    rotors=RotorsTable(
+        positions_m=((0.0325, -0.0325), (-0.0325, -0.0325), (-0.0325, 0.0325), (0.0325, 0.0325)),
+        spins=(-1, 1, -1, 1),
+        torque_ratio_m=0.005964552,
+        min_thrust_n=(0.02,) * 4,
+        max_thrust_n=(0.1125,) * 4,
+    ),
+    tracking=TrackingTable(max_tilt_rad=0.7, max_thrust_share=0.95),
+)
+
+_RACER7 = Vehicle(
+    name="racer7",
+    model="quadrotor",
+    body=BodyTable(radius_m=0.25, mass_kg=0.9, inertia_kg_m2=(3.1e-3, 4.4e-3, 7.0e-3)),
+    rotors=RotorsTable(
+        positions_m=((0.11, -0.11), (-0.11, -0.11), (-0.11, 0.11), (0.11, 0.11)),
+        spins=(-1, 1, -1, 1),
+        torque_ratio_m=0.0142,
+        max_thrust_n=(18.37,) * 4,
+    ),
+    rates=RatesTable(max_rad_s=(12.0, 12.0, 6.0)),
+    throttle=ThrottleTable(acceleration_m_s2=(0.0, 7.75474, 73.895455)),
+    tracking=TrackingTable(max_tilt_rad=1.4, max_thrust_share=0.9),
+)
+
+_SINGLE_INTEGRATOR = Vehicle(
+    name="single-integrator",
+    model="single-integrator",
+    body=BodyTable(radius_m=0.15),
+    limits=LimitsTable(max_speed_m_s=1.0),
+)
+
+_DOUBLE_INTEGRATOR = Vehicle(
+    name="double-integrator",
+    model="double-integrator",
+    body=BodyTable(radius_m=0.15),
+    limits=LimitsTable(max_acceleration_m_s2=12.0),
+)
+
+VEHICLES: dict[str, Vehicle] = {
+    vehicle.name: vehicle
+    for vehicle in (_CRAZYFLIE21, FASTBRIDGE, _RACER7, _SINGLE_INTEGRATOR, _DOUBLE_INTEGRATOR)
+}
+"""By name."""

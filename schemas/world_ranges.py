@@ -1,0 +1,260 @@
+"""Ranges of a scenario of version 2.0 that depend on several of its keys."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+
+from alula.schemas.encounters import LARGEST, interval
+from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import GeofenceParameters
+from alula.schemas.geofence import FARTHEST_M, MOST_LATENCY
+from alula.schemas.toml_file import first_beyond
+from alula.schemas.world_tables import (
+    NO_FILTER,
+    EstimationTable,
+    MissionTable,
+    RulesTable,
+    SafetyTable,
+    VehicleTable,
+    WorldTable,
+)
+
+# Keys that may be infinite; parameters of filters may be so where their default is.
+_UNLIMITED = (
+    *("vehicle.max_speed_m_s", "vehicle.max_acceleration_m_s2", "vehicle.max_jerk_m_s3"),
+    "estimation.stale_s",
+)
+
+_STARTS = ("goal", "waypoints", "hover", "pilot")
+_WAYS = ("pairs", "goal", "waypoints")
+# The missions that use a key; all use the others.
+_USED: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("start_m", "start_velocity_m_s", "start_speed_m_s", "start_yaw_deg"), _STARTS),
+    "goal_m": ("goal",),
+    "waypoints_m": ("waypoints",),
+    **dict.fromkeys(("start_box_m", "start_tilt_deg", "pilot"), ("pilot",)),
+    **dict.fromkeys(("plan", "allow_tight"), ("plan",)),
+    **dict.fromkeys(("pairs_from", "bounds_m", "margin_m", "separation", "which"), ("pairs",)),
+    "planned": _WAYS,
+    **dict.fromkeys(("via_tolerance_m", "stop_fraction"), (*_WAYS, "plan")),
+}
+_SAMPLING = ("bounds_m", "margin_m", "separation", "which")
+
+
+def require(good: bool, where: str, words: str) -> None:
+    """Refuse a value unless it is good.
+
+    Args:
+        good: whether it is.
+        where: path of its key.
+        words: the rest of the sentence after the path.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if not good:
+        raise UsageError(f"`$.{where}` {words}")
+
+
+def check_finite(table: msgspec.Struct, path: str = "") -> None:
+    """Refuse numbers that are not finite, but infinity where it stands for no limit.
+
+    Args:
+        table: a scenario, or a table of it.
+        path: of the table, with a dot at its end.
+
+    Raises:
+        UsageError: a number is not finite; the message has its path.
+    """
+    for item in msgspec.structs.fields(table):
+        value, where = getattr(table, item.name), path + item.encode_name
+        if isinstance(value, msgspec.Struct):
+            check_finite(value, f"{where}.")
+        elif isinstance(value, tuple) and value and isinstance(value[0], msgspec.Struct):
+            for i, row in enumerate(value):
+                check_finite(row, f"{where}[{i}].")
+        elif value != math.inf or not (where in _UNLIMITED or item.default == math.inf):
+            wrong = first_beyond(msgspec.to_builtins(value), f"$.{where}", math.inf)
+            if wrong:
+                raise UsageError(f"{wrong} must be a finite number")
+
+
+def check_vehicle_table(table: VehicleTable) -> None:
+    """Refuse a name and a file at once.
+
+    Args:
+        table: of a scenario.
+
+    Raises:
+        UsageError: both are given.
+    """
+    require(
+        table.type is None or table.file is None, "vehicle.file", "and `$.vehicle.type`: give one of the two"
+    )
+
+
+def check_world_table(table: WorldTable) -> None:
+    """Check levels, fence, walls and moving obstacles.
+
+    Args:
+        table: of a scenario.
+
+    Raises:
+        UsageError: values contradict each other; the message has the path of the key.
+    """
+    require(
+        table.confidence is None or table.sigma == WorldTable().sigma,
+        "world.confidence",
+        "sets sigma; give one of the two, not both",
+    )
+    if table.fence is not None:
+        fence = table.fence
+        require(fence.box_m is not None or bool(fence.faces), "world.fence", "needs box_m or faces")
+        _check_box("world.fence.box_m", fence.box_m, FARTHEST_M * (1 + 1e-12))
+        for i, face in enumerate(fence.faces):
+            length, where = math.hypot(*face[:3]), f"world.fence.faces[{i}]"
+            require(1e-3 <= length <= 1e3, where, f"needs a normal, and n has the length {length:.4g}")
+            require(abs(face[3]) <= FARTHEST_M * length, where, f"is farther than {FARTHEST_M:g} m")
+    for name in ("moving", "walls"):
+        if wrong := first_beyond(msgspec.to_builtins(getattr(table, name)), f"$.world.{name}", LARGEST):
+            raise UsageError(f"{wrong} must be below {LARGEST:g}")
+    for i, wall in enumerate(table.walls):
+        below = all(low < high for low, high in zip(wall.lower_m, wall.upper_m, strict=True))
+        require(below, f"world.walls[{i}].upper_m", "must be above lower_m on each axis")
+    for i, obstacle in enumerate(table.moving):
+        where = f"world.moving[{i}]"
+        for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
+            low, high = interval(getattr(obstacle, key))
+            require(low <= high, f"{where}.{key}", "must be a number, or two that increase")
+        require(interval(obstacle.speed_m_s)[0] >= 0, f"{where}.speed_m_s", "must be >= 0")
+
+
+def _check_box(where: str, box: tuple[float, ...] | None, limit: float) -> None:
+    if box is None:
+        return
+    if wrong := first_beyond(list(box), f"$.{where}", limit):
+        raise UsageError(f"{wrong} must be at most {limit:g} m")
+    proper = all(low < high for low, high in zip(box[:3], box[3:], strict=True))
+    require(proper, where, "needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+
+
+def check_mission_table(table: MissionTable) -> None:
+    """Refuse keys of other missions, and those that contradict each other.
+
+    Args:
+        table: of a scenario.
+
+    Raises:
+        UsageError: a key has no effect or contradicts another; the message has its path.
+    """
+    default = MissionTable()
+    for key, kinds in _USED.items():
+        given = getattr(table, key) != getattr(default, key)
+        words = f"is for missions of kind {' or '.join(kinds)}, and this one is {table.kind}"
+        require(not given or table.kind in kinds, f"mission.{key}", words)
+    boxed = table.start_box_m is not None
+    require(not boxed or table.start_m is None, "mission.start_box_m", "and start_m: give one of the two")
+    for key in ("start_velocity_m_s", "start_yaw_deg") if boxed else ("start_tilt_deg",):
+        unset = getattr(table, key) == getattr(default, key)
+        require(unset, f"mission.{key}", f"goes with {'start_m' if boxed else 'start_box_m'}")
+    both = table.start_velocity_m_s is not None and table.start_speed_m_s != default.start_speed_m_s
+    require(not both, "mission.start_speed_m_s", "and start_velocity_m_s: give one of the two")
+    _check_box("mission.start_box_m", table.start_box_m, FARTHEST_M)
+    _check_box("mission.bounds_m", table.bounds_m, LARGEST)
+    if table.pairs_from is not None:
+        for key in _SAMPLING:
+            unset = getattr(table, key) == getattr(default, key)
+            require(unset, f"mission.{key}", "is for random pairs; leave it out with pairs_from")
+    same = table.kind == "goal" and table.start_m is not None and table.start_m == table.goal_m
+    require(not same, "mission.goal_m", "is the start; a mission of kind hover stays there")
+    points = [table.start_m, *table.waypoints_m]
+    for i, (before, after) in enumerate(pairwise(points)):
+        require(before != after, f"mission.waypoints_m[{i}]", "is the point before it")
+    controller = table.controller
+    unguided = controller.guide == NO_FILTER and bool(controller.guide_parameters)
+    require(not unguided, "mission.controller.guide_parameters", "is for a guide, and there is none")
+    _check_outage("mission.pilot.radio", table.pilot.radio_from_s, table.pilot.radio_for_s)
+
+
+def _check_outage(what: str, begins_s: float | None, lasts_s: float | None) -> None:
+    name = what.rpartition(".")[2]
+    require(begins_s is not None or lasts_s is None, f"{what}_for_s", f"needs {name}_from_s")
+
+
+def check_estimation_table(table: EstimationTable) -> None:
+    """Check outages, sensor and tracker.
+
+    Args:
+        table: of a scenario.
+
+    Raises:
+        UsageError: values contradict each other; the message has the path of the key.
+    """
+    _check_outage("estimation.lost", table.lost_from_s, table.lost_for_s)
+    require(table.sensor.delay_s <= 10, "estimation.sensor.delay_s", "must be at most 10")
+    tracker = table.tracker
+    fits = tracker.confirm_hits <= tracker.confirm_scans
+    require(fits, "estimation.tracker.confirm_hits", "is above confirm_scans")
+
+
+def check_safety_table(table: SafetyTable, dt_s: float) -> None:
+    """Check the list of filters, and parameters that depend on each other or on the time step.
+
+    Args:
+        table: of a scenario.
+        dt_s: duration of a time step [s].
+
+    Raises:
+        UsageError: values contradict each other; the message has the path of the key.
+    """
+    names = table.filters
+    require(NO_FILTER not in names, "safety.filters", "has none beside others")
+    require(len(set(names)) == len(names), "safety.filters", "has a filter twice")
+    require(all(name.strip() for name in names), "safety.filters", "has an empty name")
+    if "polytope-cbf" in names:
+        beta = table.polytope_cbf.beta
+        words = f"must be at most 1 / dt_s = {1 / dt_s:g}, not {beta:g}"
+        require(beta * dt_s <= 1 + 1e-12, "safety.polytope-cbf.beta", words)
+    for name in ("geofence", "backup-qp"):
+        values: Any = table.parameters(name)
+        assert isinstance(values, GeofenceParameters)
+        require(values.slow_m_s <= values.fast_m_s, f"safety.{name}.fast_m_s", "must not be below slow_m_s")
+        if name in names:
+            most = MOST_LATENCY * values.tick_s
+            words = f"is above {MOST_LATENCY} calls of the filter, {most:g} s"
+            require(values.latency_s <= most, f"safety.{name}.latency_s", words)
+
+
+def check_rules_table(table: RulesTable) -> None:
+    """Check the duration of a flight.
+
+    Args:
+        table: of a scenario.
+
+    Raises:
+        UsageError: it is too short or too long for the time step.
+    """
+    if table.max_time_s is not None:
+        require(table.max_time_s >= table.dt_s, "rules.max_time_s", "is below dt_s")
+        ticks = table.max_time_s / table.dt_s
+        require(ticks <= 1e7, "rules.max_time_s", f"has {ticks:.3g} time steps, more than 10,000,000")
+
+
+def check_speeds(vehicle: VehicleTable, mission: MissionTable) -> None:
+    """Refuse a mission that is faster than the limit that the scenario itself sets.
+
+    Args:
+        vehicle: of a scenario.
+        mission: of the same.
+
+    Raises:
+        UsageError: a speed is above the limit.
+    """
+    limit = math.inf if vehicle.max_speed_m_s is None else vehicle.max_speed_m_s
+    for key in ("speed_m_s", "start_speed_m_s"):
+        speed = getattr(mission, key)
+        require(speed is None or speed <= limit, f"mission.{key}", "is above vehicle.max_speed_m_s")

@@ -1,0 +1,394 @@
+"""The parts of a scenario of version 2.0, one table each: keys, defaults, limits, descriptions.
+
+None stands for a value of the vehicle, of the plan or of the world, or for something that the run does not
+have; the description says which.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from alula.schemas.encounters import LARGEST, MOST_TRIALS, ObstacleTable, TrackerTable, WallTable
+from alula.schemas.encounters import SensorTable as DetectorTable
+from alula.schemas.filter_options import (
+    FILTERS,
+    ConeBackupParameters,
+    ConeDiParameters,
+    ConeEcbfParameters,
+    GeofenceParameters,
+    MovingFilterParameters,
+    PolytopeCbfParameters,
+    SaferSplatParameters,
+    ShieldParameters,
+)
+from alula.schemas.filters.values import Options
+from alula.schemas.geofence import MOST_FACES, Box, Face
+from alula.schemas.geofence import PilotTable as SticksTable
+
+NO_FILTER = "none"
+GUIDES = ("cone-di", "safer-splat")
+
+NotNegative = Annotated[float, Meta(ge=0)]
+Positive = Annotated[float, Meta(gt=0)]
+Length = Annotated[float, Meta(ge=0, le=1e3)]
+Limit = Annotated[float, Meta(gt=0)]  # inf: no limit
+Scale = Annotated[float, Meta(ge=0.01, le=100)]
+Share = Annotated[float, Meta(ge=0, lt=1)]
+Lag = Annotated[float, Meta(ge=0, le=1)]
+Delay = Annotated[float, Meta(ge=0, le=10)]
+Ticks = Annotated[int, Meta(ge=1, le=1000)]
+Gain = Annotated[float, Meta(ge=1e-6, le=1e6)]
+Speed = Annotated[float, Meta(ge=1e-3, le=1e3)]
+FileName = Annotated[str, Meta(min_length=1)]
+Coordinate = Annotated[float, Meta(gt=-LARGEST, lt=LARGEST)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Sizes = tuple[NotNegative, NotNegative, NotNegative]
+
+VehicleName = Literal["crazyflie21", "fastbridge", "racer7", "single-integrator", "double-integrator"]
+Interface = Literal["velocity", "acceleration", "wrench", "body-rates", "sticks"]
+MissionKind = Literal["pairs", "goal", "waypoints", "plan", "hover", "pilot"]
+
+
+def about(description: str, **limits: Any) -> Meta:
+    """Describe a key, for `alula scenario --keys` and the JSON Schema.
+
+    Args:
+        description: a phrase; it says what None stands for.
+        limits: of the value, as of `msgspec.Meta`.
+    """
+    return Meta(description=description, **limits)
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the file: unknown keys are refused."""
+
+
+class DisturbanceTable(Table, frozen=True, kw_only=True):
+    """Disturbances of the simulated plant; None: the vehicle file's."""
+
+    motor_time_constant_s: Annotated[NotNegative | None, about("lag of the rotors' thrust [s]")] = None
+    linear_drag_n_s_m: Annotated[Sizes | None, about("drag per speed through the air, body axes [N s/m]")] = (
+        None
+    )
+    quadratic_drag_n_s2_m2: Annotated[
+        Sizes | None, about("drag per squared speed, body axes [N s^2/m^2]")
+    ] = None
+    wind_m_s: Annotated[Vector | None, about("constant wind, world frame [m/s]")] = None
+    gust_m_s: Annotated[Sizes | None, about("standard deviation of gusts, world frame [m/s]")] = None
+    gust_time_s: Annotated[Positive | None, about("correlation time of gusts [s]")] = None
+    sag_share: Annotated[
+        Share | None, about("thrust lost to the battery at full throttle, as a fraction")
+    ] = None
+    sag_time_s: Annotated[Positive | None, about("time constant of that loss [s]")] = None
+
+
+class AssumedTable(Table, frozen=True, kw_only=True):
+    """Lag and delay that controller and filters assume; None: the vehicle file's."""
+
+    motor_time_constant_s: Annotated[Lag | None, about("lag of the rotors' thrust [s]")] = None
+    delay_s: Annotated[Lag | None, about("delay of measurements [s]")] = None
+
+
+class VehicleTable(Table, frozen=True, kw_only=True):
+    """What flies: one of a name and a file, and deviations from it."""
+
+    type: Annotated[
+        VehicleName | None, about("vehicle built in by name; default: fastbridge, without file")
+    ] = None
+    file: Annotated[FileName | None, about("vehicle file, in place of type")] = None
+    interface: Annotated[
+        Interface | None,
+        about(
+            "what the vehicle is commanded by; default: velocity of a single integrator, acceleration "
+            "of a double integrator, wrench of a quadrotor, sticks with a pilot"
+        ),
+    ] = None
+    radius_m: Annotated[
+        Length | None, about("radius of the sphere around it; default: the vehicle's [m]")
+    ] = None
+    max_speed_m_s: Annotated[
+        Limit | None,
+        about(
+            "limit of the speed of a point; default: the vehicle's, with a plan 1.5 times the plan's [m/s]"
+        ),
+    ] = None
+    max_acceleration_m_s2: Annotated[
+        Limit | None,
+        about("limit of the acceleration of a double integrator, per axis; default: the vehicle's [m/s^2]"),
+    ] = None
+    max_jerk_m_s3: Annotated[
+        Limit | None, about("limit of the jerk of a double integrator, per axis; default: none [m/s^3]")
+    ] = None
+    actuation_delay_s: Annotated[
+        Delay | None, about("time until a command of a double integrator begins to act; default: 0 [s]")
+    ] = None
+    velocity_gain_per_s: Annotated[
+        Positive | None,
+        about("gain of the loop that follows velocities; default: the vehicle's tracking.kv_per_s [1/s]"),
+    ] = None
+    mass_scale: Annotated[Scale, about("true mass over the vehicle's, which filters assume")] = 1.0
+    thrust_scale: Annotated[Scale, about("true thrust over the vehicle's")] = 1.0
+    rate_gain_scale: Annotated[Scale, about("true gain of the rate loop over the vehicle's")] = 1.0
+    disturbance: DisturbanceTable = DisturbanceTable()
+    assumed: AssumedTable = AssumedTable()
+
+
+class FenceTable(Table, frozen=True, kw_only=True):
+    """The permitted region: inside the box and the faces."""
+
+    box_m: Annotated[Box | None, about("XMIN YMIN ZMIN XMAX YMAX ZMAX; None: no box [m]")] = None
+    faces: Annotated[
+        tuple[Face, ...], about("planes (n, d): n . p <= d is inside", max_length=MOST_FACES)
+    ] = ()
+
+
+class WorldTable(Table, frozen=True, kw_only=True):
+    """What the vehicle must not touch: the union of all of it."""
+
+    cover: Annotated[FileName | None, about("cover whose hulls are obstacles; None: no hulls")] = None
+    onboard: Annotated[
+        bool, about("filters read the cover as the image that flies, as on a microcontroller, bit by bit")
+    ] = False
+    scene: Annotated[FileName | None, about("scene whose ellipsoids are obstacles; None: no ellipsoids")] = (
+        None
+    )
+    sigma: Annotated[
+        float, about("level of the scene's ellipsoids, in standard deviations", ge=0.01, le=100)
+    ] = 1.0
+    confidence: Annotated[
+        Annotated[float, Meta(gt=0, lt=1)] | None,
+        about("probability inside an ellipsoid, in place of sigma, by the chi-square law"),
+    ] = None
+    inflation_m: Annotated[
+        Length | None, about("length that filters add to the radius; default: by the scene's alignment [m]")
+    ] = None
+    fence: Annotated[FenceTable | None, about("permitted region; None: no fence")] = None
+    moving: Annotated[tuple[ObstacleTable, ...], about("moving obstacles", max_length=100)] = ()
+    walls: Annotated[tuple[WallTable, ...], about("boxes that are static obstacles")] = ()
+
+    @property
+    def has_hulls(self) -> bool:
+        """Whether there are convex polytopes to keep out of: of a cover, or walls."""
+        return self.cover is not None or bool(self.walls)
+
+    @property
+    def is_static(self) -> bool:
+        """Whether there is any static obstacle."""
+        return self.has_hulls or self.scene is not None or self.fence is not None
+
+
+class ControllerTable(Table, frozen=True, kw_only=True):
+    """What makes the nominal command of a mission."""
+
+    gain_per_s: Annotated[
+        float, about("gain towards the goal, or of the speed error, of a point [1/s]", ge=1e-6, le=1e6)
+    ] = 2.0
+    guide: Annotated[
+        Literal["none", "cone-di", "safer-splat"],
+        about("filter of accelerations that changes the nominal command before the first filter gets it"),
+    ] = "none"
+    guide_parameters: Annotated[dict[str, Any], about("parameters of the guide")] = {}
+    catch_up_m_s: Annotated[
+        Gain | None,
+        about(
+            "speed above the reference's at which a delayed vehicle catches up; default: the vehicle's, "
+            "else half of speed_m_s [m/s]"
+        ),
+    ] = None
+
+
+class PilotTable(SticksTable, frozen=True, kw_only=True):
+    """The simulated pilot, and an outage of its radio."""
+
+    radio_from_s: Annotated[NotNegative | None, about("time at which the radio fails; None: never [s]")] = (
+        None
+    )
+    radio_for_s: Annotated[NotNegative | None, about("duration of that; None: to the end [s]")] = None
+
+
+class MissionTable(Table, frozen=True, kw_only=True):
+    """What the vehicle shall do. Keys of another kind of mission are refused."""
+
+    kind: Annotated[
+        MissionKind,
+        about(
+            "pairs: random starts and goals, or those of another run; goal: from start_m to goal_m; "
+            "waypoints: from start_m through waypoints_m; plan: along a plan; hover: stay at start_m; "
+            "pilot: sticks of a simulated pilot"
+        ),
+    ] = "pairs"
+    start_m: Annotated[Vector | None, about("start (goal, waypoints, hover, pilot) [m]")] = None
+    goal_m: Annotated[Vector | None, about("goal (goal) [m]")] = None
+    waypoints_m: Annotated[tuple[Vector, ...], about("points to fly through, the last one the goal [m]")] = ()
+    start_velocity_m_s: Annotated[
+        Vector | None, about("velocity at start_m; default: by start_speed_m_s [m/s]")
+    ] = None
+    start_speed_m_s: Annotated[
+        float,
+        about(
+            "speed at the start, towards the goal; in start_box_m the maximum, in a random direction [m/s]",
+            ge=0,
+            le=200,
+        ),
+    ] = 0.0
+    start_yaw_deg: Annotated[float, about("yaw at start_m [deg]")] = 0.0
+    start_box_m: Annotated[
+        Box | None, about("box of random safe starts, in place of start_m (pilot) [m]")
+    ] = None
+    start_tilt_deg: Annotated[float, about("maximum tilt of starts in start_box_m [deg]", ge=0, le=180)] = 0.0
+    plan: Annotated[FileName | None, about("plan file (plan)")] = None
+    pairs_from: Annotated[
+        FileName | None, about("run (.run.mcap) whose starts and goals are flown (pairs)")
+    ] = None
+    speed_m_s: Annotated[
+        Speed | None,
+        about("speed of the nominal command; default: the plan's, a point's limit, else 1 [m/s]"),
+    ] = None
+    bounds_m: Annotated[
+        Box | None,
+        about("box of random pairs; default: the central 98 % of hulls' vertices or Gaussians' centres [m]"),
+    ] = None
+    margin_m: Annotated[Length, about("extra clearance of random starts and goals (pairs) [m]")] = 0.05
+    separation: Annotated[
+        float, about("minimum distance of a pair, as a fraction of the box's diagonal (pairs)", ge=0, le=0.9)
+    ] = 0.3
+    which: Annotated[
+        Literal["any", "blocked"],
+        about("pairs to fly; blocked: only those whose straight line meets an obstacle (pairs)"),
+    ] = "any"
+    planned: Annotated[
+        bool, about("plan each flight in the cover, and fly the plan (pairs, goal, waypoints)")
+    ] = False
+    stop_fraction: Annotated[
+        float,
+        about(
+            "the goal is reached within this fraction of its distance from the start, or within 1 mm, in a "
+            "scene 5 cm",
+            ge=1e-6,
+            le=0.5,
+        ),
+    ] = 0.01
+    via_tolerance_m: Annotated[
+        Annotated[float, Meta(ge=1e-6, le=1e3)] | None,
+        about("distance within which a via point counts as passed; default: the radius, at least 0.1 [m]"),
+    ] = None
+    allow_tight: Annotated[
+        bool, about("fly a plan that is nearer to the map than the filters let the vehicle be (plan)")
+    ] = False
+    receded_s: Annotated[
+        NotNegative | None,
+        about("a flight ends when all moving obstacles have receded for this time; None: it does not [s]"),
+    ] = None
+    controller: ControllerTable = ControllerTable()
+    pilot: PilotTable = PilotTable()
+
+
+class SensorTable(DetectorTable, frozen=True, kw_only=True):
+    """The sensor that detects moving obstacles."""
+
+    yaw_rate_rad_s: Annotated[
+        NotNegative,
+        about("maximum turn rate of the sensor, which looks at tracks; 0: it looks along the course"),
+    ] = 1.0
+
+
+class EstimationTable(Table, frozen=True, kw_only=True):
+    """What the vehicle knows of its own state, and of what moves."""
+
+    position_noise_m: Annotated[
+        NotNegative | None, about("standard deviation of the measured position; default: the vehicle's [m]")
+    ] = None
+    velocity_noise_m_s: Annotated[
+        NotNegative | None, about("standard deviation of the measured velocity; default: the vehicle's [m/s]")
+    ] = None
+    attitude_noise_rad: Annotated[
+        NotNegative | None, about("standard deviation of the measured attitude; default: the vehicle's [rad]")
+    ] = None
+    rate_noise_rad_s: Annotated[
+        NotNegative | None,
+        about("standard deviation of the measured body rates; default: the vehicle's [rad/s]"),
+    ] = None
+    delay_s: Annotated[Delay | None, about("age of a measurement; default: the vehicle's [s]")] = None
+    lost_share: Annotated[Share, about("probability that a measurement is lost, each on its own")] = 0.0
+    lost_from_s: Annotated[
+        NotNegative | None, about("time at which measurements cease; None: they do not [s]")
+    ] = None
+    lost_for_s: Annotated[NotNegative | None, about("duration of that; None: to the end [s]")] = None
+    stale_s: Annotated[
+        Positive,
+        about("age of the last measurement beyond which no command is flown on it; inf: no limit [s]"),
+    ] = 0.5
+    sensor: SensorTable = SensorTable()
+    tracker: TrackerTable = TrackerTable()
+
+
+class SafetyTable(
+    Table,
+    frozen=True,
+    kw_only=True,
+    rename=lambda name: name if name in ("filters", "others") else name.replace("_", "-"),
+):
+    """The filters in their order, and the parameters of each under its name.
+
+    A file has no table `others`: the reader puts the tables of other packages' filters there.
+    """
+
+    filters: Annotated[
+        tuple[str, ...],
+        about("safety filters; each gets the command of the one before, and the last one is certified"),
+    ] = ()
+    polytope_cbf: PolytopeCbfParameters = PolytopeCbfParameters()
+    safer_splat: SaferSplatParameters = SaferSplatParameters()
+    cone_di: ConeDiParameters = ConeDiParameters()
+    cone_ecbf: ConeEcbfParameters = ConeEcbfParameters()
+    cone_backup: ConeBackupParameters = ConeBackupParameters()
+    shield: ShieldParameters = ShieldParameters()
+    dr_acbf: MovingFilterParameters = MovingFilterParameters()
+    dr_acbf_qp: MovingFilterParameters = MovingFilterParameters()
+    mpc: MovingFilterParameters = MovingFilterParameters()
+    cbf_qp: MovingFilterParameters = MovingFilterParameters()
+    rp_cbf: MovingFilterParameters = MovingFilterParameters()
+    geofence: GeofenceParameters = GeofenceParameters()
+    backup_qp: GeofenceParameters = GeofenceParameters()
+    others: dict[str, dict[str, Any]] = {}
+
+    def parameters(self, name: str) -> Options | dict[str, Any]:
+        """Parameters of a filter: complete of one of this package, as given of another's.
+
+        Args:
+            name: of the filter.
+        """
+        if name not in FILTERS:
+            return self.others.get(name, {})
+        found: Options = getattr(self, name.replace("-", "_"))
+        return found
+
+
+class RulesTable(Table, frozen=True, kw_only=True):
+    """Time steps, trials and log."""
+
+    dt_s: Annotated[float, about("time step of the loop [s]", ge=1e-5, le=1)] = 0.01
+    plant_steps: Annotated[
+        Ticks | None, about("steps of the plant in a time step; default: as many as keep them within 1 ms")
+    ] = None
+    controller_ticks: Annotated[Ticks, about("time steps for which the nominal command is held")] = 1
+    filter_ticks: Annotated[Ticks, about("time steps for which the filters' command is held")] = 1
+    trials: Annotated[
+        Annotated[int, Meta(ge=1, le=MOST_TRIALS)] | None,
+        about("number of flights; default: 100 random pairs, all pairs of pairs_from, else 1"),
+    ] = None
+    seed: Annotated[int, about("of everything that is random", ge=0, le=2**63 - 1)] = 0
+    max_time_s: Annotated[
+        Annotated[float, Meta(gt=0, le=1e5)] | None,
+        about(
+            "maximum duration of a flight; default: three times that of its reference; with commands of "
+            "velocity 10 s more than the plan, or than five diagonals of the box take; hover, pilot: 10 [s]"
+        ),
+    ] = None
+    logged: Annotated[
+        int, about("number of first flights in the log, besides the worst ones", ge=0, le=MOST_TRIALS)
+    ] = 20
+    log_rate_hz: Annotated[float, about("samples per second in the log [Hz]", ge=1e-3, le=1e5)] = 20.0
