@@ -26,6 +26,7 @@ MOST_RECORD_VALUES = 2**23  # of the JSON of a record: 200,000 trials
 FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: known before it begins
 
 # "stopped": a real flight that ended before its goal, by landing or because the pilot took over.
+# "held": a vehicle that hovers or flies by a pilot did so for the whole time.
 # "missed-via", "off-plan": it reached the goal of a plan, but missed a via point, or left the plan's tube.
 Outcome = Literal[
     "reached",
@@ -38,6 +39,7 @@ Outcome = Literal[
     "stopped",
     "missed-via",
     "off-plan",
+    "held",
 ]
 PLAN_OUTCOMES: tuple[Outcome, ...] = ("missed-via", "off-plan")
 
@@ -121,6 +123,32 @@ class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
     stop_distance_m: float | None
 
 
+class FilterResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One filter in a flight behind a list of them; counts are steps.
+
+    Attributes:
+        name: of the filter.
+        filtered: the command was changed by the filter's rows.
+        backup: its backup policy flew.
+        recovering: no command met its constraints.
+        refused: it gave no command, and braking, rest or hovering stood in.
+        infeasible: its program had no solution.
+        certified: it proved a safe manoeuvre against all static obstacles.
+        certified_moving: that manoeuvre was also clear of the tubes of all tracks.
+        min_margin: minimum of its own barrier; None without an obstacle.
+    """
+
+    name: str
+    filtered: int
+    backup: int
+    recovering: int
+    refused: int
+    infeasible: int
+    certified: int
+    certified_moving: int
+    min_margin: float | None
+
+
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     """Verdict on one flight.
 
@@ -175,6 +203,12 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         mission_risk: sum over windows of the risk of a collision.
         fence: only in a geofence.
         plan: only along a plan.
+        fence_clearance_m: minimum clearance inside the faces of a fence; this and what follows only of
+            scenarios of version 2.0 [m].
+        moving_clearance_m: minimum clearance of moving obstacles [m].
+        stale_steps: the last measurement was too old.
+        certified_moving_steps: that manoeuvre was also clear of the tubes of all tracks.
+        filters: one result for each filter, in their order.
     """
 
     index: int
@@ -217,6 +251,11 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     mission_risk: float | None = None
     fence: FenceResult | None = None
     plan: PlanResult | None = None
+    fence_clearance_m: float | None = None
+    moving_clearance_m: float | None = None
+    stale_steps: int | None = None
+    certified_moving_steps: int | None = None
+    filters: list[FilterResult] | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

@@ -125,8 +125,18 @@ def command(
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
+    from alula.schemas.world import is_world
 
     check_log_name(common.output)
+    if source.suffix == ".toml" and is_world(source):
+        from alula.cli.simulate.world import simulate_scenario
+
+        if scheduler is not None:
+            raise UsageError("--scheduler is for scenarios of version 1; use --jobs")
+        replaced = {"vehicle": vehicle_path, "scene": scene_path, "cover": map_path, "pairs": pairs_path}
+        changes = dict(setting_of(word) for word in settings)
+        simulate_scenario(context, source, replaced, config, changes, common)
+        return
     if source.suffix == ".toml" and is_fence_scenario(source):
         from alula.cli.simulate.geofence import simulate_geofence
 

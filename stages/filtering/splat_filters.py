@@ -128,6 +128,8 @@ def _surroundings(
     name: str, world: SplatWorld, parameters: Mapping[str, Any]
 ) -> tuple[_core.ObstacleMap, float]:
     """The map that a shield certifies against, and the radius that it keeps clear of it [m]."""
+    if world.static is not None:
+        return world.static, world.static_radius_m
     against = parameters[SHIELD_MAP]
     if against == ELLIPSOIDS:
         return _core.EllipsoidMap(world.index), world.index.radius

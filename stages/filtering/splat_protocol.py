@@ -97,6 +97,8 @@ class SplatWorld:
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
         hulls: the hulls of a cover, for shields that certify against them.
         hull_radius_m: radius that such shields keep from the hulls [m].
+        static: what shields certify against, in place of what `shield_map` names; None: as it names.
+        static_radius_m: radius that they keep from it [m].
     """
 
     index: _core.EllipsoidIndex
@@ -107,6 +109,8 @@ class SplatWorld:
     motor_time_constant_s: float = 0.0
     hulls: _core.PolytopeSet | None = None
     hull_radius_m: float = 0.0
+    static: _core.ObstacleMap | None = None
+    static_radius_m: float = 0.0
 
 
 class SplatFilter(Protocol):

@@ -85,7 +85,7 @@ def _logged(
                 "a_safe_m_s2": xyz(command[i]),
             },
         )
-        yield "/obstacles", _obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_s)
+        yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_s)
 
     is_good = trial.outcome == "passed"
     return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), vehicle[:, :3], messages)
@@ -97,9 +97,18 @@ def _words(trial: TrialResult) -> str:
     return f"{words}, minimum distance to obstacles {' and '.join(near)} m" if near else words
 
 
-def _obstacle_message(
+def obstacle_message(
     obstacles: FloatArray, tracks: FloatArray, radii_m: list[float], frame: str, time_s: float
 ) -> dict[str, Any]:
+    """`foxglove.SceneUpdate` of moving obstacles: a sphere for each, and one twice as large at each track.
+
+    Args:
+        obstacles: true positions, shape (n, 3), world frame [m].
+        tracks: shape (n, 3), NaN without a track [m].
+        radii_m: of the obstacles [m].
+        frame: name of the frame.
+        time_s: log time [s].
+    """
     is_tracked = [bool(np.isfinite(track).all()) for track in tracks]
     true = [_ball(p, r, _OBSTACLE_COLOR) for p, r in zip(obstacles, radii_m, strict=True)]
     tracked = [

@@ -48,6 +48,47 @@ def walls_message(walls: Hulls | None, frame: str) -> dict[str, Any]:
     return scene_message() if walls is None else scene_message(_hulls(walls, frame))
 
 
+def world_message(
+    hulls: Hulls | None,
+    scene: Artifact | None,
+    sigma: float,
+    faces: FloatArray,
+    paths: list[FloatArray],
+    frame: str,
+) -> dict[str, Any]:
+    """`foxglove.SceneUpdate` of all static obstacles: hulls, ellipsoids near the paths, and the fence.
+
+    Args:
+        hulls: of cover and walls; None without any.
+        scene: with ellipsoids; None without one.
+        sigma: their level.
+        faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
+        paths: flown positions, each of shape (T, 3) [m].
+        frame: name of the frame of all positions.
+    """
+    entities = fence_entities(faces, paths, frame)
+    if hulls is not None:
+        entities.append(_hulls(hulls, frame))
+    if scene is not None:
+        entities.append(entity("ellipsoids", frame) | _ellipsoids(scene, sigma, paths))
+    return scene_message(*entities)
+
+
+def fence_entities(faces: FloatArray, paths: list[FloatArray], frame: str) -> list[dict[str, Any]]:
+    """The shell of a fence; none without faces.
+
+    Args:
+        faces: shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
+        paths: flown positions, each of shape (T, 3) [m].
+        frame: name of the frame.
+    """
+    if not len(faces):
+        return []
+    corners, triangles = fence_shell(faces, paths)
+    shell = {"metadata": facts(), "triangles": [triangle_list(corners, triangles, _FENCE_COLOR)]}
+    return [entity("fence", frame) | shell]
+
+
 def fence_message(
     faces: FloatArray, keep_out: Hulls | None, paths: list[FloatArray], frame: str
 ) -> dict[str, Any]:
@@ -59,11 +100,7 @@ def fence_message(
         paths: flown positions, each of shape (T, 3) [m].
         frame: name of the frame of all positions.
     """
-    entities = []
-    if len(faces):
-        corners, triangles = fence_shell(faces, paths)
-        shell = {"metadata": facts(), "triangles": [triangle_list(corners, triangles, _FENCE_COLOR)]}
-        entities.append(entity("fence", frame) | shell)
+    entities = fence_entities(faces, paths, frame)
     if keep_out is not None:
         entities.append(_hulls(keep_out, frame))
     return scene_message(*entities)

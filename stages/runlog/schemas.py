@@ -104,6 +104,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 mode_name=_TEXT,
                 infeasible=_FLAG,
                 certified=_FLAG,
+                certified_moving=_FLAG,
                 capped=_FLAG,
                 saturated=_FLAG,
                 active=_INTEGER,

@@ -32,12 +32,13 @@ def moving_spec(
     Raises:
         UsageError: values are inconsistent; the message has the path of their key.
     """
+    detector = {key: getattr(sensor, key) for key in SensorTable.__struct_fields__}
     options = _made(_core.TrackerOptions, msgspec.structs.asdict(tracker), f"{where}tracker")
     _made(_core.Tracker, {"options": options}, f"{where}tracker")  # its constructor checks the options
     try:
         return _core.MovingSpec(
             obstacles=[_obstacle(i, table) for i, table in enumerate(obstacles)],
-            radar=_made(_core.RadarOptions, msgspec.structs.asdict(sensor), f"{where}sensor"),
+            radar=_made(_core.RadarOptions, detector, f"{where}sensor"),
             tracker=options,
             yaw_rate_rad_s=yaw_rate_rad_s,
         )

@@ -173,6 +173,80 @@ class FenceFlight(_StoredFlight, frozen=True, kw_only=True):
         return cls(trial=trial, tick=sample.tobytes(), distance=nearest.tobytes(), **rows)
 
 
+class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
+    """Samples of a flight behind f filters, with n moving obstacles around it.
+
+    `state` has position, attitude (MRP), velocity and rates, shape (T, 12), `estimate` what the filters got;
+    `nominal` the mission's velocity or acceleration, shape (T, 3); `command` velocity, acceleration or rates
+    (3), wrench (4) and sticks (4); `obstacles` and `tracks` positions, shape (T, n, 3), NaN without a track;
+    `margin` of each filter, shape (T, f); `each_status` and `each_flags` a byte for each filter.
+    """
+
+    _SHAPES = {
+        **{"state": (12,), "estimate": (12,), "nominal": (3,), "command": (11,)},
+        **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,)},
+    }
+
+    state: bytes
+    estimate: bytes
+    nominal: bytes
+    command: bytes
+    obstacles: bytes
+    tracks: bytes
+    margin: bytes
+    each_status: bytes
+    each_flags: bytes
+
+    @classmethod
+    def of(cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float) -> Self:
+        """Sample a native log; see `logged_ticks`.
+
+        Args:
+            trial: its number.
+            flown: arrays by name, a row per tick.
+            dt_s: duration of a tick [s].
+            rate_hz: samples per second.
+        """
+        sample = logged_ticks(len(flown["mark"]) - 1, dt_s, rate_hz)
+        status = flown["status"][sample]
+        last = status[:, -1] if status.shape[1] else np.zeros(len(sample), np.uint8)
+        return cls(
+            trial=trial,
+            tick=sample.tobytes(),
+            status=np.ascontiguousarray(last).tobytes(),
+            state=flown["state"][sample].tobytes(),
+            estimate=flown["estimate"][sample].tobytes(),
+            nominal=flown["nominal"][sample].tobytes(),
+            command=flown["command"][sample].tobytes(),
+            obstacles=flown["obstacle"][sample].tobytes(),
+            tracks=flown["track"][sample].tobytes(),
+            margin=flown["margin"][sample].tobytes(),
+            each_status=status.tobytes(),
+            each_flags=flown["flags"][sample].tobytes(),
+        )
+
+    def of_filters(self, name: str) -> NDArray[np.uint8]:
+        """Bytes of a field for each filter, shape (T, f).
+
+        Args:
+            name: `each_status` or `each_flags`.
+        """
+        flat = np.frombuffer(getattr(self, name), np.uint8)
+        return flat.reshape(len(self.status), -1) if len(flat) else flat.reshape(len(self.status), 0)
+
+    def rows(self, name: str) -> FloatArray:
+        """Numbers of a field; see the class.
+
+        Args:
+            name: of the field.
+        """
+        flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
+        shape = self._SHAPES[name]
+        if not len(flat) and -1 in shape:  # no obstacle, no filter
+            return flat.reshape(len(self.status), *(0 if size == -1 else size for size in shape))
+        return flat.reshape(len(self.status), *shape)
+
+
 @dataclass(frozen=True, slots=True)
 class RunResult:
     """Contents of a run's record and log; `filter_s` and `tick_s` are measured times, the rest is not.

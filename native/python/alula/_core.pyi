@@ -2931,13 +2931,11 @@ class Losses:
 class SimulationRules:
     """Timing of a simulation, and when a flight ends."""
 
-    def __init__(self, *, plant_steps: int = 10, max_time_s: float = 60.0, stop_distance_m: float = 0.05, stop_speed_m_s: float = 0.1, stuck_speed_m_s: float = 0.02, stuck_ticks: int = 200, receded_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0], ends_when_refused: bool = True) -> None:
+    def __init__(self, *, plant_steps: int = 10, stop_speed_m_s: float = 0.1, stuck_speed_m_s: float = 0.02, stuck_ticks: int = 200, receded_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0], ends_when_refused: bool = True) -> None:
         """
         Args:
             plant_steps: steps of the plant in a tick
-            max_time_s: time limit [s]
-            stop_distance_m: reached within this distance of the goal [m],
-            stop_speed_m_s: slower than this, with the reference at its end [m/s]
+            stop_speed_m_s: reached when slower than this, with the reference at its end [m/s]
             stuck_speed_m_s: stuck below this speed, away from the reference [m/s],
             stuck_ticks: for this many ticks
             receded_s: ends when all obstacles have receded for so long; 0: does not [s]
@@ -2951,16 +2949,8 @@ class SimulationRules:
         """steps of the plant in a tick"""
 
     @property
-    def max_time_s(self) -> float:
-        """time limit [s]"""
-
-    @property
-    def stop_distance_m(self) -> float:
-        """reached within this distance of the goal [m],"""
-
-    @property
     def stop_speed_m_s(self) -> float:
-        """slower than this, with the reference at its end [m/s]"""
+        """reached when slower than this, with the reference at its end [m/s]"""
 
     @property
     def stuck_speed_m_s(self) -> float:
@@ -3006,7 +2996,8 @@ class Task:
     A trial: its start, its mission, and a simulated pilot where it flies by sticks.
     """
 
-    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, pilot: Pilot | None = None) -> None: ...
+    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, *, pilot: Pilot | None = None, max_time_s: float = 60.0, stop_distance_m: float = 0.05) -> None:
+        """start: position, attitude (MRP), velocity, body rates."""
 
 class SimulationSpec:
     """All parts of simulated flights but the tasks and the filters."""

@@ -107,7 +107,7 @@ def fly_encounters(
     """
     if cover is not None:
         require_obstacles(cover, jobs=jobs)
-    walls = static_walls(scenario, cover)
+    walls = static_walls(scenario.walls, cover)
     native_encounter(scenario, None)  # refuse wrong values before any work
     native_filter(scenario)
     chunks = fly_missing(

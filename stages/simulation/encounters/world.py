@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,14 @@ WALL_FRACTION = 0.56
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 
-def static_walls(scenario: Encounters, cover: Artifact | None) -> Hulls | None:
+def static_walls(walls: Sequence[WallTable], cover: Artifact | None) -> Hulls | None:
     """Join the hulls of a cover and the boxes of a scenario to one set; None when there are none.
 
     Args:
-        scenario: all parameters.
+        walls: the boxes.
         cover: an `alula/cover`, in metres, if there is one.
     """
-    parts = [_box(wall) for wall in scenario.walls]
+    parts = [_box(wall) for wall in walls]
     if cover is not None:
         parts.insert(0, Hulls.from_cover(cover))
     if not parts:

@@ -86,9 +86,8 @@ struct Fields<flight::SimulationRules> {
   using Rules = flight::SimulationRules;
   static constexpr std::tuple all{
       Field{"plant_steps", &Rules::plant_steps, "steps of the plant in a tick"},
-      Field{"max_time_s", &Rules::max_time_s, "time limit [s]"},
-      Field{"stop_distance_m", &Rules::stop_distance_m, "reached within this distance of the goal [m],"},
-      Field{"stop_speed_m_s", &Rules::stop_speed, "slower than this, with the reference at its end [m/s]"},
+      Field{"stop_speed_m_s", &Rules::stop_speed,
+            "reached when slower than this, with the reference at its end [m/s]"},
       Field{"stuck_speed_m_s", &Rules::stuck_speed, "stuck below this speed, away from the reference [m/s],"},
       Field{"stuck_ticks", &Rules::stuck_ticks, "for this many ticks"},
       Field{"receded_s", &Rules::receded_s, "ends when all obstacles have receded for so long; 0: does not [s]"},
@@ -344,11 +343,13 @@ void bind_specs(nb::module_& m) {
   nb::class_<Task>(m, "Task", "A trial: its start, its mission, and a simulated pilot where it flies by sticks.")
       .def(
           "__init__",
-          [](Task* self, const InState& start, const Mission& mission, const std::optional<Pilot>& pilot) {
+          [](Task* self, const InState& start, const Mission& mission, const std::optional<Pilot>& pilot,
+             double max_time_s, double stop_distance_m) {
             if (pilot) check(*pilot);
-            new (self) Task{state_at(start.data()), mission, pilot};
+            new (self) Task{state_at(start.data()), mission, pilot, max_time_s, stop_distance_m};
           },
-          "start"_a, "mission"_a, "pilot"_a = nb::none());
+          "start"_a, "mission"_a, nb::kw_only(), "pilot"_a = nb::none(), "max_time_s"_a = 60.0,
+          "stop_distance_m"_a = 0.05, "start: position, attitude (MRP), velocity, body rates.");
   nb::class_<SimulationSpec>(m, "SimulationSpec", "All parts of simulated flights but the tasks and the filters.")
       .def(
           "__init__",

@@ -138,7 +138,7 @@ void Flight::make_nominal() {
     target_ = reference_for(mission_.goal, {}, target_.yaw);
     velocity = mission_.gain / 2 * towards;
   }
-  reference_ = target_;
+  reference_ = target_, gains_ = vehicle_.gains;
   const bool is_point = vehicle_.model == VehicleModel::double_integrator;
   const bool by_law = mission_.kind == MissionKind::goal && vehicle_.model != VehicleModel::single_integrator;
   if (by_law) {
@@ -182,8 +182,9 @@ void Flight::lower(CommandKind from, CommandKind to) {
     const Vec3 velocity = nominal_.velocity;
     if (is_rigid()) {
       reference_ = reference_for(x.p, velocity, target_.yaw);
+      gains_ = holding(vehicle_);
       const std::optional<RacerCommand> sticks = nominal_.sticks;
-      nominal_ = track(vehicle_.body, vehicle_.gains, x, reference_);
+      nominal_ = track(vehicle_.body, gains_, x, reference_);
       nominal_.velocity = velocity, nominal_.sticks = sticks;
     } else {
       nominal_.acceleration = velocity_loop(vehicle_, velocity, x.v);
@@ -205,7 +206,7 @@ void Flight::take(const FilterReport& report, CommandKind kind) {
       break;
     case CommandKind::acceleration:
       if (is_rigid())  // the nominal acceleration gives the nominal wrench, bit by bit
-        nominal_.wrench = realise(vehicle_.body, vehicle_.gains, seen_.x, reference_, nominal_, report.acceleration);
+        nominal_.wrench = realise(vehicle_.body, gains_, seen_.x, reference_, nominal_, report.acceleration);
       nominal_.acceleration = report.acceleration;
       break;
     case CommandKind::wrench:

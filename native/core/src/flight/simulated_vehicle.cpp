@@ -139,7 +139,7 @@ void SimulatedVehicle::command(const Command& command) {
     if (is_limited_) limited_.command(a);
   } else if (spec_.model == VehicleModel::quadrotor) {
     if (command.interface == Interface::velocity)
-      held_ = track(spec_.body, spec_.gains, x_, reference_for(x_.p, command.velocity, command.yaw)).wrench;
+      held_ = track(spec_.body, holding(spec_), x_, reference_for(x_.p, command.velocity, command.yaw)).wrench;
     else if (command.interface == Interface::acceleration)
       held_ = wrench_of_acceleration(command.acceleration);
     else

@@ -199,14 +199,14 @@ End Trial::judged(const Decision& decision) {
     throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
   if (have_receded(now)) return End::passed;
   const bool is_over =
-      log_.ticks >= static_cast<std::int64_t>(std::ceil(rules.max_time_s / spec_.options.dt_s * (1 - 1e-7)));
+      log_.ticks >= static_cast<std::int64_t>(std::ceil(task_.max_time_s / spec_.options.dt_s * (1 - 1e-7)));
   if (m.kind == MissionKind::pilot || m.hovers) return is_over ? End::ended : End::flying;
   const Vec3 target = m.kind == MissionKind::curve ? m.curve->at(m.curve->start() + now).p : m.goal;
   const bool has_arrived = now >= m.duration() - kSameTime;
   const double still = spec_.vehicle.model == VehicleModel::single_integrator ? 1e300 : rules.stop_speed;
-  if (has_arrived && norm(x.p - goal()) <= rules.stop_distance_m && speed <= still) return End::reached;
+  if (has_arrived && norm(x.p - goal()) <= task_.stop_distance_m && speed <= still) return End::reached;
   // A vehicle may rest where the reference rests; it is stuck only if it is away from the reference.
-  const bool is_behind = norm(x.p - target) > rules.stop_distance_m;
+  const bool is_behind = norm(x.p - target) > task_.stop_distance_m;
   still_ = speed < rules.stuck_speed && is_behind ? still_ + 1 : 0;
   if (still_ >= rules.stuck_ticks) return End::stuck;
   return is_over ? End::timeout : End::flying;
@@ -247,9 +247,9 @@ void check(const SimulationSpec& spec) {
   const SimulationRules& r = spec.rules;
   const FlightOptions& o = spec.options;
   const bool good = o.dt_s >= 1e-4 && o.dt_s <= 1 && r.plant_steps >= 1 && r.plant_steps <= 1000 &&
-                    r.max_time_s >= o.dt_s && r.max_time_s <= 1e5 && r.stop_distance_m > 0 && r.stop_speed > 0 &&
-                    r.stuck_speed >= 0 && r.stuck_ticks > 0 && r.receded_s >= 0 && spec.losses.share >= 0 &&
-                    spec.losses.share <= 1 && spec.losses.for_s >= 0 && spec.losses.radio_for_s >= 0;
+                    r.stop_speed > 0 && r.stuck_speed >= 0 && r.stuck_ticks > 0 && r.receded_s >= 0 &&
+                    spec.losses.share >= 0 && spec.losses.share <= 1 && spec.losses.for_s >= 0 &&
+                    spec.losses.radio_for_s >= 0;
   if (!good) throw std::invalid_argument("the rules of a simulation are out of range");
 }
 
@@ -257,6 +257,11 @@ std::vector<SimulatedFlight> simulate(const SimulationSpec& spec, std::span<cons
                                       std::span<const SafetyFilter* const> filters, std::uint64_t seed,
                                       std::uint32_t first_trial, unsigned jobs, Control& control) {
   check(spec);
+  for (const Task& task : tasks) {
+    if (!is_finite(task.start) || !(task.max_time_s >= spec.options.dt_s && task.max_time_s <= 1e5) ||
+        !(task.stop_distance_m > 0))
+      throw std::invalid_argument("a start, a time limit or a distance of a goal is out of range");
+  }
   std::vector<SimulatedFlight> flights(tasks.size());
   parallel_chunks(tasks.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i)

@@ -194,7 +194,7 @@ def test_a_worker_that_is_lost_loses_nothing(tmp_path):
 def test_walls_are_avoided_and_judged_as_the_exact_distance_says():
     walls = [{"lower_m": (-5, side, 0), "upper_m": (60, side + 1, 20)} for side in (1.5, -2.5)]
     scenario = made(obstacles=[AHEAD], walls=walls, filter={"parameters": {"clearance_m": 0.6}})
-    hulls = static_walls(scenario, None)
+    hulls = static_walls(scenario.walls, None)
     assert len(hulls) == 2
     for log in flown(scenario, hulls, count=8):
         exact = path_clearance(log["vehicle"][:, :3], hull_obstacles(hulls)).min() - scenario.vehicle.radius_m
@@ -214,7 +214,7 @@ def test_walls_that_are_passed_by_do_not_hide_the_one_ahead():
     ahead = {"lower_m": (10, -20, 0), "upper_m": (11, 20, 20)}
     way = {"start_speed_m_s": 0.0, "cruise_m_s": 10.0, "gain_per_s": 4.0}
     scenario = made(obstacles=[], encounter=way, walls=[*slabs, ahead], run={"max_time_s": 4.0})
-    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    (log,) = flown(scenario, static_walls(scenario.walls, None), count=1)
     assert log["wall_clearance_m"] > 0
 
 
@@ -223,7 +223,7 @@ def test_a_weak_vehicle_sees_a_wall_in_time_to_stop():
     way = {"goal_m": (1000.0, 0, 10), "start_speed_m_s": 12.0, "cruise_m_s": 12.0}
     body = {"a_max_m_s2": 1.0}
     scenario = made(obstacles=[], encounter=way, vehicle=body, walls=[wall], run={"max_time_s": 40.0})
-    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    (log,) = flown(scenario, static_walls(scenario.walls, None), count=1)
     assert log["wall_clearance_m"] > 0
 
 

@@ -112,7 +112,8 @@ class Flight {
   FlightState seen_;
   Nominal first_, nominal_;
   CommandKind level_ = CommandKind::acceleration;  // of `nominal_`
-  ReferencePoint target_, reference_;              // of the mission; of the cascade in this tick
+  ReferencePoint target_, reference_;              // of the mission; of the cascade in this tick,
+  TrackingGains gains_;                            // with its gains
   State last_;                                     // newest measurement
   double now_ = 0, arrived_ = -1;
   bool has_state_ = false;

@@ -67,6 +67,13 @@ void check(const VehicleSpec& spec);
 // The acceleration of the velocity loop, limited.
 Vec3 velocity_loop(const VehicleSpec& spec, Vec3 commanded, Vec3 v);
 
+// The gains of the tracking controller when it holds a velocity.
+inline TrackingGains holding(const VehicleSpec& spec) {
+  TrackingGains gains = spec.gains;
+  gains.kv = spec.velocity_gain;
+  return gains;
+}
+
 // The reference of the tracking controller for a velocity to hold from here.
 inline ReferencePoint reference_for(Vec3 p, Vec3 velocity, double yaw) {
   ReferencePoint point;

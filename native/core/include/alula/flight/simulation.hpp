@@ -28,10 +28,9 @@ struct Losses {
 
 struct SimulationRules {
   int plant_steps = 10;
-  double max_time_s = 60;
-  double stop_distance_m = 0.05;   // reached: within this distance of the goal,
-  double stop_speed = 0.1;         // slower than this, with the reference at its end [m/s]
-  double stuck_speed = 0.02;       // stuck: slower than this and outside that distance of the reference,
+  double stop_speed = 0.1;         // reached: slower than this, with the reference at its end [m/s]; not of a point
+                                   // moved by velocities
+  double stuck_speed = 0.02;       // stuck: slower than this and away from the reference,
   std::int64_t stuck_ticks = 200;  // for this many ticks
   double receded_s = 0;            // above 0: the flight ends when all obstacles have receded for this time
   Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
@@ -52,6 +51,8 @@ struct Task {
   State start;
   Mission mission;
   std::optional<Pilot> pilot;
+  double max_time_s = 60;
+  double stop_distance_m = 0.05;  // of the goal, where it counts as reached
 };
 
 enum class End : std::uint8_t { flying, reached, stuck, timeout, refused, passed, ended };

@@ -1,0 +1,143 @@
+"""Logs of flights behind a list of filters: vehicle, obstacles, tracks, and each filter by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.run import RunRecord, TrialResult
+from alula.stages.compression.hulls import Hulls
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.runlog.encounters import obstacle_message
+from alula.stages.runlog.maps import world_message
+from alula.stages.runlog.messages import number, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.schemas import FLIGHT_CHANNELS
+from alula.stages.runlog.writer import LoggedTrial, write_trials
+from alula.stages.simulation.result import WorldFlight
+from alula.stages.simulation.world.judge import CERTIFIED, CERTIFIED_MOVING, INFEASIBLE
+
+_SAFETY = "/safety"
+
+
+def write_world_log(
+    stream: BinaryIO,
+    record: RunRecord,
+    flights: list[WorldFlight],
+    frame: str,
+    *,
+    dt_s: float,
+    interface: str,
+    filters: list[str],
+    radii_m: list[float],
+    hulls: Hulls | None,
+    scene: Artifact | None,
+    sigma: float,
+    faces: Any,
+) -> None:
+    """Write the log of the trials that are shown; see `write_trials`.
+
+    `/safety` is the last filter, and `/safety/NAME` each filter of a list of several. `/obstacles` has a
+    sphere for each moving obstacle, and one of twice its radius at each track.
+
+    Args:
+        stream: binary stream to write to.
+        record: summary of all trials.
+        flights: samples of those that are shown.
+        frame: name of the frame of all positions.
+        dt_s: duration of a tick [s].
+        interface: what the vehicle is commanded by.
+        filters: names, in their order.
+        radii_m: of the moving obstacles [m].
+        hulls: of cover and walls; None without any.
+        scene: with ellipsoids; None without one.
+        sigma: their level.
+        faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
+    """
+    each = filters if len(filters) > 1 else []
+    channels = dict(FLIGHT_CHANNELS)
+    if radii_m:
+        channels["/obstacles"] = "foxglove.SceneUpdate"
+    channels |= {f"{_SAFETY}/{name}": "alula.Safety" for name in each}
+    paths = [flight.rows("state")[:, :3] for flight in flights]
+    map_ = world_message(hulls, scene, sigma, faces, paths, frame)
+    trials = (
+        _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m)
+        for flight in flights
+    )
+    write_trials(stream, channels, record, map_, trials, frame)
+
+
+def _logged(
+    trial: TrialResult,
+    flight: WorldFlight,
+    frame: str,
+    dt_s: float,
+    interface: str,
+    filters: list[str],
+    radii_m: list[float],
+) -> LoggedTrial:
+    state, nominal, command = flight.rows("state"), flight.rows("nominal"), flight.rows("command")
+    obstacles, tracks, margin = flight.rows("obstacles"), flight.rows("tracks"), flight.rows("margin")
+    status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
+
+    def of_filter(k: int, i: int) -> dict[str, Any]:
+        which, value = FilterStatus(int(status[i, k])), number(margin[i, k])
+        bits = int(flags[i, k])
+        return {
+            **({} if value is None else {"margin": value}),
+            "margin_unit": "of the filter's barrier",
+            "status": int(which),
+            "status_name": which.name.lower(),
+            "infeasible": bool(bits & INFEASIBLE),
+            "certified": bool(bits & CERTIFIED),
+            "certified_moving": bool(bits & CERTIFIED_MOVING),
+        }
+
+    def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+        position, attitude = xyz(state[i, :3]), quaternion_of_mrp(state[i, 3:6])
+        yield "/pose", pose_message(position, attitude, frame, now_s)
+        yield (
+            "/state",
+            {
+                "position_m": position,
+                "velocity_m_s": xyz(state[i, 6:9]),
+                "attitude": attitude,
+                "omega_body_rad_s": xyz(state[i, 9:12]),
+                "thrust_n": number(command[i, 3]),
+                "torque_body_nm": xyz(command[i, 4:7]),
+            },
+        )
+        what = "u" if interface == "velocity" else "a"
+        unit = "m_s" if interface == "velocity" else "m_s2"
+        last = of_filter(len(filters) - 1, i) if filters else {"status": 0, "status_name": "ok"}
+        flown = command[i, :3]
+        if interface in ("velocity", "acceleration"):
+            last |= {f"{what}_nom_{unit}": xyz(nominal[i]), f"{what}_safe_{unit}": xyz(flown)}
+        elif interface == "body-rates":
+            last |= {"rates_safe_rad_s": xyz(flown), "a_nom_m_s2": xyz(nominal[i])}
+        elif interface == "sticks":
+            last |= {"throttle_safe": number(command[i, 7]), "rates_safe_rad_s": xyz(command[i, 8:11])}
+        else:
+            last |= {"a_nom_m_s2": xyz(nominal[i])}
+        yield _SAFETY, last
+        if len(filters) > 1:
+            for k, name in enumerate(filters):
+                yield f"{_SAFETY}/{name}", {"trial": trial.index} | of_filter(k, i)
+        if radii_m:
+            yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_s)
+
+    is_good = trial.outcome in ("reached", "held", "passed") and not trial.collision
+    return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), state[:, :3], messages)
+
+
+def _words(trial: TrialResult) -> str:
+    words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
+    parts = {
+        "hulls": trial.map_clearance_m,
+        "ellipsoids": trial.scene_clearance_m,
+        "the fence": trial.fence_clearance_m,
+        "moving obstacles": trial.moving_clearance_m,
+    }
+    known = [f"{value:.3f} m of {name}" for name, value in parts.items() if value is not None]
+    return f"{words}, minimum clearance {', '.join(known)}" if known else words

@@ -1,0 +1,1 @@
+"""Flights of a scenario whose parts are chosen each on its own."""

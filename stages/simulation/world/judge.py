@@ -1,0 +1,210 @@
+"""Verdict on a flight from its true path: clearance to each part of the world, outcome, filters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.run import FilterResult, ObstacleResult, Outcome, TrialResult
+from alula.stages.clearance import is_collision, sphere_clearance
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
+from alula.stages.simulation.world.world import StaticWorld
+from alula.stages.verdict import minimum
+
+REFUSED, STALE, LIMITED = 1, 2, 4  # bits of `mark` of a native log
+INFEASIBLE, CERTIFIED, CERTIFIED_MOVING = 2, 4, 8  # bits of `flags`
+_ENDS: dict[str, Outcome] = {
+    **{name: name for name in ("reached", "stuck", "timeout", "refused", "passed")},
+    "ended": "held",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class WorldJudge:
+    """Judges flights among static and moving obstacles; nothing that a filter saw enters.
+
+    The path consists of the plant's steps, joined by chords. A chord is at most a dt^2 / 8 off the true path.
+    Along it the distance to static obstacles is exact. Encounters with moving obstacles come from the
+    simulation, which measures them at every step of the plant, in continuous time.
+
+    Attributes:
+        world: static obstacles.
+        filters: names, in their order.
+        obstacle_radii_m: of the moving obstacles [m].
+        via_tolerance_m: distance within which a via point counts as passed [m].
+        dt_s: duration of a tick [s].
+        jobs: threads; the result does not depend on it.
+    """
+
+    world: StaticWorld
+    filters: list[str]
+    obstacle_radii_m: list[float]
+    via_tolerance_m: float
+    dt_s: float
+    jobs: int
+
+    def of_plan(self, plan: Artifact | None) -> PlanJudge | None:
+        """Make the judge of flights along a plan.
+
+        Args:
+            plan: in the frame of the world; None without one.
+        """
+        if plan is None:
+            return None
+        sets = [each for each in (self.world.polytopes, self.world.ellipsoids) if each is not None]
+        return PlanJudge(plan, sets, self.world.radius_m, self.via_tolerance_m, self.jobs)
+
+    def trial(
+        self,
+        index: int,
+        goal: FloatArray,
+        curve: _core.ReferenceCurve | None,
+        flown: dict[str, Any],
+        along: PlanJudge | None,
+    ) -> TrialResult:
+        """Judge one flight.
+
+        Args:
+            index: number of the trial.
+            goal: shape (3,), world frame [m].
+            curve: its reference, or None.
+            flown: native log of the flight.
+            along: judge of its plan, or None.
+        """
+        path, state = _finite(flown["path"]), flown["state"]
+        steps = len(flown["mark"])
+        hulls, ellipsoids = (
+            None if each is None else sphere_clearance(path, each, self.world.radius_m, jobs=self.jobs)
+            for each in (self.world.polytopes, self.world.ellipsoids)
+        )
+        fence = None
+        if len(self.world.faces):
+            fence = float(self.world.inside(path).min()) - self.world.radius_m
+        met = self._met(flown)
+        moving = minimum(
+            one.closest_m - radius - self.world.radius_m
+            for one, radius in zip(met, self.obstacle_radii_m, strict=True)
+        )
+        followed = None if along is None else along.result(path)
+        velocity = state[:, 6:9]
+        jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
+        jerk = jerk[np.isfinite(jerk)]
+        acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
+        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]
+        last = each[-1] if each else None
+        status, mark = flown["status"], flown["mark"]
+        duration = steps * self.dt_s
+        reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
+        return TrialResult(
+            index=index,
+            start_m=path[0].tolist(),
+            goal_m=goal.tolist(),
+            outcome=outcome_of_plan(_ENDS[flown["end"]], followed),
+            collision=is_collision(hulls, ellipsoids, fence, moving),
+            steps=steps,
+            duration_s=duration,
+            path_length_m=length,
+            straight_length_m=float(np.linalg.norm(goal - path[0])),
+            map_clearance_m=hulls,
+            scene_clearance_m=ellipsoids,
+            max_speed_m_s=_most(np.linalg.norm(velocity, axis=1)),
+            filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()) if self.filters else 0,
+            shortened_steps=int((status == FilterStatus.SHORTENED).sum()),
+            infeasible_steps=sum(one.infeasible for one in each),
+            fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()) if self.filters else 0,
+            mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
+            max_jerk_m_s3=_most(jerk),
+            mean_speed_m_s=length / duration if duration else 0.0,
+            max_acceleration_m_s2=_most(acceleration),
+            max_tracking_error_m=(
+                None if reference is None else _most(np.linalg.norm(state[:, :3] - reference[:, :3], axis=1))
+            ),
+            min_margin=None if last is None else last.min_margin,
+            backup_steps=None if last is None else last.backup,
+            certified_steps=None if last is None else last.certified,
+            saturated_steps=int((mark & LIMITED > 0).sum()),
+            obstacles=met or None,
+            refused_steps=int((mark & REFUSED > 0).sum()),
+            plan=followed,
+            fence_clearance_m=fence,
+            moving_clearance_m=moving,
+            stale_steps=int((mark & STALE > 0).sum()),
+            certified_moving_steps=None if last is None else last.certified_moving,
+            filters=each or None,
+        )
+
+    def _met(self, flown: dict[str, Any]) -> list[ObstacleResult]:
+        return [
+            ObstacleResult(
+                closest_m=float(closest),
+                separation_m=None,
+                closing_m_s=None,
+                detected_s=float(seen) if math.isfinite(seen) else None,
+                warned_s=None,
+                reaction_s=None,
+                avoid_s=None,
+                collision=bool(closest <= radius + self.world.radius_m),
+            )
+            for closest, seen, radius in zip(
+                flown["closest_m"], flown["detected_s"], self.obstacle_radii_m, strict=True
+            )
+        ]
+
+    def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterResult:
+        status, flags, margin = flown["status"][:, i], flown["flags"][:, i], flown["margin"][:, i]
+        known = margin[np.isfinite(margin) & (np.abs(margin) < 1e30)]
+
+        def steps(which: FilterStatus) -> int:
+            return int((status == which).sum())
+
+        return FilterResult(
+            name=name,
+            filtered=steps(FilterStatus.FILTERED) + steps(FilterStatus.SHORTENED),
+            backup=steps(FilterStatus.BACKUP),
+            recovering=steps(FilterStatus.RECOVERING),
+            refused=steps(FilterStatus.REFUSED),
+            infeasible=int((flags & INFEASIBLE > 0).sum()),
+            certified=int((flags & CERTIFIED > 0).sum()),
+            certified_moving=int((flags & CERTIFIED_MOVING > 0).sum()),
+            min_margin=float(known.min()) if len(known) else None,
+        )
+
+
+def worst_clearance(trial: TrialResult) -> float:
+    """Minimum clearance of a flight to anything, infinite without obstacles [m].
+
+    Args:
+        trial: its verdict.
+    """
+    parts = (
+        *(trial.map_clearance_m, trial.scene_clearance_m),
+        *(trial.fence_clearance_m, trial.moving_clearance_m),
+    )
+    return min((part for part in parts if part is not None), default=math.inf)
+
+
+def hits_static(trial: TrialResult) -> bool:
+    """True when a flight touched a static obstacle or left the fence.
+
+    Args:
+        trial: its verdict.
+    """
+    return is_collision(trial.map_clearance_m, trial.scene_clearance_m, trial.fence_clearance_m)
+
+
+def _finite(points: FloatArray) -> FloatArray:
+    """The path up to its first value that is not finite; such a flight is refused at once."""
+    bad = ~np.isfinite(points).all(axis=1)
+    return points[: int(np.argmax(bad))] if bad.any() else points
+
+
+def _most(values: FloatArray) -> float:
+    return float(values[np.isfinite(values)].max(initial=0.0))

@@ -1,0 +1,344 @@
+"""Missions of a scenario as tasks of the native simulation: starts, references, limits of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.progress import Progress
+from alula.schemas.world import WorldScenario
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+from alula.stages.simulation.planned import count_planned, plans_of
+from alula.stages.simulation.world.world import StaticWorld, require_clear
+
+_EXTRA_TIME_S = 10.0
+_TIME_FACTOR = 3.0  # time limit over the duration of the reference
+_HOLD_S = 10.0  # time limit of hovering and of pilots
+_STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
+_DRAWS = 2000  # of random starts of a pilot
+
+Clearance = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Missions:
+    """Tasks of all trials, with what their judge needs.
+
+    Attributes:
+        tasks: native.
+        start, goal: shapes (N, 3), world frame [m].
+        curves: reference of each trial; None where it flies without one.
+        plans: plan of each trial; None without one.
+        counts: of sampled points and pairs, by the keys of the summary.
+    """
+
+    tasks: list[_core.Task]
+    start: FloatArray
+    goal: FloatArray
+    curves: list[_core.ReferenceCurve | None]
+    plans: list[Artifact | None]
+    counts: dict[str, int]
+
+
+def missions_of(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    *,
+    count: int,
+    speed_m_s: float,
+    max_speed_m_s: float,
+    plan: Artifact | None,
+    cover: Artifact | None,
+    given: Pairs | None,
+    is_safe: Callable[[FloatArray], FloatArray] | None,
+    start_value: Clearance | None,
+    jobs: int,
+    progress: Progress | None = None,
+) -> Missions:
+    """Make the tasks of all trials.
+
+    Args:
+        scenario: completed.
+        world: static obstacles.
+        count: number of trials.
+        speed_m_s: of the nominal command [m/s].
+        max_speed_m_s: limit of velocity commands [m/s].
+        plan: that the scenario names, or None.
+        cover: to plan in.
+        given: starts and goals of another run, or None.
+        is_safe: h_I of a pilot's start states, shape (S, 13) to (S,), where a geofence flies.
+        start_value: barrier of the filter at points, shape (N, 3) to (N,), which starts must satisfy too [m].
+        jobs: threads.
+        progress: of planning.
+
+    Raises:
+        UsageError: a start touches an obstacle, or there are no bounds.
+        InfeasibleError: no clear pairs were found.
+    """
+    mission = scenario.mission
+    plans: list[Artifact | None]
+    counts: dict[str, int]
+    if mission.kind == "pilot":
+        return _piloted(scenario, world, count, is_safe, jobs)
+    if mission.kind == "hover":
+        assert mission.start_m is not None
+        return _hovering(scenario, world, np.array(mission.start_m), count, speed_m_s, jobs)
+    if mission.kind == "plan":
+        assert plan is not None
+        curve = _curve(plan)
+        ends = curve.at(np.array([0.0, curve.duration_s]))[:, :3]
+        pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
+        plans = [plan]
+    else:
+        pairs, counts = _pairs(scenario, world, count, given, start_value, jobs)
+        plans = [None] * len(pairs.start)
+        if mission.planned:
+            assert cover is not None
+            plans = plans_of(
+                pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
+            )
+            counts |= count_planned(plans)
+    return _along(scenario, world, pairs, plans, count, speed_m_s, max_speed_m_s, counts)
+
+
+def _along(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    pairs: Pairs,
+    plans: list[Artifact | None],
+    count: int,
+    speed_m_s: float,
+    max_speed_m_s: float,
+    counts: dict[str, int],
+) -> Missions:
+    """Tasks from starts to goals: along plans, through waypoints, or straight."""
+    mission, rules = scenario.mission, scenario.rules
+    by_velocity = scenario.vehicle.interface == "velocity"
+    is_point = by_velocity and scenario.vehicle.type == "single-integrator"
+    gain = mission.controller.gain_per_s
+    diagonal = _diagonal(scenario, world)
+    tasks, curves = [], []
+    many = len(pairs.start) == 1 and count > 1  # the same mission, with other noise
+    pick = [0] * count if many else list(range(len(pairs.start)))
+    for i in pick:
+        start, goal, own = pairs.start[i], pairs.goal[i], plans[i]
+        yaw = _heading(goal - start)
+        curve: _core.ReferenceCurve | None = None
+        if own is not None:
+            curve = _curve(own)
+        elif mission.kind == "waypoints":
+            curve = _through([start, *map(np.array, mission.waypoints_m)], speed_m_s)
+        elif not is_point:
+            curve = _core.ReferenceCurve(*rest_to_rest(start, goal, speed_m_s, yaw_rad=yaw))
+        if curve is None:
+            flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=max_speed_m_s)
+            allowed = 5 * diagonal / max_speed_m_s + _EXTRA_TIME_S
+        else:
+            flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=max_speed_m_s)
+            slow = curve.duration_s + _EXTRA_TIME_S if by_velocity else _TIME_FACTOR * curve.duration_s
+            allowed = slow
+            yaw = float(curve.at(np.array([0.0]))[0, 15])
+        stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
+        state = _at_rest(start, yaw)
+        if mission.kind == "goal" and mission.start_velocity_m_s is not None:
+            state[6:9] = mission.start_velocity_m_s
+        tasks.append(
+            _core.Task(
+                state, flown, max_time_s=max(rules.max_time_s or allowed, rules.dt_s), stop_distance_m=stop
+            )
+        )
+        curves.append(curve)
+    index = np.array(pick)
+    return Missions(tasks, pairs.start[index], pairs.goal[index], curves, [plans[i] for i in pick], counts)
+
+
+def _diagonal(scenario: WorldScenario, world: StaticWorld) -> float:
+    """Diagonal of the box of starts and goals [m]."""
+    mission = scenario.mission
+    if mission.start_m is not None and mission.goal_m is not None:
+        return max(1.0, math.dist(mission.start_m, mission.goal_m))
+    lower, upper = central_box(world.centres, mission.bounds_m, "obstacles")
+    return float(np.linalg.norm(upper - lower))
+
+
+def _pairs(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    count: int,
+    given: Pairs | None,
+    start_value: Clearance | None,
+    jobs: int,
+) -> tuple[Pairs, dict[str, int]]:
+    mission = scenario.mission
+    keep = world.most_keep_m
+
+    def distance(points: FloatArray) -> FloatArray:
+        return world.clearance(points, points, keep + mission.margin_m + 1e-3, jobs)
+
+    def is_blocked(start: FloatArray, goal: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(world.clearance(start, goal, keep, jobs) < keep)
+
+    if mission.kind in ("goal", "waypoints"):
+        assert mission.start_m is not None
+        goal = mission.goal_m if mission.kind == "goal" else mission.waypoints_m[-1]
+        assert goal is not None
+        start = np.array([mission.start_m])
+        require_clear(world, start, "`$.mission.start_m`: the start", jobs)
+        return Pairs(start, np.array([goal]), 0, 0), {}
+    if given is not None:
+        check_clear(given, lambda points: np.asarray(distance(points) >= keep))
+        found = given
+    else:
+        lower, upper = central_box(world.centres, mission.bounds_m, "obstacles")
+
+        def is_clear(points: FloatArray, apart: FloatArray) -> NDArray[np.bool_]:
+            clear = np.asarray(apart >= keep + mission.margin_m)
+            if start_value is not None and clear.any():
+                clear[clear] = start_value(np.ascontiguousarray(points[clear])) >= keep
+            return clear
+
+        found = sample_pairs(
+            count,
+            scenario.rules.seed,
+            (lower, upper),
+            mission.separation * float(np.linalg.norm(upper - lower)),
+            distance,
+            is_clear,
+            is_blocked if mission.which == "blocked" else None,
+        )
+    counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}
+    if given is None:
+        counts |= {"sampled_points": found.sampled, "sampled_pairs": found.candidates}
+    return found, counts
+
+
+def _hovering(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    start: FloatArray,
+    count: int,
+    speed_m_s: float,
+    jobs: int,
+) -> Missions:
+    require_clear(world, start[None], "`$.mission.start_m`: the start", jobs)
+    yaw = math.radians(scenario.mission.start_yaw_deg)
+    rest = np.zeros((1, 4, 8))
+    rest[0, :, 0] = [*start, yaw]
+    curve = _core.ReferenceCurve(np.array([0.0, 1.0]), rest)
+    gain = scenario.mission.controller.gain_per_s
+    flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
+    task = _core.Task(_at_rest(start, yaw), flown, max_time_s=scenario.rules.max_time_s or _HOLD_S)
+    many = np.tile(start, (count, 1))
+    return Missions([task] * count, many, many, [curve] * count, [None] * count, {})
+
+
+def _piloted(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    count: int,
+    is_safe: Callable[[FloatArray], FloatArray] | None,
+    jobs: int,
+) -> Missions:
+    mission, table = scenario.mission, scenario.mission.pilot
+    pilot = _core.Pilot(
+        kind=table.kind,
+        heading_rad=math.radians(table.heading_deg),
+        tilt_rad=math.radians(table.tilt_deg),
+        climb_m_s2=table.climb_m_s2,
+        silent_after_s=table.silent_after_s,
+    )
+    allowed = scenario.rules.max_time_s or _HOLD_S
+    if mission.start_m is not None:
+        state = _at_rest(np.array(mission.start_m), math.radians(mission.start_yaw_deg))
+        if mission.start_velocity_m_s is not None:
+            state[6:9] = mission.start_velocity_m_s
+        require_clear(world, state[None, :3], "`$.mission.start_m`: the start", jobs)
+        states = np.tile(state, (count, 1))
+    else:
+        states = np.array([_drawn(scenario, world, i, is_safe, jobs) for i in range(count)])
+    tasks = [
+        _core.Task(state, _core.Mission.by_sticks(), pilot=pilot, max_time_s=allowed) for state in states
+    ]
+    start = states[:, :3]
+    return Missions(tasks, start, start, [None] * count, [None] * count, {})
+
+
+def _drawn(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    trial: int,
+    is_safe: Callable[[FloatArray], FloatArray] | None,
+    jobs: int,
+) -> FloatArray:
+    """A random start in the box: clear, and with h_I above 0 where a geofence flies."""
+    mission = scenario.mission
+    assert mission.start_box_m is not None
+    box = np.array(mission.start_box_m)
+    key = np.array([scenario.rules.seed, trial], np.uint64)
+    generator = np.random.Generator(np.random.Philox(key=key))
+    draws = generator.random((_DRAWS, 6))
+    directions = generator.normal(size=(_DRAWS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    states = np.zeros((_DRAWS, 12))
+    states[:, :3] = box[:3] + draws[:, :3] * (box[3:] - box[:3])
+    states[:, 6:9] = mission.start_speed_m_s * draws[:, 3:4] * directions
+    # A tilt about a horizontal axis, as Modified Rodrigues Parameters.
+    angle, towards = math.radians(mission.start_tilt_deg) * draws[:, 4], 2 * math.pi * draws[:, 5]
+    axis = np.column_stack([np.cos(towards), np.sin(towards), np.zeros(_DRAWS)])
+    states[:, 3:6] = np.tan(angle / 4)[:, None] * axis
+    clear = world.clearance(states[:, :3], states[:, :3], world.radius_m + 1e-3, jobs) >= world.radius_m
+    for state in states[clear]:
+        if is_safe is None or is_safe(racer_states(state[None]))[0] > 0:
+            return np.asarray(state)
+    raise UsageError("`$.mission.start_box_m`: no start in the box is clear and safe")
+
+
+def racer_states(states: FloatArray) -> FloatArray:
+    """States (p, MRP, v, omega) of shape (N, 12) as (p, v, q wxyz, omega), shape (N, 13).
+
+    Args:
+        states: of rigid bodies.
+    """
+    sigma = states[:, 3:6]
+    n = (sigma**2).sum(axis=1, keepdims=True)
+    q = np.concatenate([(1 - n) / (1 + n), 2 * sigma / (1 + n)], axis=1)
+    return np.concatenate([states[:, :3], states[:, 6:9], q, states[:, 9:]], axis=1)
+
+
+def _at_rest(position: FloatArray, yaw_rad: float) -> FloatArray:
+    state = np.zeros(12)
+    state[:3], state[5] = position, math.tan(yaw_rad / 4)
+    n = state[5] ** 2
+    if n > 1:
+        state[5] = -state[5] / n
+    return state
+
+
+def _through(points: list[FloatArray], speed_m_s: float) -> _core.ReferenceCurve:
+    """Straight legs from rest to rest through points."""
+    times, pieces = [np.zeros(1)], []
+    yaw = _heading(points[-1] - points[0])
+    for a, b in pairwise(points):
+        time, coefficient = rest_to_rest(a, b, speed_m_s, yaw_rad=yaw)
+        pieces.append(coefficient)
+        times.append(times[-1][-1] + np.asarray(time)[1:])
+    return _core.ReferenceCurve(np.concatenate(times), np.concatenate(pieces))
+
+
+def _curve(plan: Artifact) -> _core.ReferenceCurve:
+    time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
+    return _core.ReferenceCurve(time, coefficient)
+
+
+def _heading(direction: FloatArray) -> float:
+    return math.atan2(direction[1], direction[0])

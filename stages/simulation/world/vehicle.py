@@ -1,0 +1,133 @@
+"""Vehicle of a scenario as a native specification: as modelled, and as it truly is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from alula import _core
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.world import WorldScenario
+from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.vehicles.racer import racer_model, racer_options
+
+_CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fraction of the peak speed
+_NOISE = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s", "delay_s")
+_AIR = ("linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s", "gust_time_s")
+_NATIVE = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
+_SCALES = ("mass_scale", "thrust_scale", "rate_gain_scale")
+
+
+def vehicle_spec(
+    scenario: WorldScenario, vehicle: Vehicle, *, peak_m_s: float, max_speed_m_s: float
+) -> _core.VehicleSpec:
+    """Make the native vehicle.
+
+    A true thrust that differs from the model's acts as a mass that differs inversely, which is exact without
+    drag; a racer has both.
+
+    Args:
+        scenario: completed with the values of the vehicle.
+        vehicle: that the scenario names.
+        peak_m_s: peak speed of the references [m/s].
+        max_speed_m_s: limit of velocity commands, and of a point's speed [m/s].
+
+    Raises:
+        UsageError: values are inconsistent; the message has the path of their key.
+    """
+    table, known = scenario.vehicle, scenario.estimation
+    catch_up = (
+        scenario.mission.controller.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * peak_m_s
+    )
+    gains = (
+        _core.TrackingGains() if vehicle.model == "single-integrator" else tracking_gains(vehicle, catch_up)
+    )
+    own = table.disturbance
+    air = {_NATIVE.get(key, key): getattr(own, key) for key in _AIR}
+    sensor = {key: getattr(known, key) for key in _NOISE}
+    lag = own.motor_time_constant_s or 0.0
+    given: dict[str, Any] = {
+        "model": vehicle.model,
+        "interface": table.interface,
+        "gains": gains,
+        "plant": _core.PlantOptions(
+            motor_time_constant_s=lag,
+            sensor=_core.SensorOptions(**{key: value for key, value in sensor.items() if value is not None}),
+            **{key: value for key, value in air.items() if value is not None},
+        ),
+        "assumed": _core.ActuatorModel(
+            motor_time_constant_s=table.assumed.motor_time_constant_s or 0.0,
+            delay_s=table.assumed.delay_s or 0.0,
+        ),
+        "max_rate_rad_s": vehicle.rates.max_rad_s,
+        "rate_time_constant_s": vehicle.rates.time_constant_s / table.rate_gain_scale,
+        "max_speed_m_s": max_speed_m_s,
+        "radius_m": table.radius_m,
+        "mass_scale": table.mass_scale / table.thrust_scale,
+    }
+    if table.velocity_gain_per_s is not None:
+        given["velocity_gain_per_s"] = table.velocity_gain_per_s
+    if table.max_acceleration_m_s2 is not None:
+        given["max_acceleration_m_s2"] = table.max_acceleration_m_s2
+    if table.max_jerk_m_s3 is not None:
+        given |= {"max_jerk_m_s3": table.max_jerk_m_s3, "actuation_delay_s": table.actuation_delay_s or 0.0}
+    if vehicle.throttle is not None:
+        given["racer"] = racer_model(vehicle)
+    if table.interface == "sticks":
+        given["model"] = "racer"
+        changed = {key: getattr(table, key) for key in _SCALES}
+        changed |= {_NATIVE.get(key, key): getattr(own, key) for key in (*_AIR, "sag_share", "sag_time_s")}
+        changed["delay_s"] = known.delay_s
+        try:
+            given["racer_options"] = racer_options(
+                vehicle, **{key: value for key, value in changed.items() if value is not None}
+            )
+        except UsageError as error:
+            raise UsageError(f"`$.vehicle`: {error}") from error
+        given["plant"] = _core.PlantOptions()  # the racer has its own delay, and its pilot sees the truth
+    # A point has no rotors: its controller and filters use only the translation, with any body.
+    body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
+    try:
+        return _core.VehicleSpec(body, **given)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"`$.vehicle`: {error}") from error
+
+
+def box_of_accelerations(vehicle: Vehicle, limit_m_s2: float | None) -> float:
+    """Largest |a| per axis that a vehicle can fly in all directions at once [m/s^2].
+
+    Of a quadrotor: for every a with |a_i| at most this, the force m (a + g e3) is within the largest thrust
+    and the largest tilt of its controller; rounded down to 1 %.
+
+    Args:
+        vehicle: of any model.
+        limit_m_s2: of the scenario, if any.
+    """
+    if vehicle.model != "quadrotor" or vehicle.rotors is None:
+        return limit_m_s2 if limit_m_s2 is not None else 6.0
+    assert vehicle.body.mass_kg is not None
+    table, g = vehicle.tracking, vehicle.body.gravity_m_s2
+    most = (table.max_thrust_share or 1.0) * sum(vehicle.rotors.max_thrust_n) / vehicle.body.mass_kg
+    slope = math.tan(min(table.max_tilt_rad or 1.2, 1.5))
+
+    def is_flown(a: float) -> bool:
+        sideways = math.sqrt(2) * a
+        return math.hypot(sideways, g + a) <= most and sideways <= slope * (g - a)
+
+    low, high = 0.0, g
+    while high - low > 0.01 * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_flown(middle) else (low, middle)
+    return low if limit_m_s2 is None else min(low, limit_m_s2)
+
+
+def spec_values(table: msgspec.Struct) -> dict[str, Any]:
+    """Plain values of a table of options, keys with underscores.
+
+    Args:
+        table: of parameters.
+    """
+    return msgspec.structs.asdict(table)

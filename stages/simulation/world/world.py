@@ -1,0 +1,218 @@
+"""World of a scenario: hulls, ellipsoids, fence and walls as native maps, for filters and for the judge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError, UsageError
+from alula.schemas.world import WorldScenario
+from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.compression.voxelize import sigma_of_confidence
+from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric, require_obstacles
+from alula.stages.simulation.encounters.world import static_walls
+from alula.stages.vehicles.fence import fence_faces
+
+_BEYOND_M = 20.0  # around obstacles and references; a flight that leaves this box is refused
+
+
+@dataclass(frozen=True, slots=True)
+class StaticWorld:
+    """Static obstacles of a run.
+
+    Attributes:
+        radius_m: of the vehicle [m].
+        sigma: level of the ellipsoids.
+        keep_m: distance that filters keep from ellipsoids: the radius and the inflation [m].
+        hull_keep_m: the same from hulls, which have grown by the cover's own inflation already [m].
+        hulls: of the cover and the walls; None without any.
+        polytopes: the same as a native set.
+        ellipsoids: of the scene, for the judge; None without a scene.
+        index: of the scene for filters; empty without a scene.
+        faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
+        parts: native maps by name, of those there are: ellipsoids, hulls, fence.
+        image: the cover as an onboard map; empty unless filters read it.
+        centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+    """
+
+    radius_m: float
+    sigma: float
+    keep_m: float
+    hull_keep_m: float
+    hulls: Hulls | None
+    polytopes: _core.PolytopeSet | None
+    ellipsoids: _core.EllipsoidSet | None
+    index: _core.EllipsoidIndex
+    faces: FloatArray
+    parts: dict[str, _core.ObstacleMap]
+    image: bytes
+    centres: FloatArray
+
+    @property
+    def map(self) -> _core.ObstacleMap | None:
+        """All static obstacles; None without any."""
+        return self.of(*self.parts)
+
+    @property
+    def most_keep_m(self) -> float:
+        """The largest distance that filters keep from a part of the world [m]."""
+        keeps = {"ellipsoids": self.keep_m, "hulls": self.hull_keep_m}
+        return max([self.radius_m, *(keeps[name] for name in self.parts if name in keeps)])
+
+    def of(self, *names: str) -> _core.ObstacleMap | None:
+        """The union of some parts; None without any.
+
+        Args:
+            names: of the parts.
+        """
+        found = [self.parts[name] for name in names if name in self.parts]
+        return None if not found else found[0] if len(found) == 1 else _core.MapUnion(found)
+
+    def clearance(self, start: FloatArray, end: FloatArray, cap_m: float, jobs: int) -> FloatArray:
+        """Signed distance of segments to the nearest static obstacle, fence included.
+
+        Args:
+            start: shape (S, 3), world frame [m].
+            end: shape (S, 3).
+            cap_m: larger distances are returned as this [m].
+            jobs: threads.
+
+        Returns:
+            Shape (S,) [m].
+        """
+        start, end = np.ascontiguousarray(start), np.ascontiguousarray(end)
+        sets = [each for each in (self.polytopes, self.ellipsoids) if each is not None]
+        found = [np.full(len(start), cap_m), self.inside(start), self.inside(end)]
+        found += [segment_clearance(start, end, each, jobs, cap_m) for each in sets]
+        least: FloatArray = np.min(found, axis=0)
+        return least
+
+    def inside(self, points: FloatArray) -> FloatArray:
+        """Distance of points from the nearest face of the fence, negative outside; infinite without one.
+
+        Args:
+            points: shape (N, 3) [m].
+
+        Returns:
+            Shape (N,) [m].
+        """
+        if len(self.faces) == 0:
+            return np.full(len(points), np.inf)
+        least: FloatArray = (self.faces[:, 3] - points @ self.faces[:, :3].T).min(axis=1)
+        return least
+
+    def room(self, paths: list[FloatArray]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Lower and upper corner of the box that no flight may leave [m].
+
+        Args:
+            paths: points of the references, each of shape (N, 3) [m].
+        """
+        points = np.concatenate([self.centres, *paths])
+        return tuple(points.min(axis=0) - _BEYOND_M), tuple(points.max(axis=0) + _BEYOND_M)
+
+
+def static_world(
+    scenario: WorldScenario,
+    *,
+    radius_m: float,
+    cover: Artifact | None,
+    scene: Artifact | None,
+    needs_image: bool,
+    jobs: int,
+) -> StaticWorld:
+    """Make the static world of a scenario.
+
+    Args:
+        scenario: completed.
+        radius_m: of the vehicle [m].
+        cover: that the scenario names.
+        scene: that the scenario names.
+        needs_image: whether a filter reads the cover as an onboard map.
+        jobs: threads.
+
+    Raises:
+        InputError: cover or scene are not metric, or not in one frame.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
+        UsageError: the level or the radius is invalid for these ellipsoids.
+    """
+    table = scenario.world
+    if cover is not None:
+        require_obstacles(cover, jobs=jobs)
+    if scene is not None:
+        require_metric("scene", scene)
+        if cover is not None and cover.manifest.frame != scene.manifest.frame:
+            raise InputError(
+                f"the cover is in frame {cover.manifest.frame!r}, the scene in {scene.manifest.frame!r}"
+            )
+    sigma = table.sigma if table.confidence is None else sigma_of_confidence(table.confidence)
+    suggested = 0.0 if scene is None else _suggested(scene)
+    inflation = suggested if table.inflation_m is None else table.inflation_m
+    keep = radius_m + inflation
+    hull_keep = radius_m + beyond_hulls(table.inflation_m, cover, suggested)
+    hulls = static_walls(table.walls, cover)
+    polytopes = None if hulls is None else hull_obstacles(hulls)
+    index = ellipsoid_index(scene, sigma, keep)
+    box = None if table.fence is None else table.fence.box_m
+    faces = fence_faces(box, () if table.fence is None else table.fence.faces)
+    parts: dict[str, _core.ObstacleMap] = {}
+    if scene is not None:
+        parts["ellipsoids"] = _core.EllipsoidMap(index)
+    image = encode_map(cover, indexed=True, jobs=jobs) if cover is not None and needs_image else b""
+    if polytopes is not None and hulls is not None and len(hulls.plane_start) > 1:
+        reads = table.onboard and image and not table.walls
+        parts["hulls"] = _core.ImageMap(image) if reads else _core.HullMap(polytopes)
+    if len(faces):
+        parts["fence"] = _core.FenceMap(np.ascontiguousarray(faces[:, :3]), np.ascontiguousarray(faces[:, 3]))
+    centres = [np.empty((0, 3))]
+    if hulls is not None:
+        centres.append(hulls.vertices_world)
+    if scene is not None:
+        centres.append(np.asarray(scene["mean"], np.float64))
+    return StaticWorld(
+        radius_m=radius_m,
+        sigma=sigma,
+        keep_m=keep,
+        hull_keep_m=hull_keep,
+        hulls=hulls,
+        polytopes=polytopes,
+        ellipsoids=None if scene is None else scene_obstacles(scene, sigma),
+        index=index,
+        faces=faces,
+        parts=parts,
+        image=image,
+        centres=np.concatenate(centres),
+    )
+
+
+def _suggested(scene: Artifact) -> float:
+    manifest: Any = scene.manifest
+    return float(manifest.suggested_inflation_m)
+
+
+def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) -> None:
+    """Refuse starts that touch an obstacle.
+
+    Args:
+        world: static obstacles.
+        points: shape (N, 3), world frame [m].
+        what: the points in words.
+        jobs: threads.
+
+    Raises:
+        UsageError: one does.
+    """
+    clear: NDArray[Any] = world.clearance(points, points, world.radius_m + 1, jobs) - world.radius_m
+    if len(clear) and clear.min() < 0:
+        i = int(np.argmin(clear))
+        where = " ".join(f"{value:.3f}" for value in points[i])
+        raise UsageError(
+            f"{what} at ({where}) is {-clear[i]:.3g} m inside an obstacle or outside of the fence"
+        )
