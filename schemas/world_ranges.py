@@ -31,8 +31,7 @@ _UNLIMITED = (
 
 _STARTS = ("goal", "waypoints", "hover", "pilot")
 _WAYS = ("pairs", "goal", "waypoints")
-# The missions that use a key; all use the others.
-_USED: dict[str, tuple[str, ...]] = {
+USED: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("start_m", "start_velocity_m_s", "start_speed_m_s", "start_yaw_deg"), _STARTS),
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
@@ -42,6 +41,7 @@ _USED: dict[str, tuple[str, ...]] = {
     "planned": _WAYS,
     **dict.fromkeys(("via_tolerance_m", "stop_fraction"), (*_WAYS, "plan")),
 }
+"""The missions that use a key; all missions use the others."""
 _SAMPLING = ("bounds_m", "margin_m", "separation", "which")
 
 
@@ -152,7 +152,7 @@ def check_mission_table(table: MissionTable) -> None:
         UsageError: a key has no effect or contradicts another; the message has its path.
     """
     default = MissionTable()
-    for key, kinds in _USED.items():
+    for key, kinds in USED.items():
         given = getattr(table, key) != getattr(default, key)
         words = f"is for missions of kind {' or '.join(kinds)}, and this one is {table.kind}"
         require(not given or table.kind in kinds, f"mission.{key}", words)
