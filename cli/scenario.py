@@ -84,7 +84,8 @@ def command(
     if json:
         print_json({"values": [{**item._asdict(), "value": _json(item.value)} for item in values]})
     elif output is None and not quiet:
-        echo(toml_of(values).rstrip("\n"))
+        for line in toml_of(values).splitlines():
+            echo(line)
 
 
 def _json(value: object) -> object:
@@ -102,4 +103,5 @@ def _list_keys(part: str, *, json: bool, quiet: bool) -> None:
     elif not quiet:
         for key in keys:
             default = f" = {key.default}" if key.default else ""
-            echo(f"{key.path}{default}  ({key.type})\n    {key.about}")
+            echo(f"{key.path}{default}  ({key.type})")
+            echo(f"    {key.about}")

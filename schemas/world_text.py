@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import msgspec
 
 from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.encounters import LARGEST
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.scenario import FlyTable
@@ -246,6 +247,6 @@ def _type_words(kind: Any, metas: list[msgspec.Meta]) -> str:
         f"{sign} {limit:g}"
         for meta in metas
         for key, sign in signs
-        if (limit := getattr(meta, key)) is not None
+        if (limit := getattr(meta, key)) is not None and abs(limit) < LARGEST
     ]
     return " ".join([names.get(kind, "table"), *limits])
