@@ -40,6 +40,7 @@ Every key has a default; `alula scenario --keys` lists and explains them all.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -75,6 +76,7 @@ _EITHER = {
     "vehicle.type": "vehicle.file",
     "vehicle.file": "vehicle.type",
     "world.sigma": "world.confidence",
+    "world.confidence": "world.sigma",
     "mission.start_m": "mission.start_box_m",
     "mission.start_box_m": "mission.start_m",
     "mission.start_velocity_m_s": "mission.start_speed_m_s",
@@ -287,7 +289,7 @@ def _set(tree: Any, key: str, value: Any) -> None:
         value = [value]
     *parents, last = key.split(".")
     at = tree
-    for part, following in zip(parents, [*parents[1:], last], strict=True):
+    for part, following in pairwise([*parents, last]):
         if isinstance(at, list) and part.isdecimal() and int(part) <= len(at):
             if int(part) == len(at):
                 at.append({})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -60,6 +61,12 @@ def require(good: bool, where: str, words: str) -> None:
         raise UsageError(f"`$.{where}` {words}")
 
 
+@cache
+def _fields(table: type[msgspec.Struct]) -> tuple[Any, ...]:
+    """Fields of a table; msgspec evaluates all annotations for each call."""
+    return msgspec.structs.fields(table)
+
+
 def check_finite(table: msgspec.Struct, path: str = "") -> None:
     """Refuse numbers that are not finite, but infinity where it stands for no limit.
 
@@ -70,7 +77,7 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
     Raises:
         UsageError: a number is not finite; the message has its path.
     """
-    for item in msgspec.structs.fields(table):
+    for item in _fields(type(table)):
         value, where = getattr(table, item.name), path + item.encode_name
         if isinstance(value, msgspec.Struct):
             check_finite(value, f"{where}.")
