@@ -141,7 +141,7 @@ def _map(path: Path) -> Explained:
 
 
 def _toml(path: Path) -> Explained:
-    """Read a vehicle, recognised by its `model`, or else a scenario."""
+    """Read a scenario of version 2, a vehicle, recognised by its `model`, or else a scenario of version 1."""
     import msgspec
 
     from alula.schemas.encounters import is_encounters, read_encounters
@@ -149,8 +149,13 @@ def _toml(path: Path) -> Explained:
     from alula.schemas.scenario import SCENARIO_SCHEMA, read_scenario
     from alula.schemas.toml_file import has_key
     from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
+    from alula.schemas.world import is_world, plain, read_world
     from alula.stages.reporting.inspect import about
 
+    if is_world(path):
+        whole = plain(read_world(path))
+        del whole["schema"]
+        return {**about(SCENARIO_SCHEMA, whole.pop("version")), **whole}, None
     if has_key(path, "model"):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None

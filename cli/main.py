@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("simulate.command", "Fly start-goal pairs or a plan behind a safety filter."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
     "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
+    "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
     "report": ("report", "Turn runs into tables, figures and one HTML page."),
     "export": ("export", "Convert a cover or a scene for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),

@@ -103,84 +103,238 @@ class VehicleTable(_Table, frozen=True, kw_only=True):
 class ObstacleTable(_Table, frozen=True, kw_only=True):
     """One moving obstacle."""
 
-    motion: Literal["constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"] = (
-        "constant-velocity"
+    motion: Annotated[
+        Literal["constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"],
+        msgspec.Meta(description="its motion; quadrotor: a second vehicle, which flies to way points"),
+    ] = "constant-velocity"
+    radius_m: Annotated[Positive, msgspec.Meta(description="radius of its sphere [m]")] = 0.15
+    position_m: Annotated[
+        Vector | None,
+        msgspec.Meta(description="its start; None: at distance_m from the start of the vehicle [m]"),
+    ] = None
+    distance_m: Annotated[
+        Positive, msgspec.Meta(description="distance of its start from the vehicle's [m]")
+    ] = 50.0
+    azimuth_rad: Annotated[
+        Interval, msgspec.Meta(description="azimuth of its start from the vehicle's course [rad]")
+    ] = 0.0
+    elevation_rad: Annotated[Interval, msgspec.Meta(description="elevation of its start [rad]")] = 0.0
+    either_side: Annotated[bool, msgspec.Meta(description="draw the sign of the azimuth")] = False
+    crosses: Annotated[
+        bool, msgspec.Meta(description="azimuth and elevation are those seen from the meeting point")
+    ] = False
+    offset_sigma_m: Annotated[
+        tuple[NotNegative, NotNegative, NotNegative],
+        msgspec.Meta(description="standard deviation of its start, along course, left, up [m]"),
+    ] = (0.0, 0.0, 0.0)
+    speed_m_s: Annotated[
+        Interval,
+        msgspec.Meta(
+            description="its speed, of a ballistic one the horizontal mean, of a quadrotor the maximum [m/s]"
+        ),
+    ] = (5.0, 8.0)
+    heading_rad: Annotated[
+        Interval, msgspec.Meta(description="turn of its direction from the meeting point, outwards [rad]")
+    ] = 0.0
+    acceleration_m_s2: Annotated[
+        Interval,
+        msgspec.Meta(
+            description="acceleration along its heading; of a quadrotor the maximum, 0: g / 2 [m/s^2]"
+        ),
+    ] = 0.0
+    velocity_m_s: Annotated[
+        Vector, msgspec.Meta(description="its velocity, where position_m is given and this is not zero [m/s]")
+    ] = (0.0, 0.0, 0.0)
+    aims_at_vehicle: Annotated[
+        bool,
+        msgspec.Meta(description="the meeting point is the vehicle's start, and not where both would meet"),
+    ] = False
+    meeting_sigma_m: Annotated[
+        tuple[NotNegative, NotNegative, NotNegative],
+        msgspec.Meta(description="standard deviation of the meeting point, along course, left, up [m]"),
+    ] = (0.0, 0.0, 0.0)
+    max_speed_m_s: Annotated[
+        Positive, msgspec.Meta(description="maximum speed of an accelerating or curving one [m/s]")
+    ] = 12.0
+    turn_rate_rad_s: Annotated[
+        NotNegative, msgspec.Meta(description="maximum turn rate of a curving one [rad/s]")
+    ] = 0.25
+    release_m: Annotated[
+        NotNegative, msgspec.Meta(description="distance at which a curving one stops turning [m]")
+    ] = 12.0
+    drag_per_m: Annotated[
+        NotNegative, msgspec.Meta(description="quadratic drag of a ballistic one: a = g - drag |v| v [1/m]")
+    ] = 0.0
+    start_s: Annotated[NotNegative, msgspec.Meta(description="time until which it rests, or is held [s]")] = (
+        0.0
     )
-    radius_m: Positive = 0.15
-    position_m: Vector | None = None
-    distance_m: Positive = 50.0
-    azimuth_rad: Interval = 0.0
-    elevation_rad: Interval = 0.0
-    either_side: bool = False
-    crosses: bool = False
-    offset_sigma_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
-    speed_m_s: Interval = (5.0, 8.0)
-    heading_rad: Interval = 0.0
-    acceleration_m_s2: Interval = 0.0
-    velocity_m_s: Vector = (0.0, 0.0, 0.0)
-    aims_at_vehicle: bool = False
-    meeting_sigma_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
-    max_speed_m_s: Positive = 12.0
-    turn_rate_rad_s: NotNegative = 0.25
-    release_m: NotNegative = 12.0
-    drag_per_m: NotNegative = 0.0
-    start_s: NotNegative = 0.0
-    way_points_m: tuple[Vector, ...] = ()
+    way_points_m: Annotated[
+        tuple[Vector, ...],
+        msgspec.Meta(description="way points of a quadrotor; default: one leg through the meeting point [m]"),
+    ] = ()
 
 
 class SensorTable(_Table, frozen=True, kw_only=True):
     """The sensor that detects the obstacles."""
 
-    kind: Literal["radar", "ideal", "mocap"] = "radar"
-    rate_hz: Positive = 20.0
-    half_azimuth_rad: Annotated[float, msgspec.Meta(gt=0, le=math.pi)] = math.radians(40)
-    half_elevation_rad: Annotated[float, msgspec.Meta(gt=0, le=math.pi / 2)] = math.radians(10)
-    max_range_m: Positive = 150.0
-    detection_probability: Share = 0.95
-    sigma_range_m: NotNegative = 0.15
-    sigma_azimuth_rad: NotNegative = math.radians(0.5)
-    sigma_elevation_rad: NotNegative = math.radians(0.7)
-    sigma_range_rate_m_s: NotNegative = 0.1
-    clutter_per_scan: NotNegative = 0.1
-    clutter_range_rate_m_s: NotNegative = 15.0
-    noise_scale: NotNegative = 1.0
-    position_sigma_m: NotNegative = 0.0
-    delay_s: NotNegative = 0.0
-    own_position_sigma_m: NotNegative = 0.0
-    own_velocity_sigma_m_s: NotNegative = 0.0
+    kind: Annotated[
+        Literal["radar", "ideal", "mocap"],
+        msgspec.Meta(
+            description="radar; mocap: positions alone, all around; ideal: positions alone, of all obstacles"
+        ),
+    ] = "radar"
+    rate_hz: Annotated[Positive, msgspec.Meta(description="scans per second [Hz]")] = 20.0
+    half_azimuth_rad: Annotated[
+        Annotated[float, msgspec.Meta(gt=0, le=math.pi)],
+        msgspec.Meta(description="half of the horizontal field of view [rad]"),
+    ] = math.radians(40)
+    half_elevation_rad: Annotated[
+        Annotated[float, msgspec.Meta(gt=0, le=math.pi / 2)],
+        msgspec.Meta(description="half of the vertical field of view [rad]"),
+    ] = math.radians(10)
+    max_range_m: Annotated[Positive, msgspec.Meta(description="maximum range [m]")] = 150.0
+    detection_probability: Annotated[
+        Share, msgspec.Meta(description="probability that an obstacle within the field of view is detected")
+    ] = 0.95
+    sigma_range_m: Annotated[
+        NotNegative, msgspec.Meta(description="standard deviation of a range of the radar [m]")
+    ] = 0.15
+    sigma_azimuth_rad: Annotated[
+        NotNegative,
+        msgspec.Meta(
+            description="standard deviation of an azimuth of the radar, across the line of sight [rad]"
+        ),
+    ] = math.radians(0.5)
+    sigma_elevation_rad: Annotated[
+        NotNegative, msgspec.Meta(description="standard deviation of an elevation of the radar [rad]")
+    ] = math.radians(0.7)
+    sigma_range_rate_m_s: Annotated[
+        NotNegative, msgspec.Meta(description="standard deviation of a range rate of the radar [m/s]")
+    ] = 0.1
+    clutter_per_scan: Annotated[
+        NotNegative, msgspec.Meta(description="mean number of false detections of the radar in a scan")
+    ] = 0.1
+    clutter_range_rate_m_s: Annotated[
+        NotNegative,
+        msgspec.Meta(
+            description="range rates of false detections are uniform within plus and minus this [m/s]"
+        ),
+    ] = 15.0
+    noise_scale: Annotated[NotNegative, msgspec.Meta(description="factor on all standard deviations")] = 1.0
+    position_sigma_m: Annotated[
+        NotNegative,
+        msgspec.Meta(description="standard deviation of a position of mocap and ideal, per axis [m]"),
+    ] = 0.0
+    delay_s: Annotated[NotNegative, msgspec.Meta(description="time from a detection to the tracker [s]")] = (
+        0.0
+    )
+    own_position_sigma_m: Annotated[
+        NotNegative, msgspec.Meta(description="standard deviation of the sensor's own position, per axis [m]")
+    ] = 0.0
+    own_velocity_sigma_m_s: Annotated[
+        NotNegative,
+        msgspec.Meta(description="standard deviation of the sensor's own velocity, per axis [m/s]"),
+    ] = 0.0
 
 
 class TrackerTable(_Table, frozen=True, kw_only=True):
     """The tracker that makes tracks of detections."""
 
-    gate: Positive = 30.0
-    confirm_hits: Annotated[int, msgspec.Meta(ge=1)] = 5
-    confirm_scans: Annotated[int, msgspec.Meta(ge=1)] = 6
-    delete_misses: Annotated[int, msgspec.Meta(ge=1)] = 5
-    coast_s: NotNegative = 3.0
-    field_margin: NotNegative = 2.0
-    acceleration_noise: NotNegative = 0.5
-    jerk_noise: NotNegative = 0.2
-    with_turn: bool = False
-    turn_noise: NotNegative = 0.1
-    transition: tuple[Share, Share, Share, Share] = (0.992, 0.008, 0.015, 0.985)
-    prior: tuple[Share, Share] = (0.9, 0.1)
-    turn_transition: tuple[Share, Share, Share, Share, Share, Share, Share, Share, Share] = (
+    gate: Annotated[
+        Positive,
+        msgspec.Meta(description="maximum squared Mahalanobis distance of a detection from its track"),
+    ] = 30.0
+    confirm_hits: Annotated[
+        Annotated[int, msgspec.Meta(ge=1)],
+        msgspec.Meta(description="hits in the last confirm_scans that confirm a track"),
+    ] = 5
+    confirm_scans: Annotated[
+        Annotated[int, msgspec.Meta(ge=1)], msgspec.Meta(description="scans that count for confirm_hits")
+    ] = 6
+    delete_misses: Annotated[
+        Annotated[int, msgspec.Meta(ge=1)], msgspec.Meta(description="misses in a row that delete a track")
+    ] = 5
+    coast_s: Annotated[
+        NotNegative,
+        msgspec.Meta(
+            description="time without a detection outside the field of view that deletes a track [s]"
+        ),
+    ] = 3.0
+    field_margin: Annotated[
+        NotNegative,
+        msgspec.Meta(
+            description="standard deviations of a track that the field of view must contain for a miss"
+        ),
+    ] = 2.0
+    acceleration_noise: Annotated[
+        NotNegative, msgspec.Meta(description="spectral density of the white acceleration [m^2/s^3]")
+    ] = 0.5
+    jerk_noise: Annotated[
+        NotNegative, msgspec.Meta(description="spectral density of the white jerk [m^2/s^5]")
+    ] = 0.2
+    with_turn: Annotated[bool, msgspec.Meta(description="add a third model, a coordinated turn")] = False
+    turn_noise: Annotated[
+        NotNegative,
+        msgspec.Meta(description="spectral density of the white turn rate's derivative [rad^2/s^3]"),
+    ] = 0.1
+    transition: Annotated[
+        tuple[Share, Share, Share, Share],
+        msgspec.Meta(description="transition probabilities of two models per scan, row by row"),
+    ] = (0.992, 0.008, 0.015, 0.985)
+    prior: Annotated[tuple[Share, Share], msgspec.Meta(description="initial probabilities of two models")] = (
+        0.9,
+        0.1,
+    )
+    turn_transition: Annotated[
+        tuple[Share, Share, Share, Share, Share, Share, Share, Share, Share],
+        msgspec.Meta(description="transition probabilities of three models per scan, row by row"),
+    ] = (
         *(0.986, 0.010, 0.004),
         *(0.010, 0.986, 0.004),
         *(0.015, 0.015, 0.970),
     )
-    turn_prior: tuple[Share, Share, Share] = (0.9, 0.05, 0.05)
-    start_variance: tuple[Positive, Positive, Positive] = (4.0, 25.0, 25.0)
-    cross_range_variance: Positive = 100.0
-    turn_variance: Positive = 0.1
-    mixing_variance: NotNegative = 3.0
-    mixes: bool = True
-    gates_models: bool = False
-    heavy_tails: bool = False
-    adapts_transition: bool = False
-    winner_takes_all: bool = False
-    jamming: bool = False
+    turn_prior: Annotated[
+        tuple[Share, Share, Share], msgspec.Meta(description="initial probabilities of three models")
+    ] = (0.9, 0.05, 0.05)
+    start_variance: Annotated[
+        tuple[Positive, Positive, Positive],
+        msgspec.Meta(
+            description="variances of a new track: position, velocity, acceleration, per axis, in SI units"
+        ),
+    ] = (4.0, 25.0, 25.0)
+    cross_range_variance: Annotated[
+        Positive,
+        msgspec.Meta(
+            description="variance of the velocity of a new track across the line of sight [m^2/s^2]"
+        ),
+    ] = 100.0
+    turn_variance: Annotated[
+        Positive, msgspec.Meta(description="variance of the turn rate of a new track [rad^2/s^2]")
+    ] = 0.1
+    mixing_variance: Annotated[
+        NotNegative,
+        msgspec.Meta(
+            description="variance of the acceleration of a model that has none, where models mix [m^2/s^4]"
+        ),
+    ] = 3.0
+    mixes: Annotated[
+        bool, msgspec.Meta(description="mix initial conditions; false: mix at read-out only")
+    ] = True
+    gates_models: Annotated[
+        bool, msgspec.Meta(description="SAFE-IMM: do not correct a model that an innovation does not fit")
+    ] = False
+    heavy_tails: Annotated[
+        bool, msgspec.Meta(description="SAFE-IMM: likelihoods of Student's t once innovations are too large")
+    ] = False
+    adapts_transition: Annotated[
+        bool, msgspec.Meta(description="SAFE-IMM: adapt the transition probabilities to the evidence")
+    ] = False
+    winner_takes_all: Annotated[
+        bool, msgspec.Meta(description="SAFE-IMM: read out the most probable model alone")
+    ] = False
+    jamming: Annotated[
+        bool, msgspec.Meta(description="SAFE-IMM: widen gates and tails for a jammed sensor")
+    ] = False
 
 
 class MapTable(_Table, frozen=True, kw_only=True):
@@ -192,8 +346,8 @@ class MapTable(_Table, frozen=True, kw_only=True):
 class WallTable(_Table, frozen=True, kw_only=True):
     """A static box."""
 
-    lower_m: Vector
-    upper_m: Vector
+    lower_m: Annotated[Vector, msgspec.Meta(description="lower corner [m]")]
+    upper_m: Annotated[Vector, msgspec.Meta(description="upper corner [m]")]
 
 
 class TrialsTable(_Table, frozen=True, kw_only=True):

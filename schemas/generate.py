@@ -48,20 +48,24 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
     from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
+    from alula.schemas.world import WORLD_VERSION, WorldScenario
 
-    types: dict[str, tuple[str, type[Any]]] = {
-        kind.name: (kind.version, kind.manifest) for kind in KINDS.values()
-    }
-    types[RUN_SCHEMA] = (RUN_VERSION, RunRecord)
-    types[SCENARIO_SCHEMA] = (VERSION, Scenario)
-    types[f"{SCENARIO_SCHEMA}-encounters"] = (VERSION, Encounters)
-    types[f"{SCENARIO_SCHEMA}-geofence"] = (VERSION, FenceScenario)
-    types[VEHICLE_SCHEMA] = (VERSION, Vehicle)
+    types: list[tuple[str, str, type[Any]]] = [
+        *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
+        (RUN_SCHEMA, RUN_VERSION, RunRecord),
+        (SCENARIO_SCHEMA, VERSION, Scenario),
+        (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),
+        (f"{SCENARIO_SCHEMA}-encounters", VERSION, Encounters),
+        (f"{SCENARIO_SCHEMA}-geofence", VERSION, FenceScenario),
+        (VEHICLE_SCHEMA, VERSION, Vehicle),
+    ]
     result = {}
-    for name, (version, struct) in types.items():
+    for name, version, struct in types:
         schema = msgspec.json.schema(struct)
         if struct is Scenario:
             _add_filter_parameters(schema)
+        if struct is WorldScenario:
+            _open_to_others(schema)
         schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
         text = msgspec.json.format(msgspec.json.encode(schema, order="sorted"), indent=2) + b"\n"
         result[f"{name.replace('/', '-')}-{version}.schema.json"] = text
@@ -87,6 +91,33 @@ def _add_filter_parameters(schema: dict[str, Any]) -> None:
             named["required"] = ["name"]
         then = {"properties": {"parameters": reference}}
         definitions["FilterTable"].setdefault("allOf", []).append({"if": named, "then": then})
+
+
+def _open_to_others(schema: dict[str, Any]) -> None:
+    """Let `[safety]` have tables of other packages' filters; leave out what a file cannot have."""
+    from alula.schemas.world import ELSEWHERE
+
+    definitions = schema["$defs"]
+    safety = definitions["SafetyTable"]
+    del safety["properties"]["others"]
+    safety["additionalProperties"] = {"type": "object"}
+    for name, key in ELSEWHERE:
+        reference = safety["properties"][name]
+        (table,) = (part["$ref"] for part in reference.get("allOf", [reference]))
+        definitions[table.rpartition("/")[2]]["properties"].pop(key, None)
+    _remove_defaults(schema)
+
+
+def _remove_defaults(schema: Any) -> None:
+    """Remove defaults that are tables, which say nothing new, or infinite, which JSON cannot say."""
+    if isinstance(schema, dict):
+        if isinstance(schema.get("default"), dict) or schema.get("default") == float("inf"):
+            del schema["default"]
+        for value in schema.values():
+            _remove_defaults(value)
+    elif isinstance(schema, list):
+        for value in schema:
+            _remove_defaults(value)
 
 
 def main() -> None:

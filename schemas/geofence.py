@@ -104,11 +104,24 @@ class GeofenceFilterTable(_Table, frozen=True, kw_only=True):
 class PilotTable(_Table, frozen=True, kw_only=True):
     """The simulated pilot."""
 
-    kind: Literal["straight", "diagonal", "fall", "sticks", "aggressive", "silent", "repeated"] = "straight"
-    heading_deg: float = 0.0
-    tilt_deg: Annotated[float, Meta(ge=0, lt=90)] = 72.0
-    climb_m_s2: float = 0.0
-    silent_after_s: NotNegative = 1.5
+    kind: Annotated[
+        Literal["straight", "diagonal", "fall", "sticks", "aggressive", "silent", "repeated"],
+        Meta(
+            description="straight, diagonal: tilted, permanently; fall: no throttle; sticks: random; "
+            "aggressive: random attitudes; silent: aggressive, then no radio; repeated: from wall to wall"
+        ),
+    ] = "straight"
+    heading_deg: Annotated[
+        float,
+        Meta(description="heading of straight and repeated; of diagonal 45 degrees to the left of it [deg]"),
+    ] = 0.0
+    tilt_deg: Annotated[
+        Annotated[float, Meta(ge=0, lt=90)], Meta(description="tilt of straight, diagonal and repeated [deg]")
+    ] = 72.0
+    climb_m_s2: Annotated[float, Meta(description="vertical acceleration of diagonal [m/s^2]")] = 0.0
+    silent_after_s: Annotated[
+        NotNegative, Meta(description="minimum time until silent has no radio, at most twice as long [s]")
+    ] = 1.5
 
 
 class FenceTrialsTable(_Table, frozen=True, kw_only=True):

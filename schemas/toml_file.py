@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -144,3 +145,40 @@ def first_beyond(value: Any, path: str, limit: float) -> str | None:
         items = [(f"{path}[{i}]", child) for i, child in enumerate(value)]
     found = (first_beyond(child, where, limit) for where, child in items)
     return next((where for where in found if where), None)
+
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+_ESCAPES = {"\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r", '"': '\\"', "\\": "\\\\"}
+
+
+def toml_key(key: str) -> str:
+    """Write a key, quoted where TOML needs it.
+
+    Args:
+        key: one part of a key.
+    """
+    return key if _BARE_KEY.fullmatch(key) else toml_value(key)
+
+
+def toml_value(value: Any) -> str:
+    """Write a value on one line; a reader gets the same value, bit by bit.
+
+    Args:
+        value: a text, a number, a boolean, or lists and dictionaries of them.
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return f'"{"".join(_escaped(letter) for letter in value)}"'
+    if isinstance(value, dict):
+        items = ", ".join(f"{toml_key(key)} = {toml_value(item)}" for key, item in value.items())
+        return f"{{ {items} }}" if items else "{}"
+    return f"[{', '.join(map(toml_value, value))}]"
+
+
+def _escaped(letter: str) -> str:
+    if letter in _ESCAPES:
+        return _ESCAPES[letter]
+    return f"\\u{ord(letter):04X}" if ord(letter) < 32 or ord(letter) == 127 else letter

@@ -40,6 +40,7 @@ Every key has a default; `alula scenario --keys` lists and explains them all.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -75,18 +76,20 @@ _EITHER = {
     "vehicle.type": "vehicle.file",
     "vehicle.file": "vehicle.type",
     "world.sigma": "world.confidence",
+    "world.confidence": "world.sigma",
     "mission.start_m": "mission.start_box_m",
     "mission.start_box_m": "mission.start_m",
     "mission.start_velocity_m_s": "mission.start_speed_m_s",
     "mission.start_speed_m_s": "mission.start_velocity_m_s",
 }
 _ROWS = {"mission.waypoints_m": 3, "world.fence.faces": 4}  # lists of lists, which --set gives as one list
-# Parameters of filters that follow from other keys of the scenario.
-_ELSEWHERE = {
+
+ELSEWHERE = {
     ("polytope-cbf", "onboard"): "world.onboard",
     ("geofence", "tick_s"): "rules.dt_s * rules.filter_ticks",
     ("backup-qp", "tick_s"): "rules.dt_s * rules.filter_ticks",
 }
+"""Parameters of filters, by filter and name, that follow from other keys of the scenario."""
 
 
 class WorldScenario(Table, frozen=True, kw_only=True):
@@ -202,9 +205,9 @@ def plain(scenario: WorldScenario) -> dict[str, Any]:
     Args:
         scenario: any.
     """
-    tree = _without_none(msgspec.to_builtins(scenario))
+    tree: dict[str, Any] = _without_none(msgspec.to_builtins(scenario))
     tree["safety"] |= tree["safety"].pop("others")
-    for name, key in _ELSEWHERE:
+    for name, key in ELSEWHERE:
         tree["safety"][name].pop(key)
     return tree
 
@@ -246,27 +249,33 @@ def _gather(safety: dict[str, Any], where: str, known: set[str]) -> None:
 def _completed(scenario: WorldScenario, tree: Mapping[str, Any]) -> WorldScenario:
     """Fill in the parameters of filters that follow from the rest of the scenario."""
     given: Mapping[str, Any] = tree.get("safety", {})
-    for (name, key), other in _ELSEWHERE.items():
+    for (name, key), other in ELSEWHERE.items():
         if key in given.get(name, {}):
             raise UsageError(f"`$.safety.{name}.{key}` follows from {other}; set that instead")
     safety, world, rules = scenario.safety, scenario.world, scenario.rules
     names = () if safety.filters == (NO_FILTER,) else safety.filters
     new: dict[str, Any] = {"filters": names}
-    new["polytope_cbf"] = msgspec.structs.replace(safety.polytope_cbf, onboard=world.onboard)
+    new["polytope_cbf"] = _with(safety, "polytope-cbf", onboard=world.onboard)
     tick_s = rules.dt_s * rules.filter_ticks
     for name in ("geofence", "backup-qp"):
         if name in names and not 1e-4 <= tick_s <= 0.1:
             raise UsageError(f"`$.rules.dt_s`: {name} runs every 0.0001 to 0.1 s, not every {tick_s:g} s")
-        new[_field(name)] = msgspec.structs.replace(safety.parameters(name), tick_s=tick_s)
+        new[_field(name)] = _with(safety, name, tick_s=tick_s)
     if world.scene is None:
         for name in ("cone-ecbf", "cone-backup", "shield"):
             if "shield_map" not in given.get(name, {}):
-                new[_field(name)] = msgspec.structs.replace(safety.parameters(name), shield_map="hulls")
+                new[_field(name)] = _with(safety, name, shield_map="hulls")
     return msgspec.structs.replace(scenario, safety=msgspec.structs.replace(safety, **new))
 
 
 def _field(name: str) -> str:
     return name.replace("-", "_")
+
+
+def _with(safety: SafetyTable, name: str, **values: Any) -> Any:
+    """Parameters of a filter of this package with other values."""
+    parameters: Any = safety.parameters(name)
+    return msgspec.structs.replace(parameters, **values)
 
 
 def _set(tree: Any, key: str, value: Any) -> None:
@@ -280,7 +289,7 @@ def _set(tree: Any, key: str, value: Any) -> None:
         value = [value]
     *parents, last = key.split(".")
     at = tree
-    for part, following in zip(parents, [*parents[1:], last], strict=True):
+    for part, following in pairwise([*parents, last]):
         if isinstance(at, list) and part.isdecimal() and int(part) <= len(at):
             if int(part) == len(at):
                 at.append({})

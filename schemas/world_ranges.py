@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -31,8 +32,7 @@ _UNLIMITED = (
 
 _STARTS = ("goal", "waypoints", "hover", "pilot")
 _WAYS = ("pairs", "goal", "waypoints")
-# The missions that use a key; all use the others.
-_USED: dict[str, tuple[str, ...]] = {
+USED: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("start_m", "start_velocity_m_s", "start_speed_m_s", "start_yaw_deg"), _STARTS),
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
@@ -42,6 +42,7 @@ _USED: dict[str, tuple[str, ...]] = {
     "planned": _WAYS,
     **dict.fromkeys(("via_tolerance_m", "stop_fraction"), (*_WAYS, "plan")),
 }
+"""The missions that use a key; all missions use the others."""
 _SAMPLING = ("bounds_m", "margin_m", "separation", "which")
 
 
@@ -60,6 +61,12 @@ def require(good: bool, where: str, words: str) -> None:
         raise UsageError(f"`$.{where}` {words}")
 
 
+@cache
+def _fields(table: type[msgspec.Struct]) -> tuple[Any, ...]:
+    """Fields of a table; msgspec evaluates all annotations for each call."""
+    return msgspec.structs.fields(table)
+
+
 def check_finite(table: msgspec.Struct, path: str = "") -> None:
     """Refuse numbers that are not finite, but infinity where it stands for no limit.
 
@@ -70,7 +77,7 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
     Raises:
         UsageError: a number is not finite; the message has its path.
     """
-    for item in msgspec.structs.fields(table):
+    for item in _fields(type(table)):
         value, where = getattr(table, item.name), path + item.encode_name
         if isinstance(value, msgspec.Struct):
             check_finite(value, f"{where}.")
@@ -152,7 +159,7 @@ def check_mission_table(table: MissionTable) -> None:
         UsageError: a key has no effect or contradicts another; the message has its path.
     """
     default = MissionTable()
-    for key, kinds in _USED.items():
+    for key, kinds in USED.items():
         given = getattr(table, key) != getattr(default, key)
         words = f"is for missions of kind {' or '.join(kinds)}, and this one is {table.kind}"
         require(not given or table.kind in kinds, f"mission.{key}", words)

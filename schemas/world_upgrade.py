@@ -61,7 +61,8 @@ def upgraded_tree(path: Path) -> Tree:
         tree = _of_encounters(read_encounters(path), read_tree(path))
     else:
         tree = _of_pairs(path, read_scenario(path))
-    return {"schema": SCENARIO_SCHEMA, "version": "2.0"} | _given(tree)
+    found: Tree = _given({"schema": SCENARIO_SCHEMA, "version": "2.0"} | tree)
+    return found
 
 
 def _given(value: Any) -> Any:

@@ -111,6 +111,7 @@ CASES = {
         {"tiny.toml": (*TEXT, damage.newer_toml), "tiny.cover.npz": FLOATS},
         out="out.run.mcap",
     ),
+    "scenario": Case("scenario tiny.toml -o OUT", {"tiny.toml": (*TEXT, damage.newer_toml)}, out="out.toml"),
     "report": Case(
         "report tiny.run.mcap --cover tiny.cover.npz --scene tiny.metric.scene.npz -o OUT",
         {"tiny.run.mcap": LOG, "tiny.cover.npz": FLOATS, "tiny.metric.scene.npz": FLOATS},

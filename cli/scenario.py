@@ -1,0 +1,107 @@
+"""`alula scenario`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from alula.cli import options
+from alula.schemas.errors import OutputError, UsageError
+
+EXAMPLES = """\b
+Examples:
+  alula scenario room.toml
+  alula scenario room.toml --set vehicle.type=crazyflie21 --set safety.cone-backup.horizon_s=2
+  alula scenario old.toml -o new.toml
+  alula scenario --keys safety.cone-backup
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("file", type=options.input_path(), required=False)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Replace a value by the path of its key; may be repeated. Names of files are relative to FILE.",
+)
+@click.option(
+    "--keys",
+    "part",
+    is_flag=False,
+    flag_value="",
+    metavar="[PART]",
+    help="List all keys that a scenario can have, or those of a part of it.",
+)
+@click.option("-o", "--output", type=options.PATH, help="Write the scenario to this file (.toml).")
+@click.option("-f", "--force", is_flag=True, help="Replace an output that exists.")
+@options.reporting
+def command(
+    file: Path | None,
+    settings: tuple[str, ...],
+    part: str | None,
+    output: Path | None,
+    force: bool,
+    json: bool,
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Show a scenario with all of its values and their sources.
+
+    FILE is a scenario (.toml) of version 2.0, or of version 1, which is upgraded. The result is a scenario of
+    version 2.0 that says everything: each line ends with the source of its value, which is the file, --set,
+    the vehicle, or a default. A scenario whose parts make no sense together is refused, and the message says
+    what would work instead.
+    """
+    from alula.cli.present import echo, print_json
+
+    if part is not None:
+        if file is not None or settings or output is not None:
+            raise UsageError("--keys lists keys, and takes no FILE, --set or --output")
+        _list_keys(part, json=json, quiet=quiet)
+        return
+    if file is None:
+        raise UsageError("needs a FILE, or --keys")
+    from alula.cli.simulate.command import setting_of
+    from alula.schemas.atomic import write_text
+    from alula.schemas.files import printable
+    from alula.schemas.world import read_sources
+    from alula.schemas.world_check import refusal
+    from alula.schemas.world_defaults import vehicle_of
+    from alula.schemas.world_text import moved, toml_of, values_of
+
+    read = read_sources(file, dict(setting_of(word) for word in settings))
+    vehicle = vehicle_of(read.scenario, file.parent)
+    if (words := refusal(read.scenario, vehicle)) is not None:
+        raise UsageError(f"{file}: {words}")
+    values = values_of(read, vehicle, printable(file.name))
+    if output is not None:
+        if output.exists() and not force:
+            raise OutputError(f"{output}: exists; -f replaces it")
+        write_text(output, toml_of(moved(values, file.parent, output.parent)))
+    if json:
+        print_json({"values": [{**item._asdict(), "value": _json(item.value)} for item in values]})
+    elif output is None and not quiet:
+        for line in toml_of(values).splitlines():
+            echo(line)
+
+
+def _json(value: object) -> object:
+    """A value as JSON has it, which knows no infinity."""
+    return str(value) if value == float("inf") else value
+
+
+def _list_keys(part: str, *, json: bool, quiet: bool) -> None:
+    from alula.cli.present import echo, print_json
+    from alula.schemas.world_text import keys_of
+
+    keys = keys_of(part)
+    if json:
+        print_json({"keys": [key._asdict() for key in keys]})
+    elif not quiet:
+        for key in keys:
+            default = f" = {key.default}" if key.default else ""
+            echo(f"{key.path}{default}  ({key.type})")
+            echo(f"    {key.about}")
