@@ -72,7 +72,7 @@ def resolve_splat(
         config: see `SimulateConfig`.
         vehicle: quadrotor or double integrator.
         plan: the `alula/plan` to fly, if any.
-        has_scene: False where the hulls of a cover are all obstacles; only the filter `shield` flies there.
+        has_scene: False where the hulls of a cover are all obstacles.
 
     Raises:
         UsageError: a number of trials or a speed is given with a plan, which sets both; the vehicle's model
@@ -151,7 +151,7 @@ def simulate_splat(
 
     Args:
         config: see `SimulateConfig`.
-        scene: metric scene; None to fly among the hulls of the cover alone, behind the filter `shield`.
+        scene: metric scene; None to fly among the hulls of the cover alone, behind a filter that takes them.
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
         cover: clearance to its hulls is also reported; `planned` plans among them, at the distance of the
@@ -212,7 +212,12 @@ def simulate_splat(
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     judge = SplatJudge(
-        scene, config.sigma, hulls, config.radius_m, jobs, avoids_hulls=against in (HULLS, BOTH)
+        scene,
+        config.sigma,
+        hulls,
+        config.radius_m,
+        jobs,
+        avoids_hulls=scene is None or against in (HULLS, BOTH),
     )
     if config.planned and cover is None:
         raise UsageError("--planned needs a cover to plan in; give it as SOURCE, and the scene as --scene")
@@ -410,7 +415,7 @@ def _guarantee(
         (True, False): (ellipsoids, "an ellipsoid", "its ellipsoids contain it"),
         (True, True): (f"{ellipsoids} and the cover's hulls", "an obstacle", "its ellipsoids contain it"),
         (False, True): ("the cover's hulls", "a hull", "the hulls contain it"),
-    }[scene is not None, against in (HULLS, BOTH)]
+    }[scene is not None, scene is None or against in (HULLS, BOTH)]
     return Guarantee(
         statement=statement(
             beforehand,
@@ -423,7 +428,7 @@ def _guarantee(
         claims={
             "proven_by_filter": False,
             **({} if scene is None else _scene_claims(trials)),
-            **({} if against in (None, ELLIPSOIDS) else _hull_claims(trials)),
+            **({} if scene is not None and against in (None, ELLIPSOIDS) else _hull_claims(trials)),
             "certified_steps": certified,
             "steps": steps,
             "every_step_certified": certified == steps,
