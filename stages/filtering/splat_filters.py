@@ -125,6 +125,17 @@ def certified_against(name: str, parameters: Mapping[str, Any]) -> str | None:
     return parameters.get(SHIELD_MAP)
 
 
+def keeps_from_hulls(name: str, parameters: Mapping[str, Any], *, has_ellipsoids: bool) -> bool:
+    """Return whether a filter keeps clear of the hulls of a cover, by its rows or its shield.
+
+    Args:
+        name: the filter.
+        parameters: all of its parameters.
+        has_ellipsoids: False where the hulls are all obstacles.
+    """
+    return not has_ellipsoids or certified_against(name, parameters) in (HULLS, BOTH)
+
+
 def _surroundings(
     name: str, world: SplatWorld, parameters: Mapping[str, Any]
 ) -> tuple[_core.ObstacleMap, float]:
@@ -145,10 +156,9 @@ def _surroundings(
 
 
 def _rows_of_hulls(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments for rows of the hulls: where they are all obstacles, or the filter's shield has them."""
-    if name not in STEERS_AMONG_HULLS or world.hulls is None:
-        return {}
-    if len(world.index) and certified_against(name, parameters) not in (HULLS, BOTH):
+    """Arguments that give a filter rows of the hulls, where it keeps clear of them."""
+    sees = keeps_from_hulls(name, parameters, has_ellipsoids=len(world.index) > 0)
+    if name not in STEERS_AMONG_HULLS or world.hulls is None or not sees:
         return {}
     return {"near_map": _core.HullMap(world.hulls), "near_radius_m": world.hull_radius_m}
 

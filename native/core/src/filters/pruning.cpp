@@ -9,17 +9,16 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kLeastBall = 0.1, kMostBall = 1;  // radii of local balls before they are grown [m]
-constexpr std::size_t kContacts = 256;             // reserved where the number of rows has no limit
+constexpr double kBall = 0.3;           // radius of a local ball before it is grown [m]
+constexpr std::size_t kContacts = 256;  // reserved where the number of rows has no limit
 
 constexpr auto nearer = [](const Found& a, const Found& b) {
   return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
 };
 
 GrownEllipsoid ball_of(const Contact& contact, double radius) {
-  const double own = std::clamp(contact.size, kLeastBall, kMostBall);
-  const double grown = own + radius;
-  return {contact.point - own * contact.normal, 1 / (grown * grown) * geometry::identity()};
+  const double grown = kBall + radius;
+  return {contact.point - kBall * contact.normal, 1 / (grown * grown) * geometry::identity()};
 }
 
 }  // namespace
@@ -66,8 +65,8 @@ std::span<const Found> Pruner::kept(FilterReport& report) const {
 }
 
 std::span<const Found> Pruner::capped(FilterReport& report) {
-  report.capped = pruning_.count > 0 && found_.size() > pruning_.count;
-  if (report.capped) found_.resize(pruning_.count);
+  report.capped = pruning_.count > 0 && std::max(found_.size(), contact_.size()) > pruning_.count;
+  if (report.capped) found_.resize(std::min<std::size_t>(found_.size(), pruning_.count));
   report.candidates = static_cast<std::uint32_t>(found_.size());
   kept_gate_m_ = report.gate_m, is_kept_capped_ = report.capped;
   return found_;

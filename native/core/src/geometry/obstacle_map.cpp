@@ -25,12 +25,9 @@ double largest(geometry::Vec3 p) { return std::max({std::abs(p.x), std::abs(p.y)
 
 bool is_usable(geometry::Vec3 a, geometry::Vec3 b, double d) { return is_finite(a) && is_finite(b) && is_size(d); }
 
-Contact contact(ObstacleKind kind, std::uint32_t index, geometry::Vec3 p, const geometry::SignedDistance& at,
-                double size) {
-  return {kind, index, at.value, at.normal, p - at.value * at.normal, size};
+Contact contact(ObstacleKind kind, std::uint32_t index, geometry::Vec3 p, double distance, geometry::Vec3 normal) {
+  return {kind, index, distance, normal, p - distance * normal};
 }
-
-double middle(geometry::Vec3 a) { return std::max(std::min(a.x, a.y), std::min(std::max(a.x, a.y), a.z)); }
 
 bool nearer(const Contact& a, const Contact& b) {
   return std::tie(a.distance, a.kind, a.index) < std::tie(b.distance, b.kind, b.index);
@@ -63,11 +60,9 @@ void EllipsoidMap::near(geometry::Vec3 p, double reach, std::size_t most, std::v
                         MapMemory& memory) const {
   index_->nearest(p, p, reach, most, memory.found);
   found.clear();
-  for (const Found& each : memory.found) {
-    const geometry::Ellipsoid ellipsoid = index_->ellipsoid(each.item);
-    found.push_back(contact(ObstacleKind::ellipsoid, each.item, p,
-                            {each.distance, geometry::signed_distance(ellipsoid, p).normal}, middle(ellipsoid.semi)));
-  }
+  for (const Found& each : memory.found)
+    found.push_back(contact(ObstacleKind::ellipsoid, each.item, p, each.distance,
+                            geometry::signed_distance(index_->ellipsoid(each.item), p).normal));
 }
 
 bool EllipsoidMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory&) const {
@@ -102,8 +97,7 @@ void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector
   double within = reach;
   hulls_->tree().visit_near(p, {}, within, [&](std::uint32_t, std::uint32_t k) {
     const geometry::SignedDistance at = geometry::signed_distance(hulls_->polytope(k), p, reach);
-    const geometry::Box& box = hulls_->box(k);
-    const Contact it = contact(ObstacleKind::hull, k, p, at, middle(box.upper - box.lower) / 2);
+    const Contact it = contact(ObstacleKind::hull, k, p, at.value, at.normal);
     if (!(at.value < reach) || (found.size() == most && !nearer(it, found.back()))) return;
     if (found.size() == most) found.pop_back();
     found.insert(std::upper_bound(found.begin(), found.end(), it, nearer), it);
@@ -149,8 +143,7 @@ void FenceMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vecto
   found.clear();
   for (std::uint32_t l = 0; l < planes_.size(); ++l) {
     const double distance = planes_[l].offset - dot(planes_[l].normal, p);
-    if (distance < reach)
-      found.push_back(contact(ObstacleKind::fence, l, p, {distance, -1.0 * planes_[l].normal}, kInfinity));
+    if (distance < reach) found.push_back(contact(ObstacleKind::fence, l, p, distance, -1.0 * planes_[l].normal));
   }
   std::sort(found.begin(), found.end(), nearer);
   found.resize(std::min(most, found.size()));

@@ -25,9 +25,6 @@ struct Contact {
   double distance = 0;      // signed [m]
   geometry::Vec3 normal;    // unit vector, from the obstacle to the free side: the gradient of the distance
   geometry::Vec3 point;     // of the obstacle's surface, nearest to p
-  // Half of the second largest extent of the obstacle: of its box, or a semi-axis; infinite for a plane, 0 if
-  // unknown.
-  double size = 0;
 };
 
 // Memory of one thread between queries: guesses of the nearest obstacle, and scratch. It does not change a result.
