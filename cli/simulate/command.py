@@ -103,7 +103,8 @@ def command(
     \b
     Vehicle and filters:
       cover          single integrator, commanded by velocity:
-                     none, polytope-cbf
+                     none, polytope-cbf; the others: safer-splat;
+                     quadrotor: cone-ecbf, cone-backup, shield
       scene          double integrator, commanded by acceleration, or quadrotor:
                      none, cone-di, safer-splat; quadrotor: cone-ecbf, cone-backup, shield
       [[obstacles]]  double integrator among the moving obstacles of a scenario:
