@@ -155,6 +155,19 @@ def test_rows_of_many_hulls_make_the_program_of_all(rows, brute):
     assert changed > 10
 
 
+@pytest.mark.parametrize("brute", [False, True])
+def test_hulls_at_the_same_distance_all_have_rows(brute):
+    """Six boxes around the vehicle; each row is violated by a nominal input of its own."""
+    sides = [sign * axis for axis in np.eye(3) for sign in (1, -1)]
+    hulls = Hulls([box(*np.sort([side - 0.5 * abs(side), side + 0.5], axis=0)) for side in sides])
+    assert set(hulls.map.near((0, 0, 0), 1.0, 6)["distance"]) == {0.5}
+    flown = safer(hulls.map, brute=brute)
+    for side in sides:
+        report = accelerate(flown, np.zeros(3), np.zeros(3), 9 * side)
+        most = ALPHA * BETA * (0.25 - RADIUS**2) / (2 * 0.5)
+        assert report["acceleration"] == pytest.approx(list(most * side), abs=1e-12)
+
+
 def test_inside_a_hull_the_row_drives_the_vehicle_out():
     hull = Hulls([box([-1, -1, -1], [1, 1, 1])])
     report = accelerate(safer(hull.map), (0.9, 0, 0), (0, 0, 0), (0, 0, 0))

@@ -72,6 +72,12 @@ def test_rows_alone_are_judged_by_the_hulls_too():
     assert result.guarantee.claims["hull_collisions"] == result.summary["collisions"]
 
 
+def test_the_policy_that_escapes_from_ellipsoids_flies_among_hulls():
+    found = flown("cone-backup", trials=3, filter_parameters={"policy": "cone-escape"}).summary
+    assert found["certified_share"] == 1
+    assert found["collisions"] == 0
+
+
 def test_a_guide_steers_among_hulls_too():
     alone, guided = (
         flown("shield", guide=guide, trials=5, seed=4).summary for guide in ("none", "safer-splat")
