@@ -96,13 +96,15 @@ def command(
     flights end in front of one, without a collision. Their success rate measures the filter alone. With
     --planned, each pair is planned first, as alula plan does, and its plan is flown; that needs a cover.
 
-    The filter shield also flies a quadrotor in a cover without a scene. It then certifies every step against
-    the hulls, as all filters with a shield do with --set shield_map=hulls in a cover with its --scene.
+    The filters shield, cone-backup, cone-ecbf and safer-splat also fly in a cover without a scene. Their rows
+    are then of its hulls, and shields certify every step against them, as they do with --set shield_map=hulls
+    in a cover with its --scene.
 
     \b
     Vehicle and filters:
       cover          single integrator, commanded by velocity:
-                     none, polytope-cbf
+                     none, polytope-cbf; the others: safer-splat;
+                     quadrotor: cone-ecbf, cone-backup, shield
       scene          double integrator, commanded by acceleration, or quadrotor:
                      none, cone-di, safer-splat; quadrotor: cone-ecbf, cone-backup, shield
       [[obstacles]]  double integrator among the moving obstacles of a scenario:
@@ -276,9 +278,10 @@ def inputs_of(
 
 
 def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
-    """Decide between the ellipsoids of a scene (True) and the hulls of a cover, by the filter.
+    """Decide by the filter between a quadrotor or double integrator (True) and a single integrator.
 
-    The filter `none` takes the cover if there is one.
+    The first two fly among the ellipsoids of a scene, and behind some filters among the hulls of a cover
+    alone; a single integrator flies in a cover. The filter `none` takes the cover if there is one.
 
     Args:
         name: of the filter.
@@ -287,8 +290,12 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     Raises:
         UsageError: there is no such filter, or its map is missing.
     """
-    from alula.stages.filtering.registry import NO_FILTER, filter_names, splat_filter_names
-    from alula.stages.filtering.splat_filters import SHIELD
+    from alula.stages.filtering.registry import (
+        FLIES_AMONG_HULLS,
+        NO_FILTER,
+        filter_names,
+        splat_filter_names,
+    )
 
     hulls, ellipsoids = filter_names(), splat_filter_names()
     if name not in hulls and name not in ellipsoids:
@@ -297,7 +304,7 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     if name == NO_FILTER:
         return "cover" not in paths
     if name in ellipsoids:
-        if "scene" not in paths and not (name == SHIELD and "cover" in paths):
+        if "scene" not in paths and not (name in FLIES_AMONG_HULLS and "cover" in paths):
             raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")
         return True
     if "cover" not in paths:

@@ -9,12 +9,21 @@ from typing import Any
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.polytope_cbf import no_filter, polytope_cbf
 from alula.stages.filtering.protocol import Filter, FilterFactory, World
-from alula.stages.filtering.splat_filters import HULLS, SHIELD, SHIELD_MAP, SPLAT_FILTERS, parameters_of
+from alula.stages.filtering.splat_filters import (
+    HULLS,
+    SHIELD,
+    SHIELD_MAP,
+    SPLAT_FILTERS,
+    STEERS_AMONG_HULLS,
+    certified_against,
+    parameters_of,
+)
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatFilterFactory, SplatWorld
 
 ENTRY_POINTS = "alula.filters"
 SPLAT_ENTRY_POINTS = "alula.splat_filters"
 NO_FILTER = "none"
+FLIES_AMONG_HULLS = (SHIELD, *STEERS_AMONG_HULLS)  # of the filters among ellipsoids, those that need none
 _BUILT_IN: dict[str, FilterFactory] = {NO_FILTER: no_filter, "polytope-cbf": polytope_cbf}
 
 
@@ -71,17 +80,23 @@ def complete_parameters(
     Args:
         name: of the filter.
         given: some of its parameters.
-        has_ellipsoids: False where the hulls of a cover are all obstacles; only `shield` flies there.
+        has_ellipsoids: False where the hulls of a cover are all obstacles; shields certify against them.
 
     Raises:
         UsageError: a parameter is unknown or of the wrong type, or the filter needs ellipsoids.
     """
     if not has_ellipsoids:
-        found = parameters_of(name, {SHIELD_MAP: HULLS} | dict(given)) if name == SHIELD else {}
-        if found.get(SHIELD_MAP) != HULLS:
+        if name not in FLIES_AMONG_HULLS:
             raise UsageError(
-                f"{name} needs a scene, for its ellipsoids; in a cover alone --filter {SHIELD} flies, with "
-                f"{SHIELD_MAP}={HULLS}"
+                f"{name} needs a scene, for its ellipsoids; in a cover alone a quadrotor flies behind "
+                f"{', '.join(FLIES_AMONG_HULLS)}"
+            )
+        against = HULLS if certified_against(name, parameters_of(name, {}) | dict(given)) else None
+        found = parameters_of(name, ({SHIELD_MAP: HULLS} if against else {}) | dict(given))
+        if against and found[SHIELD_MAP] != HULLS:
+            raise UsageError(
+                f"{name}: {SHIELD_MAP}={found[SHIELD_MAP]} needs a scene, for its ellipsoids; in a cover "
+                f"alone it is {HULLS}"
             )
         return found
     if name == NO_FILTER and given:

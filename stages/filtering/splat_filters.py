@@ -33,6 +33,7 @@ _POLICY = "backup_policy"  # the part of filters of wrenches that is their first
 _CLARABEL = "clarabel"  # the solver that runs in Python
 SHIELD = "shield"  # the filter that needs no ellipsoids, and the parameter that switches a shield on
 SHIELD_MAP = "shield_map"
+STEERS_AMONG_HULLS = ("cone-ecbf", "cone-backup", "safer-splat")  # whose rows take hulls of a cover
 ELLIPSOIDS, HULLS, BOTH = "ellipsoids", "hulls", "both"  # its values
 
 
@@ -124,6 +125,17 @@ def certified_against(name: str, parameters: Mapping[str, Any]) -> str | None:
     return parameters.get(SHIELD_MAP)
 
 
+def keeps_from_hulls(name: str, parameters: Mapping[str, Any], *, has_ellipsoids: bool) -> bool:
+    """Return whether a filter keeps clear of the hulls of a cover, by its rows or its shield.
+
+    Args:
+        name: the filter.
+        parameters: all of its parameters.
+        has_ellipsoids: False where the hulls are all obstacles.
+    """
+    return not has_ellipsoids or certified_against(name, parameters) in (HULLS, BOTH)
+
+
 def _surroundings(
     name: str, world: SplatWorld, parameters: Mapping[str, Any]
 ) -> tuple[_core.ObstacleMap, float]:
@@ -145,26 +157,35 @@ def _surroundings(
     return both, max(world.index.radius, world.hull_radius_m)
 
 
+def _rows_of_hulls(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments that give a filter rows of the hulls, where it keeps clear of them."""
+    sees = keeps_from_hulls(name, parameters, has_ellipsoids=len(world.index) > 0)
+    if name not in STEERS_AMONG_HULLS or world.hulls is None or not sees:
+        return {}
+    return {"near_map": _core.HullMap(world.hulls), "near_radius_m": world.hull_radius_m}
+
+
 def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
     """The filter itself, from all parameters."""
     given = {**parameters, "tick_s": world.dt_s, "motor_time_constant_s": world.motor_time_constant_s}
-    backend = {}
+    others: dict[str, Any] = {}
     if given.get("solver") == _CLARABEL:
         given["solver"] = "active-set"
-        backend = {"qp_backend": clarabel_backend}
+        others = {"qp_backend": clarabel_backend}
 
-    def options(part: Part, **others: Any) -> Any:
-        return getattr(_core, part.native)(**{key: given[key] for key in part.names}, **others)
+    def options(part: Part, **nested: Any) -> Any:
+        return getattr(_core, part.native)(**{key: given[key] for key in part.names}, **nested)
 
     own, *parts = PARTS[name]
     made = {part.argument: options(part) for part in parts}
+    others |= _rows_of_hulls(name, world, given)
     if _POLICY not in made:
-        return _CLASSES[name](world.index, options(own, **made), **backend)
+        return _CLASSES[name](world.index, options(own, **made), **others)
     policy = _core.BackupPolicy(world.body, given["policy"], made.pop(_POLICY))
     kept, radius_m = _surroundings(name, world, given)
     if name == SHIELD:
         return _CLASSES[name](policy, kept, radius_m, options(own, **made))
-    return _CLASSES[name](policy, world.index, options(own, **made), map=kept, radius_m=radius_m, **backend)
+    return _CLASSES[name](policy, world.index, options(own, **made), map=kept, radius_m=radius_m, **others)
 
 
 def _factory(name: str) -> Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]:

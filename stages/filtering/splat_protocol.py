@@ -69,7 +69,7 @@ class SplatFilterResult:
         u: the acceleration, shape (3,) [m/s^2], or the wrench, shape (4,) [N, N m], as `kind` says.
         status: outcome; `REFUSED` ends the flight.
         margin: value of the filter's own barrier, negative when violated; infinite without an obstacle.
-        active: index of the deciding ellipsoid, -1 for none.
+        active: index of the deciding ellipsoid, or the number of ellipsoids plus that of a hull; -1 for none.
         thrust_rate: rate of the thrust at the end of the tick, for wrenches [N/s].
         infeasible: whether the filter's program had no solution.
         certified: whether a safe backup manoeuvre is proven to remain after the tick.
@@ -95,8 +95,8 @@ class SplatWorld:
         radius_m: radius of the vehicle's sphere plus the alignment error of the scene [m].
         dt_s: time for which an input is held [s].
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
-        hulls: the hulls of a cover, for shields that certify against them.
-        hull_radius_m: radius that such shields keep from the hulls [m].
+        hulls: the hulls of a cover, for shields that certify against them and rows that steer around them.
+        hull_radius_m: radius that these keep from the hulls [m].
         static: what shields certify against, in place of what `shield_map` names; None: as it names.
         static_radius_m: radius that they keep from it [m].
     """

@@ -23,7 +23,7 @@ from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
-from alula.stages.filtering.splat_filters import BOTH, HULLS, certified_against
+from alula.stages.filtering.splat_filters import keeps_from_hulls
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.commanders.geometric import GeometricCommander
 from alula.stages.flight.commanders.protocol import Commander
@@ -214,7 +214,9 @@ def make_mission(
     hull_keep = radius + config.margin_m
     if is_splat:
         hull_keep += beyond_hulls(config.inflation_m, cover, suggested)
-    sees_hulls = not is_splat or certified_against(config.filter, config.filter_parameters) in (HULLS, BOTH)
+    sees_hulls = not is_splat or keeps_from_hulls(
+        config.filter, config.filter_parameters, has_ellipsoids=scene is not None
+    )
     keeps = {"a hull": hull_keep if sees_hulls else None, "an ellipsoid": keep if is_splat else None}
     notes = require_room(
         along, [keeps[name] for name, _ in obstacles], config.filter, allow_tight=config.allow_tight

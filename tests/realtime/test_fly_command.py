@@ -93,7 +93,7 @@ def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
         ([], "udpout:192.0.2.1:14550", 2, "--allow-remote"),
         (["--rate", "1000"], SIM, 2, "--rate must be between"),
         (["--fence", "0", "0", "0", "0", "1", "1"], SIM, 2, "--fence needs"),
-        (["--filter", "cone-backup"], SIM, 2, "needs a scene"),
+        (["--filter", "cone-di"], SIM, 2, "needs a scene"),
         (["--filter", "nothing-like-it"], SIM, 2, "no filter is called"),
         (["--signing-key", "{folder}/pairs.csv"], SIM, 3, "a signing key is 32 bytes"),
         (["--mocap", "127.0.0.1:9870"], "udpout:127.0.0.1:9", 2, "motion capture needs an address udp:HOST"),

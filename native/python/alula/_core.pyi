@@ -1094,7 +1094,10 @@ class SaferSplatOptions:
 class SaferSplat(SafetyFilter):
     """The distance filter of SAFER-Splat for a double integrator."""
 
-    def __init__(self, index: EllipsoidIndex, options: SaferSplatOptions = ...) -> None: ...
+    def __init__(self, index: EllipsoidIndex, options: SaferSplatOptions = ..., *, near_map: ObstacleMap | None = None, near_radius_m: float | None = None) -> None:
+        """
+        near_map: obstacles that have rows besides those of the index; near_radius_m: the distance from them, default the radius of the index.
+        """
 
     @property
     def options(self) -> SaferSplatOptions: ...
@@ -1651,9 +1654,9 @@ class ConeEcbfOptions:
 class ConeEcbf(SafetyFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None, near_map: ObstacleMap | None = None, near_radius_m: float | None = None) -> None:
         """
-        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index.
+        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index. near_map: obstacles around which rows steer, besides the index; near_radius_m: the radius for them, default that of the index.
         """
 
     @property
@@ -1775,9 +1778,9 @@ class ConeBackupOptions:
 class ConeBackup(SafetyFilter):
     """The collision cone backup filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None, map: ObstacleMap | None = None, radius_m: float | None = None, near_map: ObstacleMap | None = None, near_radius_m: float | None = None) -> None:
         """
-        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index.
+        qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the radius of its ball, default that of the index. near_map: obstacles around which rows steer, besides the index; near_radius_m: the radius for them, default that of the index.
         """
 
     @property

@@ -42,7 +42,8 @@ class SplatFlown:
         rotor_thrust: of each rotor, shape (S, 4) [N].
         margin: the filter's own barrier, shape (S,); infinite without an obstacle.
         gate_m: distance within which the filter considered ellipsoids, shape (S,) [m].
-        active: ellipsoid of the decisive row, -1 for none, shape (S,).
+        active: ellipsoid of the decisive row, or the number of ellipsoids plus that of a hull; -1 for none,
+            shape (S,).
         candidates, rows, iterations: of the filter's program, shape (S,).
         status: `FilterStatus`, shape (S,).
         capped, infeasible, certified, saturated: shape (S,).

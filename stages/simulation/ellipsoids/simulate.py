@@ -25,14 +25,18 @@ from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
-from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
+from alula.stages.filtering.registry import (
+    FLIES_AMONG_HULLS,
+    NO_FILTER,
+    complete_parameters,
+    make_splat_filter,
+)
 from alula.stages.filtering.splat_filters import (
-    BOTH,
     ELLIPSOIDS,
     GUIDES,
-    HULLS,
     NativeSplatFilter,
     certified_against,
+    keeps_from_hulls,
 )
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
@@ -72,7 +76,7 @@ def resolve_splat(
         config: see `SimulateConfig`.
         vehicle: quadrotor or double integrator.
         plan: the `alula/plan` to fly, if any.
-        has_scene: False where the hulls of a cover are all obstacles; only the filter `shield` flies there.
+        has_scene: False where the hulls of a cover are all obstacles.
 
     Raises:
         UsageError: a number of trials or a speed is given with a plan, which sets both; the vehicle's model
@@ -106,7 +110,7 @@ def resolve_splat(
         raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
     if config.guide == NO_FILTER and config.guide_parameters:
         raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
-    if not has_scene and config.guide != NO_FILTER:
+    if not has_scene and config.guide not in (NO_FILTER, *FLIES_AMONG_HULLS):
         raise UsageError(f"--guide {config.guide} needs a scene, for its ellipsoids; add --scene")
     given = complete_parameters(config.filter, config.filter_parameters, has_ellipsoids=has_scene)
     speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
@@ -151,7 +155,7 @@ def simulate_splat(
 
     Args:
         config: see `SimulateConfig`.
-        scene: metric scene; None to fly among the hulls of the cover alone, behind the filter `shield`.
+        scene: metric scene; None to fly among the hulls of the cover alone, behind a filter that takes them.
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
         cover: clearance to its hulls is also reported; `planned` plans among them, at the distance of the
@@ -211,9 +215,8 @@ def simulate_splat(
     assert guide is None or isinstance(guide, NativeSplatFilter)
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
-    judge = SplatJudge(
-        scene, config.sigma, hulls, config.radius_m, jobs, avoids_hulls=against in (HULLS, BOTH)
-    )
+    sees_hulls = keeps_from_hulls(config.filter, config.filter_parameters, has_ellipsoids=scene is not None)
+    judge = SplatJudge(scene, config.sigma, hulls, config.radius_m, jobs, avoids_hulls=sees_hulls)
     if config.planned and cover is None:
         raise UsageError("--planned needs a cover to plan in; give it as SOURCE, and the scene as --scene")
     planning = share(progress, 0, 0.5) if config.planned else None
@@ -384,6 +387,7 @@ def _guarantee(
     hits = sum(t.collision for t in trials)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
     against = certified_against(config.filter, config.filter_parameters)
+    sees_hulls = keeps_from_hulls(config.filter, config.filter_parameters, has_ellipsoids=scene is not None)
     chain = None
     if config.filter == NO_FILTER:
         beforehand = UNFILTERED
@@ -393,7 +397,7 @@ def _guarantee(
         beforehand = (
             f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
         )
-    if against in (HULLS, BOTH):
+    if against not in (None, ELLIPSOIDS):
         assert cover is not None
         chain = chain_of(
             config, vehicle, cover, hull_radius_m=hull_radius_m, every_step_certified=certified == steps
@@ -410,7 +414,7 @@ def _guarantee(
         (True, False): (ellipsoids, "an ellipsoid", "its ellipsoids contain it"),
         (True, True): (f"{ellipsoids} and the cover's hulls", "an obstacle", "its ellipsoids contain it"),
         (False, True): ("the cover's hulls", "a hull", "the hulls contain it"),
-    }[scene is not None, against in (HULLS, BOTH)]
+    }[scene is not None, sees_hulls]
     return Guarantee(
         statement=statement(
             beforehand,
@@ -423,7 +427,7 @@ def _guarantee(
         claims={
             "proven_by_filter": False,
             **({} if scene is None else _scene_claims(trials)),
-            **({} if against in (None, ELLIPSOIDS) else _hull_claims(trials)),
+            **(_hull_claims(trials) if sees_hulls else {}),
             "certified_steps": certified,
             "steps": steps,
             "every_step_certified": certified == steps,

@@ -292,10 +292,16 @@ void bind_splat_filters(nb::module_& m) {
   nb::class_<SaferSplat, SafetyFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")
       .def(
           "__init__",
-          [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, const flight::SaferSplatOptions& options) {
-            new (self) SaferSplat(std::move(index), options);
+          [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, const flight::SaferSplatOptions& options,
+             std::shared_ptr<ObstacleMap> near_map, std::optional<double> near_radius_m) {
+            flight::Surroundings others;
+            if (near_map) others = {std::move(near_map), near_radius_m.value_or(index ? index->radius() : 0)};
+            new (self) SaferSplat(std::move(index), options, std::move(others));
           },
-          "index"_a, "options"_a = flight::SaferSplatOptions{})
+          "index"_a, "options"_a = flight::SaferSplatOptions{}, nb::kw_only(), "near_map"_a = nb::none(),
+          "near_radius_m"_a = nb::none(),
+          "near_map: obstacles that have rows besides those of the index; near_radius_m: the distance from them, "
+          "default the radius of the index.")
       .def_prop_ro("options", &SaferSplat::options)
       .def(
           "barrier",

@@ -109,14 +109,17 @@ void bind_filter(nb::module_& m, const char* name, const char* doc) {
       .def(
           "__init__",
           [](Filter* self, const BackupPolicy& policy, Index index, const Options& options, nb::object qp_backend,
-             Map map, std::optional<double> radius_m) {
+             Map map, std::optional<double> radius_m, Map near_map, std::optional<double> near_radius_m) {
             Surroundings kept = surroundings(std::move(map), radius_m, index);
-            new (self) Filter(policy, std::move(index), options, qp_solver(std::move(qp_backend)), std::move(kept));
+            Surroundings others = surroundings(std::move(near_map), near_radius_m, index);
+            new (self) Filter(policy, std::move(index), options, qp_solver(std::move(qp_backend)), std::move(kept),
+                              std::move(others));
           },
           "policy"_a, "index"_a, "options"_a = Options{}, nb::kw_only(), "qp_backend"_a = nb::none(),
-          "map"_a = nb::none(), "radius_m"_a = nb::none(),
+          "map"_a = nb::none(), "radius_m"_a = nb::none(), "near_map"_a = nb::none(), "near_radius_m"_a = nb::none(),
           "qp_backend: as of QpSolver. map: what the shield certifies against, default the index; radius_m: the "
-          "radius of its ball, default that of the index.")
+          "radius of its ball, default that of the index. near_map: obstacles around which rows steer, besides the "
+          "index; near_radius_m: the radius for them, default that of the index.")
       .def_prop_ro("options", &Filter::options);
 }
 

@@ -24,10 +24,11 @@ std::size_t rows_of(const ConeBackupOptions& o) {
 }  // namespace
 
 ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                       const ConeBackupOptions& options, QpSolver solver, Surroundings surroundings)
+                       const ConeBackupOptions& options, QpSolver solver, Surroundings surroundings,
+                       Surroundings others)
     : policy_(policy),
       options_(options),
-      pruner_(index, options.pruning),
+      pruner_(index, options.pruning, with_room(std::move(others), options.shielded ? options.room_m : 0)),
       roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, surroundings.map ? std::move(surroundings) : Surroundings::of(index), options.shield_options,
               index),
@@ -66,7 +67,7 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
   const ConeBackupOptions& o = options_;
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid& e = roomy_[found.item];
+    const GrownEllipsoid& e = roomy_.of(pruner_, found.item);
     const Cone now = collision_cone(e, x.p, x.v);
     head_on = head_on || is_head_on(now);
     inside = inside || now.is_inside();
@@ -77,10 +78,10 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
       if (c.delta < 0 && c.gamma > 0) continue;
       report.margin = std::min(report.margin, c.h);
       if (k < o.first_node || c.h > o.far * c.beta) continue;
-      program_.add(flow_.running_row(c, k, o.alpha_running), found.item);
+      program_.add(flow_.running_row(c, k, o.alpha_running), pruner_.number(found.item));
     }
     const Cone last = flow_.cone(e, flow_.nodes());
-    program_.add(flow_.clear_row(last, flow_.nodes(), o.alpha_terminal), found.item);
+    program_.add(flow_.clear_row(last, flow_.nodes(), o.alpha_terminal), pruner_.number(found.item));
     report.margin = std::min(report.margin, last.gamma);
   }
   report.rows = static_cast<std::uint32_t>(program_.barrier_rows());

@@ -25,10 +25,10 @@ double ecbf_pole(double h, double h1, double h2, double lambda, double most) {
 }
 
 ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                   const ConeEcbfOptions& options, QpSolver solver, Surroundings surroundings)
+                   const ConeEcbfOptions& options, QpSolver solver, Surroundings surroundings, Surroundings others)
     : policy_(policy),
       options_(options),
-      pruner_(index, options.pruning),
+      pruner_(index, options.pruning, with_room(std::move(others), options.shielded ? options.room_m : 0)),
       roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, surroundings.map ? std::move(surroundings) : Surroundings::of(index), options.shield_options,
               index),
@@ -64,7 +64,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
                         FilterReport& report, bool& inside) {
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid& e = roomy_[found.item];
+    const GrownEllipsoid& e = roomy_.of(pruner_, found.item);
     const Cone c = collision_cone(e, state.x.p, state.x.v);
     const ConeRates d = cone_rates(e, c, map.acceleration, map.jerk);
     inside = inside || c.is_inside();
@@ -76,7 +76,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
     smooth_.add(c, on_gamma, found.item);
     program_.add({{snap.row[0] * affine_unit_, snap.row[1], snap.row[2], snap.row[3]},
                   snap.bound - snap.row[0] * affine_zero_},
-                 found.item);
+                 pruner_.number(found.item));
   }
   report.rows = static_cast<std::uint32_t>(program_.barrier_rows());
   return head_on;

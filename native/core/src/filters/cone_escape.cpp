@@ -52,6 +52,7 @@ Escapes escape_velocities(const EllipsoidIndex& index, std::span<const Found> ne
   std::size_t cones = 0;
   for (const Found& found : near) {
     if (cones == kMostCones) break;
+    if (found.item >= index.size()) continue;
     const GrownEllipsoid& e = index.grown(found.item);
     const Cone c = collision_cone(e, p, ahead);
     if (c.is_inside()) continue;

@@ -48,4 +48,21 @@ DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw&
   return result;
 }
 
+DistanceBarrier contact_barrier(const Contact& contact, const DistanceLaw& law, double radius, Vec3 p, Vec3 v) {
+  const double d = dot(contact.normal, p - contact.point), along = dot(contact.normal, v);
+  const double a = law.alpha, b = law.beta;
+  DistanceBarrier result;
+  result.h = d * std::abs(d) - radius * radius;
+  result.distance = d;
+  result.row.row = 2 * std::abs(d) * contact.normal;
+  const double bend = 2 * along * along;
+  result.row.bound = -((d < 0 ? -bend : bend) + (a + b) * dot(result.row.row, v) + a * b * result.h);
+  return result;
+}
+
+double contact_reach(const DistanceLaw& law, double radius, Vec3 v, Vec3 u) {
+  const double w = geometry::norm(u + (law.alpha + law.beta) * v) / (law.alpha * law.beta);
+  return (1 + 1e-9) * (w + std::hypot(w, radius));
+}
+
 }  // namespace alula::flight

@@ -9,13 +9,20 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr std::size_t kRows = 8192;  // rows reserved in the constructor
+constexpr std::size_t kRows = 8192;      // rows reserved in the constructor
+constexpr std::size_t kContacts = 1024;  // the same for the second map
+constexpr std::size_t kAll = std::numeric_limits<std::size_t>::max();
 
 }  // namespace
 
-DistanceRows::DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law)
-    : index_(std::move(index)), law_(law), seen_(index_->size(), 0) {
-  const std::size_t rows = std::min(kRows, index_->size());
+DistanceRows::DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law, Surroundings others)
+    : index_(std::move(index)), law_(law), others_(std::move(others)), seen_(index_->size(), 0) {
+  std::size_t rows = std::min(kRows, index_->size());
+  if (others_.map) {
+    rows += kContacts;
+    contact_.reserve(kContacts);
+    memory_ = others_.map->memory();
+  }
   row_.reserve(rows), order_.reserve(rows), worst_.reserve(rows), heap_.reserve(rows);
 }
 
@@ -28,6 +35,13 @@ void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach) {
   p_ = p, v_ = v, has_all_ = all, reach_ = reach;
   least_ = kInfinity, measured_ = 0;
   row_.clear();
+  looked_ = -kInfinity;
+  if (others_.map) {
+    look(all ? kInfinity : contact_reach(law_, others_.radius_m, v, {}), {}, kInfinity);
+    const double r = others_.radius_m;
+    const double d = contact_.empty() ? others_.map->distance(p, reach, memory_) : kInfinity;
+    if (d < reach) least_ = d * std::abs(d) - r * r;
+  }
   if (++tick_ == 0) std::fill(seen_.begin(), seen_.end(), 0), tick_ = 1;
   if (all) {
     for (std::uint32_t item = 0; item < index_->size(); ++item) measure(item);
@@ -44,7 +58,10 @@ void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach) {
 bool DistanceRows::measure(std::uint32_t item) {
   seen_[item] = tick_;
   ++measured_;
-  const DistanceBarrier barrier = distance_barrier(*index_, law_, item, p_, v_);
+  return store(distance_barrier(*index_, law_, item, p_, v_), item);
+}
+
+bool DistanceRows::store(const DistanceBarrier& barrier, std::uint32_t item) {
   if (!(barrier.distance < reach_)) return false;
   least_ = std::min(least_, barrier.h);
   const AccelerationRow unit = normalised(barrier.row);
@@ -53,8 +70,25 @@ bool DistanceRows::measure(std::uint32_t item) {
   return true;
 }
 
+bool DistanceRows::look(double reach, Vec3 u, double tolerance) {
+  reach = std::min(reach, reach_);
+  if (!(reach > looked_)) return false;
+  others_.map->near(p_, reach, kAll, contact_, memory_);
+  const auto first = static_cast<std::uint32_t>(index_->size());
+  bool is_violated = false;
+  for (const Contact& contact : contact_) {
+    if (contact.distance < looked_) continue;
+    ++measured_;
+    if (store(contact_barrier(contact, law_, others_.radius_m, p_, v_), first + contact.index))
+      is_violated = is_violated || row_.back().slack(u) < -tolerance;
+  }
+  looked_ = reach;
+  return is_violated;
+}
+
 bool DistanceRows::search(Vec3 u, double tolerance, std::size_t enough) {
   if (has_all_) return false;
+  const bool is_violated = others_.map && look(contact_reach(law_, others_.radius_m, v_, u), u, tolerance);
   double limit = 0;
   value_.clear();
   const DistanceRowBound bound(law_, index_->radius(), p_, v_, u);
@@ -71,7 +105,7 @@ bool DistanceRows::search(Vec3 u, double tolerance, std::size_t enough) {
     if (value_.size() > enough) std::pop_heap(value_.begin(), value_.end()), value_.pop_back();
     limit = std::min(limit, value_.front());  // the remaining rows are violated less than `enough` others
   });
-  return !value_.empty();
+  return is_violated || !value_.empty();
 }
 
 bool DistanceRows::hold(Vec3 u, double tolerance) {

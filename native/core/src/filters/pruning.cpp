@@ -9,6 +9,17 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kBall = 0.3;           // radius of a local ball before it is grown [m]
+constexpr std::size_t kContacts = 256;  // reserved where the number of rows has no limit
+
+constexpr auto nearer = [](const Found& a, const Found& b) {
+  return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
+};
+
+GrownEllipsoid ball_of(const Contact& contact, double radius) {
+  const double grown = kBall + radius;
+  return {contact.point - kBall * contact.normal, 1 / (grown * grown) * geometry::identity()};
+}
 
 }  // namespace
 
@@ -17,8 +28,8 @@ double gate_distance(const Pruning& pruning, double speed, double radius) {
   return std::max(pruning.floor_m, path + radius);
 }
 
-Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruning)
-    : index_(std::move(index)), pruning_(pruning) {
+Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruning, Surroundings others)
+    : index_(std::move(index)), pruning_(pruning), others_(std::move(others)) {
   if (!index_) throw std::invalid_argument("there is no index");
   const auto at_least_zero = [](double value) { return value >= 0 && std::isfinite(value); };
   if (!at_least_zero(pruning.reaction_time_s) || !at_least_zero(pruning.floor_m))
@@ -26,7 +37,14 @@ Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruni
   if (!(pruning.max_deceleration > 0 && std::isfinite(pruning.max_deceleration)))
     throw std::invalid_argument("the deceleration of the gate must be positive");
   if (pruning_.hold < 1) throw std::invalid_argument("candidates are kept for at least one call");
-  found_.reserve(most() + 1);
+  std::size_t reserved = most() + 1;
+  if (others_.map) {
+    if (!at_least_zero(others_.radius_m)) throw std::invalid_argument("the radius of rows must be at least 0");
+    memory_ = others_.map->memory();
+    const std::size_t contacts = pruning.count == 0 ? kContacts : std::size_t{pruning.count} + 1;
+    contact_.reserve(contacts), ball_.reserve(contacts), reserved += contacts;
+  }
+  found_.reserve(reserved);
 }
 
 std::size_t Pruner::most() const {
@@ -47,11 +65,29 @@ std::span<const Found> Pruner::kept(FilterReport& report) const {
 }
 
 std::span<const Found> Pruner::capped(FilterReport& report) {
-  report.capped = pruning_.count > 0 && found_.size() > pruning_.count;
-  if (report.capped) found_.resize(pruning_.count);
+  report.capped = pruning_.count > 0 && std::max(found_.size(), contact_.size()) > pruning_.count;
+  if (report.capped) found_.resize(std::min<std::size_t>(found_.size(), pruning_.count));
   report.candidates = static_cast<std::uint32_t>(found_.size());
   kept_gate_m_ = report.gate_m, is_kept_capped_ = report.capped;
   return found_;
+}
+
+// Adds the obstacles of the second map within the gate, and keeps the order of the candidates.
+void Pruner::add_others(Vec3 p, Vec3 v, bool approach, const FilterReport& report) {
+  if (!others_.map) return;
+  using geometry::dot;
+  const bool is_limited = pruning_.gate && pruning_.count > 0;
+  const std::size_t count = is_limited ? std::size_t{pruning_.count} + 1 : std::numeric_limits<std::size_t>::max();
+  others_.map->near(p, report.gate_m, count, contact_, memory_);
+  ball_.clear();
+  const auto first = static_cast<std::uint32_t>(index_->size());
+  for (std::uint32_t i = 0; i < contact_.size(); ++i) {
+    ball_.push_back(ball_of(contact_[i], others_.radius_m));
+    const bool is_inside = contact_[i].distance < others_.radius_m;
+    if (!approach || !pruning_.approach || is_inside || dot(contact_[i].normal, v) <= 0)
+      found_.push_back({first + i, contact_[i].distance});
+  }
+  if (pruning_.gate) std::sort(found_.begin(), found_.end(), nearer);
 }
 
 std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport& report) {
@@ -66,6 +102,7 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
     found_.clear();
     for (std::uint32_t item = 0; item < index_->size(); ++item)
       if (passes(index_->grown(item))) found_.push_back({item, 0});
+    add_others(p, v, approach, report);
     kept_gate_m_ = kInfinity, is_kept_capped_ = false;
     return kept(report);
   }
@@ -81,6 +118,7 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
   } else {
     index_->nearest(p, end, report.gate_m, count, found_);
   }
+  add_others(p, v, approach, report);
   return capped(report);
 }
 
@@ -92,13 +130,12 @@ std::span<const Found> Pruner::near_by_scan(Vec3 p, Vec3 v, FilterReport& report
     const double distance = geometry::signed_distance(index_->ellipsoid(item), p).value - index_->ball(item);
     if (distance < report.gate_m) found_.push_back({item, distance});
   }
+  add_others(p, v, false, report);
   if (!pruning_.gate) {
     kept_gate_m_ = kInfinity, is_kept_capped_ = false;
     return kept(report);
   }
-  std::sort(found_.begin(), found_.end(), [](const Found& a, const Found& b) {
-    return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
-  });
+  std::sort(found_.begin(), found_.end(), nearer);
   return capped(report);
 }
 

@@ -34,10 +34,11 @@ std::size_t rows_of(const SaferSplatOptions& options, std::size_t nearest) {
 
 }  // namespace
 
-SaferSplat::SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options)
+SaferSplat::SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options,
+                       Surroundings others)
     : options_(options),
-      pruner_(std::move(index), of_distance(options.pruning)),
-      rows_(pruner_.shared_index(), {options.alpha, options.beta, options.hessian}),
+      pruner_(std::move(index), of_distance(options.pruning), others),
+      rows_(pruner_.shared_index(), {options.alpha, options.beta, options.hessian}, std::move(others)),
       program_(rows_of(options, pruner_.most())) {
   const auto positive = [](double value) { return value > 0 && std::isfinite(value); };
   if (!positive(options.alpha) || !positive(options.beta))
@@ -77,9 +78,11 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
 void SaferSplat::add_nearest(Vec3 p, Vec3 v, FilterReport& report) {
   report.margin = kInfinity;
   for (const Found& found : options_.brute ? pruner_.near_by_scan(p, v, report) : pruner_.near(p, v, false, report)) {
-    const DistanceBarrier barrier = distance_barrier(index(), law(), found.item, p, v);
+    const DistanceBarrier barrier = pruner_.is_local(found.item) ? contact_barrier(pruner_.contact(found.item), law(),
+                                                                                   pruner_.radius_of_others(), p, v)
+                                                                 : distance_barrier(index(), law(), found.item, p, v);
     report.margin = std::min(report.margin, barrier.h);
-    program_.add(barrier.row, found.item);
+    program_.add(barrier.row, pruner_.number(found.item));
   }
 }
 

@@ -182,11 +182,7 @@ def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
         UsageError, match="shield_map=hulls needs the hulls of a cover, and there is none: give the cover"
     ):
         simulate_splat(quick(**hulls), BALL, FASTBRIDGE)
-    with pytest.raises(
-        UsageError, match="cone-backup needs a scene, for its ellipsoids; in a cover alone --filter"
-    ):
-        simulate_splat(quick(), None, FASTBRIDGE, cover=BOX)
-    with pytest.raises(UsageError, match="shield needs a scene"):
+    with pytest.raises(UsageError, match="shield: shield_map=both needs a scene"):
         simulate_splat(
             quick(filter="shield", filter_parameters={"shield_map": "both"}), None, FASTBRIDGE, cover=BOX
         )

@@ -28,9 +28,11 @@ namespace alula::flight {
 class ConeBackup final : public SafetyFilter {
  public:
   // `solver` solves the program. The shield certifies against `surroundings`, without a map against the ellipsoids of
-  // the index for its radius. Throws std::invalid_argument for invalid options.
+  // the index for its radius. Rows also steer around the obstacles of `others`, if it has a map. Throws
+  // std::invalid_argument for invalid options.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-             const ConeBackupOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {});
+             const ConeBackupOptions& options = {}, QpSolver solver = {}, Surroundings surroundings = {},
+             Surroundings others = {});
 
   CommandKind kind() const override { return CommandKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

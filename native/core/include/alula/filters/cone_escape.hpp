@@ -22,7 +22,8 @@ struct Escapes {
 };
 
 // For eight directions about v (level left first, then by 45 degrees over the top): v turned by the smallest angle
-// after which its ray meets no cone of `near`. Ellipsoids that contain the vehicle are left out. In the plane of v
+// after which its ray meets no cone of `near`. Ellipsoids that contain the vehicle are left out, and numbers that are
+// not of the index. In the plane of v
 // and a direction, h is a quadratic form in (cos, sin) of the angle, so leaving a cone means solving a quadratic;
 // passes repeat until no cone is met. The result is empty below `least_speed_m_s`.
 Escapes escape_velocities(const EllipsoidIndex& index, std::span<const Found> near, Vec3 p, Vec3 v,

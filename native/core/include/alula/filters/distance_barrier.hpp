@@ -12,6 +12,7 @@
 #include "alula/filters/collision_cone.hpp"
 #include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
+#include "alula/geometry/obstacle_map.hpp"
 
 namespace alula::flight {
 
@@ -28,6 +29,16 @@ struct DistanceBarrier {
 
 DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw& law, std::uint32_t item, Vec3 p,
                                  Vec3 v);
+
+// The same for the half-space behind a contact, {y : normal . (y - point) <= 0}, and a ball of `radius` about p.
+// Outside it has the same h as the obstacle for the p of the contact, and contains the obstacle if that is convex: it
+// leaves out 2 d v^T (Hessian of d) v >= 0 of the obstacle's row, so its own is sufficient. SaferHessian does not
+// matter.
+DistanceBarrier contact_barrier(const Contact& contact, const DistanceLaw& law, double radius, Vec3 p, Vec3 v);
+
+// The distance from which on rows of contacts hold for u: alpha beta d^2 - 2 d |u + (alpha + beta) v| >= alpha beta
+// r^2.
+double contact_reach(const DistanceLaw& law, double radius, Vec3 v, Vec3 u);
 
 // A lower bound on row . u - bound of every ellipsoid whose closest point y is in a box. Outside, H is positive
 // semidefinite in either frame, so with w = u + (alpha + beta) v the remaining terms are no less than

@@ -1,5 +1,5 @@
 // Rows of all ellipsoids of a map, or of those within a distance, measured only where an acceleration could violate
-// them.
+// them; also of the obstacles of a second map.
 #pragma once
 
 #include <limits>
@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "alula/filters/distance_barrier.hpp"
+#include "alula/filters/shield.hpp"
 
 namespace alula::flight {
 
@@ -17,13 +18,13 @@ class DistanceRows {
   struct Row {
     AccelerationRow unit;  // normalised
     double length;         // length of the row before normalisation
-    std::uint32_t item;
-    bool is_taken;  // returned by `worst`
+    std::uint32_t item;    // of the index; from its size on, of the second map
+    bool is_taken;         // returned by `worst`
 
     double slack(Vec3 u) const { return geometry::dot(unit.row, u) - unit.bound; }
   };
 
-  DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law);
+  DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law, Surroundings others = {});
 
   const EllipsoidIndex& index() const { return *index_; }
   const DistanceLaw& law() const { return law_; }
@@ -46,15 +47,23 @@ class DistanceRows {
 
   const Row& operator[](std::size_t i) const { return row_[i]; }
   std::size_t size() const { return row_.size(); }      // rows of this tick, without those that hold for all inputs
-  std::uint32_t measured() const { return measured_; }  // ellipsoids measured in this tick
-  double least() const { return least_; }               // minimum h of the ellipsoids within reach [m^2]
+  std::uint32_t measured() const { return measured_; }  // ellipsoids and contacts measured in this tick
+  double least() const { return least_; }               // minimum h of the obstacles within reach [m^2]
 
  private:
-  bool measure(std::uint32_t item);                             // true if a row was stored
+  bool measure(std::uint32_t item);  // true if a row was stored
+  bool store(const DistanceBarrier& barrier, std::uint32_t item);
+  // Measures the contacts nearer than `reach` that were not measured in this tick. Returns true if `u` violates a new
+  // row by more than `tolerance`.
+  bool look(double reach, Vec3 u, double tolerance);
   bool is_beyond(const geometry::Box& box, double ball) const;  // true if no set in the box is within reach
 
   std::shared_ptr<const EllipsoidIndex> index_;
   DistanceLaw law_;
+  Surroundings others_;
+  MapMemory memory_;
+  std::vector<Contact> contact_;
+  double looked_ = 0;  // all contacts nearer than this were measured
   Vec3 p_, v_;
   double reach_ = std::numeric_limits<double>::infinity();
   bool has_all_ = false;

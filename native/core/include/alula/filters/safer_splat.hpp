@@ -33,8 +33,9 @@ namespace alula::flight {
 // flies the nominal input there. Inputs that are not finite are refused, with a = 0.
 class SaferSplat final : public SafetyFilter {
  public:
-  // Throws std::invalid_argument for invalid options.
-  SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options);
+  // Rows are also of the obstacles of `others`, if it has a map: those of `contact_barrier`, for its radius. Throws
+  // std::invalid_argument for invalid options.
+  SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options, Surroundings others = {});
 
   CommandKind kind() const override { return CommandKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

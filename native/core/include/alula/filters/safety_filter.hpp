@@ -59,7 +59,9 @@ struct FilterReport {
   RacerCommand sticks;     // for CommandKind::sticks
   double margin =
       0;  // the filter's own barrier: minimum of h over the rows, or h_b for cone-backup; infinite without rows
-  std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
+  // Ellipsoid of the row with the largest multiplier; from the size of the index on, that size plus the number of an
+  // obstacle in the second map of the rows.
+  std::int64_t active = -1;
   // Values for the log.
   double gate_m = 0;              // distance gate of this tick
   std::uint32_t candidates = 0;   // ellipsoids within the gate, at most k

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "alula/filters/pruning.hpp"
 #include "alula/filters/shield.hpp"
 
 namespace alula::flight {
@@ -25,6 +26,12 @@ inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   return {e.centre, inverse(covariance)};
 }
 
+// The second map of a pruner, with rows at `room` beyond its radius.
+inline Surroundings with_room(Surroundings others, double room) {
+  others.radius_m += room;
+  return others;
+}
+
 // Ellipsoids of an index grown by `room`; caches recent ones. One per thread.
 class RoomyEllipsoids {
  public:
@@ -36,6 +43,11 @@ class RoomyEllipsoids {
     Entry& entry = last_[item % kSize];
     if (entry.item != item) entry = {item, with_room(index_->grown(item), room_)};
     return entry.grown;
+  }
+
+  // The ellipsoid of a candidate, or its local ball.
+  const GrownEllipsoid& of(const Pruner& pruner, std::uint32_t item) {
+    return pruner.is_local(item) ? pruner.ball(item) : (*this)[item];
   }
 
  private:
