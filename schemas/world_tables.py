@@ -111,9 +111,7 @@ class VehicleTable(Table, frozen=True, kw_only=True):
     ] = None
     max_speed_m_s: Annotated[
         Limit | None,
-        about(
-            "limit of the speed of a point; default: the vehicle's, with a plan 1.5 times the plan's [m/s]"
-        ),
+        about("limit of the speed of a point; default: the vehicle's [m/s]"),
     ] = None
     max_acceleration_m_s2: Annotated[
         Limit | None,

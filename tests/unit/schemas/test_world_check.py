@@ -37,7 +37,13 @@ FILTERS = [
     ["their-filter"],
 ]
 SOME_WORLDS = ("nothing", "cover", "all")
-SUGGESTION = re.compile(r"((?:vehicle|world|mission|safety|rules|estimation)\.[\w.-]+)=([\w.,-]+)")
+# One of each kind, and the lists.
+SOME_FILTERS = [
+    row for row in FILTERS if row not in (["dr-acbf-qp"], ["mpc"], ["cbf-qp"], ["rp-cbf"], ["cone-ecbf"])
+]
+SUGGESTION = re.compile(
+    r"((?:vehicle|world|mission|safety|rules|estimation)\.[\w.-]+)=([\w-]+(?:[.,][\w-]+)*)"
+)
 
 ORDER = ["velocity", "acceleration", "wrench", "sticks"]
 # The last command of `ORDER` that an interface takes, and the first.
@@ -88,7 +94,9 @@ def fits(vehicle, interface, mission, filters):
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_every_combination_is_flown_or_refused_in_a_sentence_that_helps(vehicle):
     flown = 0
-    for interface, mission, world, filters in itertools.product(INTERFACES, MISSIONS, SOME_WORLDS, FILTERS):
+    for interface, mission, world, filters in itertools.product(
+        INTERFACES, MISSIONS, SOME_WORLDS, SOME_FILTERS
+    ):
         words = refused(tree_of(vehicle, interface, mission, world, filters))
         what = (vehicle, interface, mission, world, filters, words)
         if words is None:
@@ -107,7 +115,7 @@ def test_every_combination_is_flown_or_refused_in_a_sentence_that_helps(vehicle)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_what_a_sentence_suggests_removes_its_reason(vehicle):
     for interface, mission, world, filters in itertools.product(
-        INTERFACES, MISSIONS, ("walls", "all"), FILTERS
+        INTERFACES, MISSIONS, ("walls",), SOME_FILTERS
     ):
         given = (vehicle, interface, mission, world, filters)
         words = refused(tree_of(*given))
