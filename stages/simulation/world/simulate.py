@@ -93,6 +93,7 @@ class PreparedRun:
         vehicle: that it names.
         world: static obstacles.
         missions: tasks of all trials.
+        vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
         filters: native, in their order.
         names: of the filters, in their order.
@@ -105,6 +106,8 @@ class PreparedRun:
     vehicle: Vehicle
     world: StaticWorld
     missions: Missions
+    vehicle_spec: _core.VehicleSpec
+    options: _core.FlightOptions
     spec: _core.SimulationSpec
     filters: list[_core.SafetyFilter]
     names: list[str]
@@ -142,6 +145,14 @@ class PreparedRun:
             raise UsageError(f"`$.world.moving`: {error}") from error
         except OverflowError as error:
             raise InputError(str(error)) from error
+
+    def on_board(self, index: int) -> _core.Flight:
+        """The flight of one trial as the computer on board sees it, without a simulation around it.
+
+        Args:
+            index: number of the trial.
+        """
+        return _core.Flight(self.vehicle_spec, self.options, self.missions.missions[index], self.filters)
 
     def judged(self, index: int, flown: dict[str, Any]) -> TrialResult:
         """Verdict on one flight.
@@ -235,15 +246,16 @@ def prepare(
     is_point = vehicle.model == "single-integrator"
     stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
     dt_s = rules.dt_s
+    flight = _core.FlightOptions(
+        dt_s=dt_s,
+        controller_ticks=rules.controller_ticks,
+        filter_ticks=rules.filter_ticks,
+        stale_s=min(known.stale_s, 1e3),
+        has_losses=has_losses,
+    )
     simulation = _core.SimulationSpec(
         spec,
-        options=_core.FlightOptions(
-            dt_s=dt_s,
-            controller_ticks=rules.controller_ticks,
-            filter_ticks=rules.filter_ticks,
-            stale_s=min(known.stale_s, 1e3),
-            has_losses=has_losses,
-        ),
+        options=flight,
         rules=_core.SimulationRules(
             plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
@@ -282,7 +294,9 @@ def prepare(
     def of_trial(index: int) -> PlanJudge | None:
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
 
-    return PreparedRun(full, vehicle, world, missions, simulation, filters, names, judge, of_trial, notes)
+    return PreparedRun(
+        full, vehicle, world, missions, spec, flight, simulation, filters, names, judge, of_trial, notes
+    )
 
 
 def simulate_world(

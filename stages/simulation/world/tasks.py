@@ -36,6 +36,7 @@ class Missions:
 
     Attributes:
         tasks: native.
+        missions: what makes the nominal command of each, as in its task.
         start, goal: shapes (N, 3), world frame [m].
         curves: reference of each trial; None where it flies without one.
         plans: plan of each trial; None without one.
@@ -43,6 +44,7 @@ class Missions:
     """
 
     tasks: list[_core.Task]
+    missions: list[_core.Mission]
     start: FloatArray
     goal: FloatArray
     curves: list[_core.ReferenceCurve | None]
@@ -127,7 +129,7 @@ def _along(
     is_point = by_velocity and scenario.vehicle.type == "single-integrator"
     gain = mission.controller.gain_per_s
     diagonal = _diagonal(scenario, world)
-    tasks, curves = [], []
+    tasks, curves, missions = [], [], []
     many = len(pairs.start) == 1 and count > 1  # the same mission, with other noise
     pick = [0] * count if many else list(range(len(pairs.start)))
     for i in pick:
@@ -158,6 +160,7 @@ def _along(
             )
         )
         curves.append(curve)
+        missions.append(flown)
     index = np.array(pick)
     return Missions(tasks, pairs.start[index], pairs.goal[index], curves, [plans[i] for i in pick], counts)
 
@@ -239,7 +242,7 @@ def _hovering(
     flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
     task = _core.Task(_at_rest(start, yaw), flown, max_time_s=scenario.rules.max_time_s or _HOLD_S)
     many = np.tile(start, (count, 1))
-    return Missions([task] * count, many, many, [curve] * count, [None] * count, {})
+    return Missions([task] * count, [flown] * count, many, many, [curve] * count, [None] * count, {})
 
 
 def _piloted(
@@ -266,11 +269,10 @@ def _piloted(
         states = np.tile(state, (count, 1))
     else:
         states = np.array([_drawn(scenario, world, i, is_safe, jobs) for i in range(count)])
-    tasks = [
-        _core.Task(state, _core.Mission.by_sticks(), pilot=pilot, max_time_s=allowed) for state in states
-    ]
+    flown = _core.Mission.by_sticks()
+    tasks = [_core.Task(state, flown, pilot=pilot, max_time_s=allowed) for state in states]
     start = states[:, :3]
-    return Missions(tasks, start, start, [None] * count, [None] * count, {})
+    return Missions(tasks, [flown] * count, start, start, [None] * count, [None] * count, {})
 
 
 def _drawn(
