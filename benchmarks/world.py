@@ -1,14 +1,14 @@
 """The combined scenario that no paper has, all combinations of parts, and what the one loop costs.
 
 A Crazyflie by body rates, 20 ms from measurement to command, among the hulls of the built-in room, inside a
-fence, with two balls thrown at its path (examples/world/room.toml): flown without a filter, behind each filter
-alone, and behind dr-acbf with the shield. Collisions come from the truth. `static_collisions_shield` counts the
-flights behind a shield that touched a hull or left the fence, `certified_share_static` the steps in which the
-shield proved a manoeuvre to rest against all of that.
+fence, with two balls thrown at its path (examples/world/room.toml): flown without a filter, behind each
+filter alone, and behind dr-acbf with the shield. Collisions come from the truth. `static_collisions_shield`
+counts the flights behind a shield that touched a hull or left the fence, `certified_share_static` the steps
+in which the shield proved a manoeuvre to rest against all of that.
 
-    python benchmarks/world.py --quick --json                       # under a minute
+    python benchmarks/world.py --quick --json          # under a minute
     python benchmarks/world.py --trials 10000 --markdown PAGE
-    python benchmarks/world.py --before COMMIT --json               # ticks against an older commit, side by side
+    python benchmarks/world.py --before COMMIT --json  # ticks against an older commit, side by side
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent
-sys.path += [str(HERE), str(ROOT / "tests")]  # what benchmarks share, and what tests share
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "benchmarks"))
+sys.path.append(str(ROOT / "tests"))  # the combinations
 
 import msgspec
 import numpy as np
@@ -134,7 +134,7 @@ def count_combinations(every: int) -> dict[str, int]:
     for case in cases[::every]:
         try:
             verdict = combinations.tried(case.tree, made)
-        except Exception as error:  # a combination that breaks is what is counted
+        except Exception as error:  # noqa: BLE001 - a combination that breaks is what is counted
             print(f"broken: {case.name}: {error}", file=sys.stderr)
             count["broken"] += 1
             continue
@@ -314,9 +314,9 @@ def page(rows: list[dict[str, Any]], figures: dict[str, Any]) -> str:
     given = "\n".join(f"| `{key}` | {value} |" for key, value in figures.items() if key != "rows")
     return f"""# One world: the combined scenario
 
-Made by `make bench-world`; do not edit. A Crazyflie by body rates, 20 ms from measurement to command, motors with a
-lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two balls thrown at its path
-([examples/world/room.toml](../../examples/world/room.toml)). Every list of filters flies the same
+Made by `make bench-world`; do not edit. A Crazyflie by body rates, 20 ms from measurement to command, motors
+with a lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two balls thrown at its
+path ([examples/world/room.toml](../../examples/world/room.toml)). Every list of filters flies the same
 {figures["trials"]} flights; all counts are from the truth.
 
 {table(rows)}
@@ -325,8 +325,8 @@ lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two
 | --- | --- |
 {given}
 
-A hovering drone can be hit: no filter excludes that. The shield proves, in every step, a manoeuvre to rest that is
-clear of all that does not move; the tubes of tracked balls cover only a part of the steps.
+A hovering drone can be hit: no filter excludes that. The shield proves, in every step, a manoeuvre to rest
+that is clear of all that does not move; the tubes of tracked balls cover only a part of the steps.
 """
 
 

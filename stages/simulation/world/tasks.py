@@ -162,7 +162,15 @@ def _along(
         curves.append(curve)
         missions.append(flown)
     index = np.array(pick)
-    return Missions(tasks, pairs.start[index], pairs.goal[index], curves, [plans[i] for i in pick], counts)
+    return Missions(
+        tasks,
+        missions,
+        pairs.start[index],
+        pairs.goal[index],
+        curves,
+        [plans[i] for i in pick],
+        counts,
+    )
 
 
 def _diagonal(scenario: WorldScenario, world: StaticWorld) -> float:
