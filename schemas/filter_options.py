@@ -362,7 +362,7 @@ FILTERS: dict[str, type[Options]] = {
 PARTS: dict[str, tuple[Part, ...]] = {
     "cone-backup": (
         Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'rate_lead_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
@@ -373,7 +373,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     "cone-ecbf": (
         Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
         Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'nominal_attitude_rad_s', 'nominal_position_rad_s', 'nominal_catch_up_m_s', 'nominal_acceleration', 'nominal_speed_m_s', 'nominal_cone_rate_1_s')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'rate_lead_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
@@ -386,7 +386,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     ),
     "shield": (
         Part("ShieldFilterOptions", "", ()),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'rate_lead_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
 }

@@ -148,7 +148,6 @@ def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core
     given = {**parameters, "tick_s": world.dt_s, "motor_time_constant_s": world.motor_time_constant_s}
     given |= {
         "rate_time_constant_s": world.rate_time_constant_s,
-        "rate_lead_s": world.rate_lead_s,
         "max_rate_rad_s": world.max_rate_rad_s,
     }
     backend = {}

@@ -97,7 +97,6 @@ class SplatWorld:
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
         rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body
             rates; 0: it is commanded by thrust and torque [s].
-        rate_lead_s: body rates that are commanded are those that a torque leads to after this time [s].
         max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
         hulls: the hulls of a cover, for shields that certify against them.
         hull_radius_m: radius that such shields keep from the hulls [m].
@@ -110,7 +109,6 @@ class SplatWorld:
     dt_s: float
     motor_time_constant_s: float = 0.0
     rate_time_constant_s: float = 0.0
-    rate_lead_s: float = 0.02
     max_rate_rad_s: tuple[float, float, float] = (10.0, 10.0, 4.0)
     hulls: _core.PolytopeSet | None = None
     hull_radius_m: float = 0.0

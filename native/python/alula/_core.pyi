@@ -1352,7 +1352,7 @@ class MapUnion(ObstacleMap):
 class ShieldOptions:
     """Options of the check of a manoeuvre to rest."""
 
-    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0, rate_time_constant_s: float = 0.0, rate_lead_s: float = 0.02, max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], tube_horizon_s: float = 1.0, tube_risk: float = 0.05, tube_acceleration_m_s2: float = 2.0) -> None:
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0, rate_time_constant_s: float = 0.0, max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], tube_horizon_s: float = 1.0, tube_risk: float = 0.05, tube_acceleration_m_s2: float = 2.0) -> None:
         """
         Args:
             tick_s: how long an input is held [s]
@@ -1369,7 +1369,6 @@ class ShieldOptions:
             early_end: end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
             motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
             rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
-            rate_lead_s: the body rates of a wrench are those that its torque leads to after this time [s]
             max_rate_rad_s: maximum body rates of a command [rad/s]
             tube_horizon_s: how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
             tube_risk: probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track
@@ -1444,12 +1443,6 @@ class ShieldOptions:
     def rate_time_constant_s(self) -> float:
         """
         time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
-        """
-
-    @property
-    def rate_lead_s(self) -> float:
-        """
-        the body rates of a wrench are those that its torque leads to after this time [s]
         """
 
     @property

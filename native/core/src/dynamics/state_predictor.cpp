@@ -7,8 +7,8 @@
 namespace alula::flight {
 namespace {
 
-constexpr double kStep = 1e-3;      // of RK4 [s]
-constexpr double kSameTime = 1e-9;  // [s]
+constexpr double kStep = kRateLoopPeriod;  // of RK4 too [s]
+constexpr double kSameTime = 1e-9;         // [s]
 
 }  // namespace
 

@@ -47,10 +47,9 @@ Shield::Shield(const BackupPolicy& policy, Surroundings surroundings, const Shie
   require(cones_ != nullptr || !policy.escapes(), "the policy cone-escape needs ellipsoids to turn away from");
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
-  check(ActuatorModel{o.motor_time_constant_s, 0});
-  require(is_size(o.rate_time_constant_s) && o.rate_lead_s > 0 && o.max_rate_rad_s.x > 0 && o.max_rate_rad_s.y > 0 &&
-              o.max_rate_rad_s.z > 0,
-          "a rate loop needs a time constant and positive limits");
+  check(ActuatorModel{o.motor_time_constant_s, 0, o.rate_time_constant_s});
+  require(o.max_rate_rad_s.x > 0 && o.max_rate_rad_s.y > 0 && o.max_rate_rad_s.z > 0,
+          "the limits of body rates must be positive");
   bound_motion();
   hovering_ = policy.vehicle().rotor_thrust(policy.vehicle().limited({policy.vehicle().hover_thrust(), {}}));
   reset();
@@ -131,7 +130,7 @@ bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
 // first manoeuvre tried with the best verdict.
 bool Shield::takes(const State& x, const Wrench& u, const Manoeuvre& next, double kept, Verdict& best) {
   if (!is_safe_after(x, u, next, kept)) return false;
-  const Verdict found = clears_tubes() ? Verdict::clear : Verdict::safe;
+  const Verdict found = clears_tubes(x, next, &u) ? Verdict::clear : Verdict::safe;
   if (found > best) best = found, next_ = next;
   return found == Verdict::clear;
 }
@@ -163,7 +162,7 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
   is_chosen_clear_ = false;
   const auto suits = [&](const Manoeuvre& manoeuvre, double margin) {
     if (!is_safe(x, manoeuvre, margin)) return false;
-    chosen_ = manoeuvre, is_chosen_clear_ = clears_tubes();
+    chosen_ = manoeuvre, is_chosen_clear_ = clears_tubes(x, manoeuvre);
     if (!safe) safe = manoeuvre;
     return is_chosen_clear_;
   };

@@ -41,28 +41,32 @@ int steps_of(const ShieldOptions& o, const State& x, double shortest) {
 }  // namespace
 
 // One tick of the vehicle's rate loop: the rates that the torque of u leads to are commanded for the tick, with the
-// thrust of u, or with lag the one that leads to it.
+// thrust of u, or with lag the one that leads to it. Its torques are held for a period, so on average they belong to
+// the rates of half a period before; without lag, those of a shorter time constant.
 State Shield::following_rates(const State& x, Vec4& rotors, const Wrench& u) const {
   const Quadrotor& body = policy_.vehicle();
   const ShieldOptions& o = options_;
   const double lag = o.motor_time_constant_s;
-  const Vec3 rates = body_rates(body, x, u, o.rate_lead_s, o.max_rate_rad_s);
+  const Vec3 rates = body_rates(body, x, u, rate_lead_s(o.rate_time_constant_s, o.tick_s), o.max_rate_rad_s);
   const double thrust = lags() ? leading(body, lag, rotors, u, o.tick_s).thrust : u.thrust;
-  const auto commanded = [&](const State& at) {
-    return body.limited({thrust, rate_loop_torque(body, at.omega, rates, o.rate_time_constant_s)});
+  const double constant = o.rate_time_constant_s, held = std::min(kRateLoopPeriod, constant) / 2;
+  const auto commanded = [&](Vec3 omega, double time_constant) {
+    return body.limited({thrust, rate_loop_torque(body, omega, rates, time_constant)});
   };
-  const double fastest = lags() ? std::min(lag, o.rate_time_constant_s) : o.rate_time_constant_s;
+  const double fastest = lags() ? std::min(lag, constant) : constant;
   const int steps = steps_of(o, x, fastest / 2);
   const double h = o.tick_s / steps;
   Driven y{x, rotors};
   for (int i = 0; i < steps; ++i) {
     if (!lags()) {
-      y.x = rk4_step(y.x, h, [&](double, const State& at) { return body.derivative(at, commanded(at)); });
+      y.x = rk4_step(
+          y.x, h, [&](double, const State& at) { return body.derivative(at, commanded(at.omega, constant - held)); });
       continue;
     }
     y = rk4_step(y, h, [&](double, const Driven& at) {
-      const Vec4 goal = body.rotor_thrust(commanded(at.x));
-      return Driven{body.derivative(at.x, body.wrench(at.f)), 1 / lag * plus(goal, -1.0 * at.f)};
+      const State change = body.derivative(at.x, body.wrench(at.f));
+      const Vec4 goal = body.rotor_thrust(commanded(at.x.omega - held * change.omega, constant));
+      return Driven{change, 1 / lag * plus(goal, -1.0 * at.f)};
     });
     for (std::size_t r = 0; r < 4; ++r) y.f[r] = std::clamp(y.f[r], body.rotors().f_min[r], body.rotors().f_max[r]);
   }

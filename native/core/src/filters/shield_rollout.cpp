@@ -68,7 +68,7 @@ bool Shield::settles_clear(const State& x, double distance, double& looked) {
   looked = excursion;
   const double needed = distance + kRoom * excursion;
   if (!(this->distance(x.p, needed) >= needed)) return false;
-  tail_ = std::max(options_.margin_m / 2, kRoom * excursion);
+  tail_ = std::max(options_.margin_m / 2, kRoom * excursion), ended_early_ = true;
   return true;
 }
 
@@ -85,7 +85,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   State now = x;
   Vec4 rotors = rotors_;
   double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
-  tail_ = options_.margin_m / 2;
+  tail_ = options_.margin_m / 2, ended_early_ = false;
   const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks &&
@@ -230,6 +230,12 @@ bool Shield::clears_tubes() const {
     }
     return true;
   });
+}
+
+// The same for the manoeuvre of the last rollout. One that ended early is rolled out to rest if that may matter.
+bool Shield::clears_tubes(const State& x, const Manoeuvre& manoeuvre, const Wrench* first) {
+  double unused = 0;
+  return clears_tubes() || (ended_early_ && roll(x, manoeuvre, first, unused) && clears_tubes());
 }
 
 // `certify` for its verdict alone; the rollout ends early when the remaining path is clear.

@@ -15,7 +15,6 @@ using geometry::norm;
 using geometry::Vec3;
 
 constexpr double kOutward = 1 + 1e-9;  // beyond the rounding of an eigenvalue and of a distance
-constexpr double kThirdOfTurn = 2.0943951023931953;
 
 // An upper bound on the largest eigenvalue of a symmetric matrix, off by rounding only (Smith 1961).
 double largest_eigenvalue(const Mat3& m) {
@@ -23,12 +22,11 @@ double largest_eigenvalue(const Mat3& m) {
   const double off = m[0][1] * m[0][1] + m[0][2] * m[0][2] + m[1][2] * m[1][2];
   const Vec3 d{m[0][0] - mean, m[1][1] - mean, m[2][2] - mean};
   const double spread = std::sqrt((dot(d, d) + 2 * off) / 6);
-  double size = std::abs(mean) + 2 * spread, cosine = 1;  // at most mean + 2 spread
-  if (spread > 1e-6 * size) {
+  double cosine = 1;  // at most
+  if (spread > 1e-6 * std::abs(mean)) {
     const double half_det = (d.x * (d.y * d.z - m[1][2] * m[1][2]) - m[0][1] * (m[0][1] * d.z - m[1][2] * m[0][2]) +
                              m[0][2] * (m[0][1] * m[1][2] - d.y * m[0][2])) /
                             (2 * spread * spread * spread);
-    // The sum of the three cosines is 0, so the largest is at least a half.
     cosine = std::cos(std::acos(std::clamp(half_det, -1.0, 1.0)) / 3);
   }
   return mean + 2 * spread * cosine + 1e-7 * spread;
@@ -67,7 +65,7 @@ void Tubes::set(std::span<const alula_track> tracks, Vec3 own) {
           if (i == j) spread[i][i] += own[i];
           spread[j][i] = spread[i][j];
         }
-      const double variance = std::max(0.0, largest_eigenvalue(spread));
+      const double found = largest_eigenvalue(spread), variance = found < 0 ? 0 : found;  // NaN stays
       tube.radius[static_cast<std::size_t>(node)] =
           kOutward * (track.radius_m + deviations_ * std::sqrt(variance) + acceleration_ * t * t / 2);
       is_finite = is_finite && std::isfinite(tube.radius[static_cast<std::size_t>(node)]);

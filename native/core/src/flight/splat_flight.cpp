@@ -187,7 +187,8 @@ void FlightTrial::renew(const FilterReport& answer, CommandKind kind) {
   command_ = is_wrench ? acceleration_of(vehicle_.body, seen_.x, answer.wrench.thrust) : answer.acceleration;
   if (vehicle_.interface != CommandInterface::body_rates) return;
   const double held_s = rules_.dt_s * static_cast<double>(is_wrench ? rules_.filter_ticks : rules_.controller_ticks);
-  rates_ = body_rates(vehicle_.body, seen_.x, flown_, held_s, vehicle_.max_rate);
+  rates_ = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held_s),
+                      vehicle_.max_rate);
 }
 
 // Flies the wrench, held, or its body rates for a tick. Returns the largest difference of the body's acceleration and

@@ -62,11 +62,18 @@ inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, con
   return body.limited(body.wrench(f));
 }
 
+// Period of the rate loop of a vehicle, as of the simulated one by default: 1 kHz [s].
+inline constexpr double kRateLoopPeriod = 1e-3;
+
 // The torque of a rate loop that turns the body to commanded rates as a first-order lag.
 inline Vec3 rate_loop_torque(const Quadrotor& body, Vec3 omega, Vec3 rates, double time_constant_s) {
   const Vec3 inertia = body.inertia();
   return geometry::cross(omega, geometry::multiply(inertia, omega)) +
          1 / time_constant_s * geometry::multiply(inertia, rates - omega);
 }
+
+// Time after which a torque leads to the body rates that are commanded for it: a rate loop turns the rates after its
+// own time constant into the torque now; a command that is held for longer must not pass beyond its rates [s].
+inline double rate_lead_s(double time_constant_s, double held_s) { return std::max(time_constant_s, held_s); }
 
 }  // namespace alula::flight

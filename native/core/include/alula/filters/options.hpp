@@ -139,8 +139,6 @@ struct ShieldOptions {
   // time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded
   // by thrust and torque [s]
   double rate_time_constant_s = 0.0;
-  // the body rates of a wrench are those that its torque leads to after this time [s]
-  double rate_lead_s = 0.02;
   // maximum body rates of a command [rad/s]
   Vec3 max_rate_rad_s{10.0, 10.0, 4.0};
   // how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]

@@ -164,6 +164,7 @@ class Shield {
   std::size_t sweep(double distance);
   bool is_clear(std::size_t from, std::size_t to, double distance);
   bool clears_tubes() const;
+  bool clears_tubes(const State& x, const Manoeuvre& manoeuvre, const Wrench* first = nullptr);
   bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                bool until_rest = false);
   // Manoeuvre to a stop: the gentle policy, but with lag or a rate loop it overshoots its tilt and speeds up at
@@ -192,6 +193,7 @@ class Shield {
   double least_thrust_ = 0, most_thrust_ = 0, spin_up_ = 0, swing_ = 0;
   Tubes tubes_;
   double tail_ = 0;  // the vehicle stays within this distance of the end of the path [m]
+  bool ended_early_ = false;
   Vec4 hovering_{}, rotors_{};
   std::vector<Tick> path_;
   MapMemory memory_;
