@@ -22,6 +22,21 @@
 // propagate them. An input is then the wrench that the rotors reach by the end of a tick (`leading`), as far as their
 // limits allow; the caller must command that. The induction is the same, for exact thrusts.
 //
+// With a rate loop an input is the thrust and the body rates that a wrench leads to, held for a tick, which the loop
+// follows within the limits of the rotors, with their lag. Thrust and torque within a tick are then bounded by those
+// limits alone.
+//
+// What moves cannot be excluded for ever, so the tubes of tracks (tubes.hpp) only choose among inputs that are safe
+// without them. A manoeuvre is clear when it keeps the radius from all tubes up to their horizon, in continuous time,
+// also at rest. `decide` flies, as the first that is possible,
+//   (a) the candidate, if a safe and clear manoeuvre remains after it;
+//   (b) a safe and clear manoeuvre, or an input between it and the candidate after which one remains;
+//   (c) the candidate, if a safe manoeuvre remains: a filter that evades may stand before the shield, and braking
+//       would not be clear either;
+//   (d) what it flies without tracks.
+// (a) and (b) are `certified_moving`. They alternate only where both are clear, and a manoeuvre that is being flown
+// comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
+//
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
 // slowest at its first contact.
