@@ -50,6 +50,9 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
     rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
     early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
+    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
+    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
+    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
     shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.3
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
@@ -144,6 +147,9 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
     rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
     early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
+    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
+    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
+    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
     shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.6
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
@@ -313,6 +319,9 @@ class ShieldParameters(Options, frozen=True, kw_only=True):
     rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
     rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
     early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
+    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
+    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
+    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
     shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
     k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
@@ -353,7 +362,7 @@ FILTERS: dict[str, type[Options]] = {
 PARTS: dict[str, tuple[Part, ...]] = {
     "cone-backup": (
         Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
@@ -364,7 +373,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     "cone-ecbf": (
         Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
         Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'nominal_attitude_rad_s', 'nominal_position_rad_s', 'nominal_catch_up_m_s', 'nominal_acceleration', 'nominal_speed_m_s', 'nominal_cone_rate_1_s')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
@@ -377,7 +386,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     ),
     "shield": (
         Part("ShieldFilterOptions", "", ()),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s')),
+        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
 }

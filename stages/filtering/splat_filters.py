@@ -168,6 +168,10 @@ def _rows_of_hulls(name: str, world: SplatWorld, parameters: Mapping[str, Any]) 
 def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
     """The filter itself, from all parameters."""
     given = {**parameters, "tick_s": world.dt_s, "motor_time_constant_s": world.motor_time_constant_s}
+    given |= {
+        "rate_time_constant_s": world.rate_time_constant_s,
+        "max_rate_rad_s": world.max_rate_rad_s,
+    }
     others: dict[str, Any] = {}
     if given.get("solver") == _CLARABEL:
         given["solver"] = "active-set"

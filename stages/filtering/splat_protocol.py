@@ -95,6 +95,9 @@ class SplatWorld:
         radius_m: radius of the vehicle's sphere plus the alignment error of the scene [m].
         dt_s: time for which an input is held [s].
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
+        rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body
+            rates; 0: it is commanded by thrust and torque [s].
+        max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
         hulls: the hulls of a cover, for shields that certify against them and rows that steer around them.
         hull_radius_m: radius that these keep from the hulls [m].
         static: what shields certify against, in place of what `shield_map` names; None: as it names.
@@ -107,6 +110,8 @@ class SplatWorld:
     radius_m: float
     dt_s: float
     motor_time_constant_s: float = 0.0
+    rate_time_constant_s: float = 0.0
+    max_rate_rad_s: tuple[float, float, float] = (10.0, 10.0, 4.0)
     hulls: _core.PolytopeSet | None = None
     hull_radius_m: float = 0.0
     static: _core.ObstacleMap | None = None

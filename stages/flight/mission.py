@@ -271,6 +271,8 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
             radius_m=keep,
             dt_s=dt,
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
+            rate_time_constant_s=vehicle.rates.time_constant_s,
+            max_rate_rad_s=vehicle.rates.max_rad_s,
             hulls=hulls_of_cover,
             hull_radius_m=mission.hull_keep_m,
         )
@@ -345,11 +347,15 @@ def make_commander(
         filter=cast(SplatFilter | None, safety),
         body=quadrotor(vehicle),
         gains=tracking_gains(vehicle, config.catch_up_m_s),
-        actuators=_core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay + config.stale_s),
+        actuators=_core.ActuatorModel(
+            motor_time_constant_s=lag,
+            delay_s=delay + config.stale_s,
+            rate_time_constant_s=vehicle.rates.time_constant_s,
+        ),
         delay_s=delay,
         dt_s=1 / config.rate_hz,
         max_rate_rad_s=vehicle.rates.max_rad_s,
-        rate_lag_s=max(vehicle.rates.time_constant_s, 1 / config.rate_hz),
+        rate_lead_s=max(vehicle.rates.time_constant_s, 1 / config.rate_hz),
         setpoint=kind,
     )
 

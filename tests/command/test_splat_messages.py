@@ -72,11 +72,12 @@ def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     run([*words, "--vehicle", str(tmp_path / "v.toml"), "-o", str(out), "-q"])
     record = read_run(out)
     assert record.vehicle.endswith("commanded by thrust and body rates, with motor lag")
-    assert (
-        "These flights had motor lag, a rate loop, which that model leaves out." in record.guarantee.statement
-    )
-    run([*words[:-2], "-o", str(out), "-q", "-f"])
+    assert "the model with a rate loop with a time constant of 0.02 s." in record.guarantee.statement
+    assert "These flights had motor lag, which that model leaves out." in record.guarantee.statement
+    run([*words, "-o", str(out), "-q", "-f"])
     assert "leaves out" not in read_run(out).guarantee.statement
+    run([*words[:-2], "-o", str(out), "-q", "-f"])
+    assert "rate loop" not in read_run(out).guarantee.statement
 
 
 def test_a_lag_and_a_delay_that_are_known_are_part_of_the_model(scene, tmp_path):

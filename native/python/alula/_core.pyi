@@ -5,6 +5,7 @@ import enum
 from typing import Annotated, Any, overload
 
 import numpy
+import numpy.typing
 from numpy.typing import NDArray
 
 
@@ -664,11 +665,12 @@ class DoubleIntegrator:
 class ActuatorModel:
     """Rotor lag and measurement age assumed by the controller and filters."""
 
-    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0) -> None:
+    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0, rate_time_constant_s: float = 0.0) -> None:
         """
         Args:
             motor_time_constant_s: assumed lag of the rotors; 0: none [s]
             delay_s: assumed age of a measurement [s]
+            rate_time_constant_s: of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]
         """
 
     @property
@@ -678,6 +680,12 @@ class ActuatorModel:
     @property
     def delay_s(self) -> float:
         """assumed age of a measurement [s]"""
+
+    @property
+    def rate_time_constant_s(self) -> float:
+        """
+        of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]
+        """
 
 class StatePredictor:
     """
@@ -694,8 +702,10 @@ class StatePredictor:
         Predict the present state (12,) from the state age_s ago; age_s is at most the model's delay, the default.
         """
 
-    def fly(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None:
-        """Record a wrench that is commanded from now on for a tick [N, N m]."""
+    def fly(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)], rates: Sequence[float] = [0.0, 0.0, 0.0], now: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Record a wrench that is commanded from now on for a tick [N, N m]; with a rate loop its thrust, the body rates [rad/s], and the predicted present state (12,).
+        """
 
     def lead(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """
@@ -925,7 +935,7 @@ class Pruning:
 class SafetyFilter:
     """Safety filter of one kind of command; one per thread."""
 
-    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, velocity: Sequence[float] = [0.0, 0.0, 0.0], wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0], velocity: Sequence[float] = [0.0, 0.0, 0.0], wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0], tracks: numpy.typing.NDArray[numpy.float64] | None = None) -> dict[str, Any]:
         """
         Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
 
@@ -933,6 +943,7 @@ class SafetyFilter:
             thrust: last applied thrust [N]
             thrust_rate: its rate [N/s]
             rotors: thrust of each rotor now [N]; None: the rotors hover
+            position_variance: of the state's position, per axis [m^2]
             velocity: nominal velocity [m/s]
             wrench: nominal thrust and torque [N, N m]
             nominal_thrust_rate: rate of the nominal thrust [N/s]
@@ -940,6 +951,7 @@ class SafetyFilter:
             position_error: position minus that of the reference [m]
             velocity_error: velocity minus that of the reference [m/s]
             reference_acceleration: acceleration of the reference [m/s^2]
+            tracks: what moves, predicted to now, (N, 29): id, position, velocity, the lower triangle of their covariance row by row, radius
         """
 
     def reset(self) -> None:
@@ -1347,7 +1359,7 @@ class MapUnion(ObstacleMap):
 class ShieldOptions:
     """Options of the check of a manoeuvre to rest."""
 
-    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0) -> None:
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0, rate_time_constant_s: float = 0.0, max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], tube_horizon_s: float = 1.0, tube_risk: float = 0.05, tube_acceleration_m_s2: float = 2.0) -> None:
         """
         Args:
             tick_s: how long an input is held [s]
@@ -1363,6 +1375,11 @@ class ShieldOptions:
             rest_drift_m: maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
             early_end: end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
             motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
+            rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+            max_rate_rad_s: maximum body rates of a command [rad/s]
+            tube_horizon_s: how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
+            tube_risk: probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track
+            tube_acceleration_m_s2: maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]
         """
 
     @property
@@ -1429,6 +1446,34 @@ class ShieldOptions:
         assumed time constant of the rotors; 0: rotors follow a command at once [s]
         """
 
+    @property
+    def rate_time_constant_s(self) -> float:
+        """
+        time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+        """
+
+    @property
+    def max_rate_rad_s(self) -> list[float]:
+        """maximum body rates of a command [rad/s]"""
+
+    @property
+    def tube_horizon_s(self) -> float:
+        """
+        how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
+        """
+
+    @property
+    def tube_risk(self) -> float:
+        """
+        probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track
+        """
+
+    @property
+    def tube_acceleration_m_s2(self) -> float:
+        """
+        maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]
+        """
+
 class Shield:
     """Checks that a safe manoeuvre to rest exists: alula/filters/shield.hpp."""
 
@@ -1448,14 +1493,16 @@ class Shield:
 
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
         """
-        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance minus the radius) and time_s.
+        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance minus the radius), time_s and clears_tubes.
         """
 
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """State one tick later."""
 
-    def see(self, rotors: Sequence[float] | None) -> None:
-        """Set the thrust of each rotor for the next states [N]."""
+    def see(self, rotors: Sequence[float] | None = None, tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
+        """
+        Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, and the variance of the position [m^2].
+        """
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
     """
@@ -2844,7 +2891,7 @@ class PythonFilter(SafetyFilter):
 class VehicleSpec:
     """A vehicle, as modelled and as it truly is."""
 
-    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0) -> None:
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
         """
         Args:
             model: single-integrator, double-integrator, quadrotor or racer
@@ -2863,6 +2910,7 @@ class VehicleSpec:
             racer: thrust by throttle, for sticks
             racer_options: what the true racer has and its model lacks
             mass_scale: true mass over that of the body
+            rate_gain_scale: true gain of the rate loop over that of the model
         """
 
 class FlightOptions:

@@ -39,13 +39,13 @@ class GeometricCommander:
     Attributes:
         filter: safety filter; None sends the nominal command.
         body, gains: of the vehicle and of its controller.
-        actuators: lag of the rotors, and the maximum age of a state that the model predicts forward.
+        actuators: lag of the rotors and of the rate loop, and the maximum age of a state that the model
+            predicts forward.
         delay_s: assumed age of a state when it arrives; a longer measured latency replaces it [s].
         dt_s: duration of a tick [s].
         max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
-        rate_lag_s: time constant of the rate loop of the vehicle [s]. A torque is sent as the body rate that
-            it leads to after this time, because a first-order loop with this lag turns that rate into the
-            torque now.
+        rate_lead_s: a torque is sent as the body rate that it leads to after this time [s]. A first-order
+            rate loop with this time constant turns that rate into the torque now.
         setpoint: kind of set-point to send, `RatesSetpoint` or `AccelerationSetpoint`.
     """
 
@@ -56,7 +56,7 @@ class GeometricCommander:
     delay_s: float
     dt_s: float
     max_rate_rad_s: tuple[float, float, float]
-    rate_lag_s: float
+    rate_lead_s: float
     setpoint: type[Setpoint] = RatesSetpoint
     _predictor: _core.StatePredictor = field(init=False)
     _thrust: float = field(init=False)
@@ -66,6 +66,7 @@ class GeometricCommander:
     _flown: float = field(init=False, default=0.0)
     _acceleration: FloatArray = field(init=False)
     _torque: FloatArray = field(init=False)
+    _now: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         """Start from a hover."""
@@ -80,7 +81,7 @@ class GeometricCommander:
             self.filter.reset()
         self._predictor.reset()
         self._thrust, self._thrust_rate, self._thrust_differs = self.body.hover_thrust, 0.0, False
-        self._acceleration, self._torque = np.zeros(3), np.zeros(3)
+        self._acceleration, self._torque, self._now = np.zeros(3), np.zeros(3), np.zeros(12)
 
     def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
         """See `Commander`."""
@@ -123,7 +124,7 @@ class GeometricCommander:
         if isinstance(setpoint, RatesSetpoint):
             thrust = setpoint.thrust_m_s2 * self.body.mass
             self._thrust = self._flown if setpoint is self._computed else thrust
-            self._predictor.fly(np.array([thrust, *self._torque]))
+            self._predictor.fly(np.array([thrust, *self._torque]), setpoint.omega.tolist(), self._now)
         elif isinstance(setpoint, AccelerationSetpoint):
             self._acceleration = setpoint.acceleration
 
@@ -132,7 +133,7 @@ class GeometricCommander:
         sigma = _core.shadowed(_mrp(state.attitude_wxyz)[None])[0]
         if self.setpoint is RatesSetpoint:
             x = np.concatenate([state.position, sigma, state.velocity, state.omega])
-            x = self._predictor.now(x, age)
+            x = self._now = self._predictor.now(x, age)
         else:  # the acceleration that was sent is known, but no wrench
             position = state.position + age * state.velocity + 0.5 * age * age * self._acceleration
             x = np.concatenate([position, sigma, state.velocity + age * self._acceleration, state.omega])
@@ -166,7 +167,7 @@ class GeometricCommander:
         flown = self.body.limited(u[None])
         led = self._predictor.lead(flown[0])
         rates = _core.body_rates(
-            self.body, x, flown, dt_s=self.rate_lag_s, max_rate_rad_s=self.max_rate_rad_s
+            self.body, x, flown, dt_s=self.rate_lead_s, max_rate_rad_s=self.max_rate_rad_s
         )[0]
         self._flown, self._torque = float(flown[0, 0]), led[1:]
         change = (self._flown - self._thrust) / self.dt_s

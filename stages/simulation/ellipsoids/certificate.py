@@ -43,10 +43,10 @@ def certified_words(config: SimulateConfig, vehicle: Vehicle, certified: int, st
     obstacles = _KEPT_FROM[certified_against(config.filter, config.filter_parameters) or ELLIPSOIDS]
     words = (
         f"In {proven} steps the filter proved, by a rollout, that a backup manoeuvre from the end of the "
-        f"step keeps {_kept(shield)} from {obstacles} until it rests, for {_model(vehicle)}."
+        f"step keeps {_kept(shield)} from {obstacles} until it rests, for {_model(config, vehicle)}."
         f"{_tested(shield)}"
     )
-    if outside := _outside(config, vehicle):
+    if outside := left_out(vehicle):
         words += f" These flights had {', '.join(outside)}, which that model leaves out."
     return words
 
@@ -76,15 +76,17 @@ def chain_of(
     """
     assert config.radius_m is not None
     level: Any = cover.manifest
-    outside, missing = _outside(config, vehicle), _not_covered(level)
+    outside, missing = left_out(vehicle), _not_covered(level)
     added = hull_radius_m - config.radius_m
     delay, lag = vehicle.assumed.delay_s, vehicle.assumed.motor_time_constant_s
     assumptions = [
         "Cover: alula verify proves that its hulls contain the ellipsoids of the scene at "
         f"{level_words(level.sigma)}, grown by {exact(level.inflation_m)} m; the run does not check this."
         + (f" The cover leaves out {', '.join(missing)}." if missing else ""),
-        "Model: the vehicle is a rigid body with the limits of its rotors, commanded by thrust and torque "
-        f"that are held for {exact(config.dt_s * config.filter_ticks)} s"
+        "Model: the vehicle is a rigid body with the limits of its rotors, commanded by "
+        + ("thrust and torque" if config.interface == "wrench" else "thrust and body rates")
+        + f" that are held for {exact(config.dt_s * config.filter_ticks)} s"
+        + _rate_loop(config, vehicle)
         + (f", with a motor time constant of {exact(lag)} s." if lag else ", and its rotors follow at once."),
         "Estimation: the state that the filter gets has no error"
         + (f"; it is {exact(delay)} s old, and the model predicts the present one." if delay else "."),
@@ -124,17 +126,25 @@ def _not_covered(level: Any) -> list[str]:
     return [words for words, is_so in found.items() if is_so]
 
 
-def _outside(config: SimulateConfig, vehicle: Vehicle) -> list[str]:
-    """What the flights had and the model of the shield leaves out, in words."""
-    return [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]
+def _rate_loop(config: SimulateConfig, vehicle: Vehicle) -> str:
+    """The modelled rate loop, in words."""
+    if config.interface == "wrench":
+        return ""
+    return f", which a rate loop with a time constant of {exact(vehicle.rates.time_constant_s)} s follows"
 
 
-def _model(vehicle: Vehicle) -> str:
+def _model(config: SimulateConfig, vehicle: Vehicle) -> str:
     """The filters' model of the vehicle, in words."""
     table = vehicle.assumed
     lag = f"a motor time constant of {exact(table.motor_time_constant_s)} s"
     delay = f"states that are {exact(table.delay_s)} s old"
-    known = [text for text, value in ((lag, table.motor_time_constant_s), (delay, table.delay_s)) if value]
+    loop = f"a rate loop with a time constant of {exact(vehicle.rates.time_constant_s)} s"
+    parts = (
+        (loop, config.interface != "wrench"),
+        (lag, table.motor_time_constant_s),
+        (delay, table.delay_s),
+    )
+    known = [text for text, value in parts if value]
     return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
 
 

@@ -207,6 +207,8 @@ def simulate_splat(
         radius_m=keep,
         dt_s=config.dt_s * config.filter_ticks,
         motor_time_constant_s=assumed.motor_time_constant_s,
+        rate_time_constant_s=vehicle.rates.time_constant_s if config.interface == "body-rates" else 0.0,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
         hulls=hulls,
         hull_radius_m=hull_keep,
     )

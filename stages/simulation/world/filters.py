@@ -185,6 +185,7 @@ def _among_obstacles(
     """A filter of accelerations or wrenches among ellipsoids and hulls, or one of another package."""
     rules, assumed = scenario.rules, scenario.vehicle.assumed
     against = given.get(SHIELD_MAP, ELLIPSOIDS)
+    by_rates = scenario.vehicle.interface == "body-rates"
     of_what = SplatWorld(
         index=world.index,
         body=quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE),
@@ -192,6 +193,8 @@ def _among_obstacles(
         radius_m=world.keep_m,
         dt_s=rules.dt_s * rules.filter_ticks,
         motor_time_constant_s=assumed.motor_time_constant_s or 0.0,
+        rate_time_constant_s=vehicle.rates.time_constant_s if by_rates else 0.0,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
         hulls=world.polytopes,
         hull_radius_m=world.hull_keep_m,
         static=world.of(*_PARTS[against]),

@@ -78,7 +78,9 @@ struct Fields<flight::ActuatorModel> {
   using Model = flight::ActuatorModel;
   static constexpr std::tuple all{
       Field{"motor_time_constant_s", &Model::motor_time_constant_s, "assumed lag of the rotors; 0: none [s]"},
-      Field{"delay_s", &Model::delay_s, "assumed age of a measurement [s]"}};
+      Field{"delay_s", &Model::delay_s, "assumed age of a measurement [s]"},
+      Field{"rate_time_constant_s", &Model::rate_time_constant_s,
+            "of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]"}};
 };
 
 namespace flight {
@@ -320,8 +322,16 @@ void bind_predictor(nb::module_& m) {
           "Predict the present state (12,) from the state age_s ago; age_s is at most the model's delay, the "
           "default.")
       .def(
-          "fly", [](StatePredictor& self, const In<double, nb::shape<4>>& u) { self.fly(wrench_at(u.data())); },
-          "wrench"_a, "Record a wrench that is commanded from now on for a tick [N, N m].")
+          "fly",
+          [](StatePredictor& self, const In<double, nb::shape<4>>& u, const Triple& rates,
+             const std::optional<InState>& now) {
+            if (!now && self.model().rate_time_constant_s > 0)
+              throw std::invalid_argument("a rate loop needs the rates and the present state");
+            self.fly(wrench_at(u.data()), vector_of(rates), now ? state_at(now->data()) : State{});
+          },
+          "wrench"_a, "rates"_a = Triple{}, "now"_a = nb::none(),
+          "Record a wrench that is commanded from now on for a tick [N, N m]; with a rate loop its thrust, the body "
+          "rates [rad/s], and the predicted present state (12,).")
       .def(
           "lead",
           [](const StatePredictor& self, const In<double, nb::shape<4>>& u) {

@@ -26,6 +26,7 @@
 #include "alula/filters/option_fields.hpp"
 #include "arrays.hpp"
 #include "python_qp.hpp"
+#include "track_rows.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -39,7 +40,6 @@ using flight::MovingMethod;
 using flight::MovingReport;
 using Numbers = std::map<std::string, double>;
 using Triple = std::array<double, 3>;
-using Tracks = In<double, nb::shape<-1, 29>>;  // id, position, velocity, covariance, radius
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
@@ -105,23 +105,6 @@ alula_vehicle_state vehicle_of(const Triple& position, const Triple& velocity,
   }
   for (std::size_t k = 0; k < 6; ++k) vehicle.covariance[k] = static_cast<float>(covariance[k]);
   return vehicle;
-}
-
-std::vector<alula_track> tracks_of(const Tracks& rows) {
-  std::vector<alula_track> tracks(rows.shape(0));
-  for (std::size_t i = 0; i < tracks.size(); ++i) {
-    const double* row = rows.data() + 29 * i;
-    alula_track& t = tracks[i];
-    if (!(row[0] >= 0 && row[0] < 4294967295.0)) throw std::invalid_argument("ids are from 0 to 2^32 - 2");
-    t.id = static_cast<std::uint32_t>(row[0]);
-    for (std::size_t k = 0; k < 3; ++k) {
-      t.position[k] = static_cast<float>(row[1 + k]);
-      t.velocity[k] = static_cast<float>(row[4 + k]);
-    }
-    for (std::size_t k = 0; k < 21; ++k) t.covariance[k] = static_cast<float>(row[7 + k]);
-    t.radius_m = static_cast<float>(row[28]);
-  }
-  return tracks;
 }
 
 std::vector<alula_wall> walls_of(const InRows4<double>& rows) {

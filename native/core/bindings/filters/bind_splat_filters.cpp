@@ -21,6 +21,7 @@
 #include "flight_arrays.hpp"
 #include "python_control.hpp"
 #include "python_qp.hpp"
+#include "track_rows.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -111,6 +112,7 @@ Record to_record(const FilterReport& report) {
   result["capped"] = report.capped;
   result["infeasible"] = report.infeasible;
   result["certified"] = report.certified;
+  result["certified_moving"] = report.certified_moving;
   return result;
 }
 
@@ -118,6 +120,7 @@ Record to_record(const FilterReport& report) {
 struct Tick {
   FlightState state;
   Nominal nominal;
+  std::optional<TrackRows> tracks;
 };
 
 }  // namespace
@@ -151,12 +154,16 @@ struct Fields<FlightState> {
   static constexpr std::tuple all{
       Field{"thrust", &FlightState::thrust, "last applied thrust [N]"},
       Field{"thrust_rate", &FlightState::thrust_rate, "its rate [N/s]"},
-      Field{"rotors", &FlightState::rotors, "thrust of each rotor now [N]; None: the rotors hover"}};
+      Field{"rotors", &FlightState::rotors, "thrust of each rotor now [N]; None: the rotors hover"},
+      Field{"position_variance", &FlightState::position_variance, "of the state's position, per axis [m^2]"}};
 };
 
 template <>
 struct Fields<Tick> {
-  static constexpr std::tuple all{Nested{&Tick::state}, Nested{&Tick::nominal}};
+  static constexpr std::tuple all{Nested{&Tick::state}, Nested{&Tick::nominal},
+                                  Field{"tracks", &Tick::tracks,
+                                        "what moves, predicted to now, (N, 29): id, position, velocity, the lower "
+                                        "triangle of their covariance row by row, radius"}};
 };
 
 namespace {
@@ -166,6 +173,7 @@ Record filter(SafetyFilter& self, const State12& state, const Array3& accelerati
   tick.state.x = {at(state, 0), at(state, 3), at(state, 6), at(state, 9)};
   tick.nominal.acceleration = vec(acceleration);
   fields::assign(tick, others, "filter");
+  if (tick.tracks) tick.state.tracks = tick.tracks->all;
   FilterReport report;
   {
     const nb::gil_scoped_release release;

@@ -21,6 +21,7 @@
 #include "fields.hpp"
 #include "flight_arrays.hpp"
 #include "python_qp.hpp"
+#include "track_rows.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -53,6 +54,7 @@ Record certify(Shield& self, const InState& x, const std::optional<Vec4>& first,
   Record record;
   record["safe"] = result.safe, record["rests"] = result.rests;
   record["clearance_m"] = result.clearance, record["time_s"] = result.time_s;
+  record["clears_tubes"] = result.clears_tubes;
   return record;
 }
 
@@ -88,14 +90,25 @@ void bind_shield(nb::module_& m) {
            "hold_ticks"_a = 0, "margin_m"_a = nb::none(), "thorough"_a = false,
            "Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a "
            "dict "
-           "of safe, rests, clearance_m (minimum distance minus the radius) and time_s.")
+           "of safe, rests, clearance_m (minimum distance minus the radius), time_s and clears_tubes.")
       .def(
           "after",
           [](const Shield& self, const InState& x, const Vec4& u) {
             return to_array(self.after(state_at(x.data()), wrench_at(u.data())));
           },
           "state"_a, "wrench"_a, "State one tick later.")
-      .def("see", &Shield::see, "rotors"_a, "Set the thrust of each rotor for the next states [N].");
+      .def(
+          "see",
+          [](Shield& self, const std::optional<Vec4>& rotors, const std::optional<Tracks>& tracks,
+             const Triple& position_variance) {
+            const std::vector<alula_track> all = tracks ? tracks_of(*tracks) : std::vector<alula_track>{};
+            FlightState state;
+            state.rotors = rotors, state.tracks = all, state.position_variance = vector_of(position_variance);
+            self.see(state);
+          },
+          "rotors"_a = nb::none(), "tracks"_a = nb::none(), "position_variance"_a = Triple{},
+          "Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, and the "
+          "variance of the position [m^2].");
 
   m.def("escape_velocities", &escapes, "index"_a, "p"_a, "v"_a, nb::kw_only(), "reach"_a, "count"_a = 64,
         "slack_rad"_a = EscapeOptions{}.slack_rad,

@@ -56,7 +56,8 @@ struct Fields<flight::VehicleSpec> {
       Field{"radius_m", &Spec::radius_m, "of the sphere [m]"},
       Field{"racer", &Spec::racer, "thrust by throttle, for sticks"},
       Field{"racer_options", &Spec::racer_options, "what the true racer has and its model lacks"},
-      Field{"mass_scale", &Spec::mass_scale, "true mass over that of the body"}};
+      Field{"mass_scale", &Spec::mass_scale, "true mass over that of the body"},
+      Field{"rate_gain_scale", &Spec::rate_gain_scale, "true gain of the rate loop over that of the model"}};
 };
 
 template <>

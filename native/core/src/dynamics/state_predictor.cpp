@@ -7,8 +7,8 @@
 namespace alula::flight {
 namespace {
 
-constexpr double kStep = 1e-3;      // of RK4 [s]
-constexpr double kSameTime = 1e-9;  // [s]
+constexpr double kStep = kRateLoopPeriod;  // of RK4 too [s]
+constexpr double kSameTime = 1e-9;         // [s]
 
 }  // namespace
 
@@ -25,7 +25,7 @@ StatePredictor::StatePredictor(const Quadrotor& body, const ActuatorModel& model
 void StatePredictor::reset() {
   const Wrench hover = body_.limited({body_.hover_thrust(), {}});
   rotors_ = body_.rotor_thrust(hover);
-  std::fill(past_.begin(), past_.end(), Tick{hover, rotors_});
+  std::fill(past_.begin(), past_.end(), Tick{hover, {}, {}, rotors_});
 }
 
 State StatePredictor::now(const State& measured, double age_s) const {
@@ -35,26 +35,51 @@ State StatePredictor::now(const State& measured, double age_s) const {
   for (std::size_t k = static_cast<std::size_t>(std::ceil((age - kSameTime) / tick_s_)); k > 0; --k) {
     const Tick& tick = ago(k);
     const double skipped = std::max(0.0, static_cast<double>(k) * tick_s_ - age);
-    const int steps = std::max(1, static_cast<int>(std::ceil((tick_s_ - skipped - kSameTime) / kStep)));
-    const double h = (tick_s_ - skipped) / steps;
     Vec4 rotors = tick.rotors;
-    if (lag > 0 && skipped > 0)
-      rotors = followed(body_.rotors(), rotors, body_.rotor_thrust(tick.command), lag, skipped);
-    for (int i = 0; i < steps; ++i)
-      x = lag > 0 ? following_step(body_, lag, x, rotors, tick.command, h,
-                                   [&](const State& at, const Wrench& u) { return body_.derivative(at, u); })
-                  : body_.step(x, tick.command, h);
+    if (skipped > 0 && lag > 0) {
+      State before = tick.x;
+      if (has_rate_loop()) advance(before, rotors, tick, skipped);  // the rotors depend on the rates
+      if (!has_rate_loop()) rotors = followed(body_.rotors(), rotors, body_.rotor_thrust(tick.command), lag, skipped);
+    }
+    advance(x, rotors, tick, tick_s_ - skipped);
     x.sigma = shadowed(x.sigma);
   }
   return x;
 }
 
-void StatePredictor::fly(const Wrench& command) {
-  const Wrench u = is_finite(command) ? body_.saturated(command) : ago(1).command;
-  past_[next_] = {u, rotors_};
-  next_ = (next_ + 1) % past_.size();
+// The body and its rotors after `time` of a tick's command.
+void StatePredictor::advance(State& x, Vec4& rotors, const Tick& tick, double time) const {
   const double lag = model_.motor_time_constant_s;
-  const Vec4 goal = body_.rotor_thrust(u);
+  const int steps = std::max(1, static_cast<int>(std::ceil((time - kSameTime) / kStep)));
+  const double h = time / steps;
+  Wrench u = tick.command;
+  for (int i = 0; i < steps; ++i) {
+    if (has_rate_loop()) {
+      u.torque = rate_loop_torque(body_, x.omega, tick.rates, model_.rate_time_constant_s);
+      u.thrust = tick.command.thrust;
+      u = body_.limited(u);
+    }
+    x = lag > 0 ? following_step(body_, lag, x, rotors, u, h,
+                                 [&](const State& at, const Wrench& made) { return body_.derivative(at, made); })
+                : body_.step(x, u, h);
+  }
+}
+
+void StatePredictor::fly(const Wrench& command, Vec3 rates, const State& now) {
+  const Tick& last = ago(1);
+  const double lag = model_.motor_time_constant_s;
+  Tick tick{command, rates, now, rotors_};
+  if (!is_finite(command) || !geometry::is_finite(rates)) tick.command = last.command, tick.rates = last.rates;
+  if (!has_rate_loop() && is_finite(command)) tick.command = body_.saturated(command);
+  past_[next_] = tick;
+  next_ = (next_ + 1) % past_.size();
+  if (has_rate_loop() && lag > 0) {
+    State x = now;
+    advance(x, rotors_, tick, tick_s_);
+    if (!is_finite(x)) rotors_ = tick.rotors;
+    return;
+  }
+  const Vec4 goal = body_.rotor_thrust(tick.command);
   rotors_ = lag > 0 ? followed(body_.rotors(), rotors_, goal, lag, tick_s_) : goal;
 }
 

@@ -93,7 +93,7 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
   report.margin = kInfinity;
   const Quadrotor& vehicle = policy_.vehicle();
   if (!is_usable(state, nominal)) return refused(vehicle);
-  shield_.see(state.rotors);
+  shield_.see(state);
   const ConeBackupOptions& o = options_;
   const std::span<const Found> near = pruner_.near(state.x.p, state.x.v, true, report);
   flow_.run(state.x, plan(state.x, near));

@@ -86,7 +86,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   FilterReport report;
   report.margin = kInfinity;
   if (!is_usable(state, nominal)) return refused(policy_.vehicle());
-  shield_.see(state.rotors);
+  shield_.see(state);
   const Quadrotor& vehicle = policy_.vehicle();
   const ConeEcbfOptions& o = options_;
   const double m = vehicle.mass(), dt = o.shield_options.tick_s;

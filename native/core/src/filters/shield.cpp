@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
+#include <tuple>
 #include <utility>
 
 #include "alula/base/require.hpp"
@@ -10,6 +12,8 @@
 
 namespace alula::flight {
 namespace {
+
+using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSameSpeed = 0.05;  // contact speeds closer than this count as equal [m/s]
@@ -35,18 +39,22 @@ Shield::Shield(const BackupPolicy& policy, Surroundings surroundings, const Shie
       radius_(surroundings.radius_m),
       cones_(std::move(cones)),
       options_(options),
-      rest_drift_(options.rest_drift_m) {
+      rest_drift_(options.rest_drift_m),
+      tubes_(options.tube_horizon_s, options.tube_risk, options.tube_acceleration_m_s2) {
   const ShieldOptions& o = options_;
   require(map_ != nullptr, "a shield needs a map");
   require(is_size(radius_), "the radius that a shield keeps must not be negative");
   require(cones_ != nullptr || !policy.escapes(), "the policy cone-escape needs ellipsoids to turn away from");
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
-  check(ActuatorModel{o.motor_time_constant_s, 0});
+  check(ActuatorModel{o.motor_time_constant_s, 0, o.rate_time_constant_s});
+  require(o.max_rate_rad_s.x > 0 && o.max_rate_rad_s.y > 0 && o.max_rate_rad_s.z > 0,
+          "the limits of body rates must be positive");
+  bound_motion();
   hovering_ = policy.vehicle().rotor_thrust(policy.vehicle().limited({policy.vehicle().hover_thrust(), {}}));
   reset();
   require(
-      lags() ? settles() : policy.settles(o.tick_s),
+      acts_at_once() ? policy.settles(o.tick_s) : settles(),
       "the gains of the backup policy are too high for this vehicle at this tick: held for one, they do not settle");
   require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
   require(2 * o.rest_drift_m < o.margin_m && std::isfinite(o.margin_m),
@@ -60,9 +68,33 @@ Shield::Shield(const BackupPolicy& policy, Surroundings surroundings, const Shie
   memory_ = map_->memory();
 }
 
+// Sets the limits of thrust and bounds on the angular acceleration for any thrusts of the rotors.
+void Shield::bound_motion() {
+  const Quadrotor& body = policy_.vehicle();
+  const RotorLayout& rotors = body.rotors();
+  const Vec3 j = body.inertia();
+  const auto range = [&](std::size_t row) {
+    double least = 0, most = 0;
+    for (std::size_t i = 0; i < 4; ++i) {
+      const double at_least = body.allocation()[row][i] * rotors.f_min[i],
+                   at_most = body.allocation()[row][i] * rotors.f_max[i];
+      least += std::min(at_least, at_most), most += std::max(at_least, at_most);
+    }
+    return std::pair{least, most};
+  };
+  std::tie(least_thrust_, most_thrust_) = range(0);
+  Vec3 fastest;
+  for (int i = 0; i < 3; ++i) {
+    const auto [least, most] = range(static_cast<std::size_t>(i) + 1);
+    fastest[i] = std::max(-least, most) / j[i];
+  }
+  spin_up_ = norm(fastest);
+  swing_ = norm(Vec3{(j.y - j.z) / j.x, (j.z - j.x) / j.y, (j.x - j.y) / j.z});
+}
+
 int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
 
-void Shield::reset() { committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
+void Shield::reset() { committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_, tubes_.clear(); }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
   if (has_escapes_) return;
@@ -94,46 +126,62 @@ bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
                      [&](const Tick& tick) { return distance(tick.p, here) >= here - kNearer; });
 }
 
-// True if the manoeuvre to rest, or else the committed one, is safe after a tick of u; it becomes `next_`.
-bool Shield::accept(const State& x, const Wrench& u) {
+// Tries `next` after a tick of u; true if it is safe and clear of the tubes. `best` and `next_` become those of the
+// first manoeuvre tried with the best verdict.
+bool Shield::takes(const State& x, const Wrench& u, const Manoeuvre& next, double kept, Verdict& best) {
+  if (!is_safe_after(x, u, next, kept)) return false;
+  const Verdict found = clears_tubes(x, next, &u) ? Verdict::clear : Verdict::safe;
+  if (found > best) best = found, next_ = next;
+  return found == Verdict::clear;
+}
+
+// The verdict on u with the manoeuvre to rest, or else the committed one, after a tick of it: `next_`.
+Shield::Verdict Shield::accept(const State& x, const Wrench& u) {
+  Verdict best = Verdict::unsafe;
   const double kept = options_.margin_m / 2;
-  next_ = stop();
-  if (is_safe_after(x, u, next_, kept)) return true;
-  if (!policy_.escapes() || committed_.ticks == 0) return false;
-  next_ = committed_;
-  return is_safe_after(x, u, next_, kept);
+  if (takes(x, u, stop(), kept, best) || !policy_.escapes() || committed_.ticks == 0) return best;
+  takes(x, u, committed_, kept, best);
+  return best;
 }
 
 // The same, then with new escapes.
-bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Found> near) {
-  if (accept(x, u)) return true;
-  if (!policy_.escapes()) return false;
+Shield::Verdict Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Found> near) {
+  Verdict best = accept(x, u);
+  if (best == Verdict::clear || !policy_.escapes()) return best;
   find_escapes(x, near);
-  for (std::size_t i = 0; i < escapes_.count; ++i) {
-    next_ = {escapes_.velocity[i], hold_ticks()};
-    if (is_safe_after(x, u, next_, options_.margin_m / 2)) return true;
-  }
-  return false;
+  for (std::size_t i = 0; i < escapes_.count; ++i)
+    if (takes(x, u, {escapes_.velocity[i], hold_ticks()}, options_.margin_m / 2, best)) break;
+  return best;
 }
 
-// Chooses the manoeuvre to fly from x; true when it is safe.
+// Chooses the manoeuvre to fly from x; true when it is safe. Of safe ones that would do, the first that is clear of
+// the tubes.
 bool Shield::choose(const State& x, std::span<const Found> near) {
   const double kept = options_.margin_m / 2;
+  std::optional<Manoeuvre> safe;
+  is_chosen_clear_ = false;
+  const auto suits = [&](const Manoeuvre& manoeuvre, double margin) {
+    if (!is_safe(x, manoeuvre, margin)) return false;
+    chosen_ = manoeuvre, is_chosen_clear_ = clears_tubes(x, manoeuvre);
+    if (!safe) safe = manoeuvre;
+    return is_chosen_clear_;
+  };
   if (policy_.escapes()) {
-    if (committed_.ticks > 0 && is_safe(x, committed_, kept)) return chosen_ = committed_, true;
+    if (committed_.ticks > 0 && suits(committed_, kept)) return true;
     find_escapes(x, near);
-    for (std::size_t i = 0; i < escapes_.count; ++i) {
-      const Manoeuvre escape{escapes_.velocity[i], hold_ticks()};
-      if (is_safe(x, escape, options_.margin_m)) return chosen_ = escape, true;
-    }
+    for (std::size_t i = 0; i < escapes_.count; ++i)
+      if (suits({escapes_.velocity[i], hold_ticks()}, options_.margin_m)) return true;
   }
   const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
   // Half the margin is only for the committed manoeuvre: a new one that rests so near would drift out of it.
   const Manoeuvre& same = committed_.is_urgent ? urgent : gentle;
-  if (is_committed_ && is_safe(x, same, kept)) return chosen_ = same, true;
-  for (const double margin : {options_.margin_m, kept})
-    for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
-      if (is_safe(x, manoeuvre, margin)) return chosen_ = manoeuvre, true;
+  if (is_committed_ && suits(same, kept)) return true;
+  for (const double margin : {options_.margin_m, kept}) {
+    if (safe && margin < options_.margin_m) break;  // not for the tubes either
+    for (const Manoeuvre& manoeuvre : {stop(), acts_at_once() ? urgent : gentle})
+      if (suits(manoeuvre, margin)) return true;
+  }
+  if (safe) return chosen_ = *safe, true;
   chosen_ = urgent;
   Certificate best = certify(x, chosen_, 0, nullptr, true);
   const auto try_one = [&](const Manoeuvre& manoeuvre) {
@@ -158,6 +206,7 @@ Manoeuvre Shield::plan(const State& x, std::span<const Found> near) {
 // Sets the report to the manoeuvre to fly from x.
 void Shield::settle(const State& x, std::span<const Found> near, FilterReport& report) {
   report.certified = is_planned_ ? is_chosen_safe_ : choose(x, near);
+  report.certified_moving = report.certified && is_chosen_clear_;
   report.status = report.certified ? SafetyStatus::backup : SafetyStatus::recovering;
   report.wrench = flown(x, chosen_, 0);
 }
@@ -172,13 +221,18 @@ void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport
 bool Shield::decide(const State& x, const Wrench& candidate, SafetyStatus accepted, std::span<const Found> near,
                     FilterReport& report) {
   has_escapes_ = has_escapes_ && is_planned_;
-  if (accept_escaping(x, candidate, near)) {
-    report.wrench = candidate, report.status = accepted, report.certified = true;
-    committed_ = next_;
+  const Verdict verdict = accept_escaping(x, candidate, near);
+  const Manoeuvre after = next_;
+  const auto fly_candidate = [&] {
+    report.wrench = candidate, report.status = accepted;
+    report.certified = true, report.certified_moving = verdict == Verdict::clear;
+    committed_ = after;
     is_committed_ = true, is_planned_ = false;
     return true;
-  }
+  };
+  if (verdict == Verdict::clear) return fly_candidate();
   settle(x, near, report);
+  if (verdict == Verdict::safe && !report.certified_moving) return fly_candidate();
   is_committed_ = report.certified, is_planned_ = false;
   // Inside the kept margin no manoeuvre is safe, not even to rest. An input that comes no nearer than now lets the
   // vehicle leave.
@@ -194,7 +248,7 @@ bool Shield::decide(const State& x, const Wrench& candidate, SafetyStatus accept
       const double fraction = (inside + outside) / 2;
       const Wrench u{base.thrust + fraction * (candidate.thrust - base.thrust),
                      base.torque + fraction * (candidate.torque - base.torque)};
-      if (accept(x, u)) {
+      if (accept(x, u) >= (is_chosen_clear_ ? Verdict::clear : Verdict::safe)) {
         report.wrench = u, next = next_, inside = fraction;
       } else {
         outside = fraction;

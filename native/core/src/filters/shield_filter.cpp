@@ -17,7 +17,7 @@ FilterReport ShieldFilter::filter(const FlightState& state, const Nominal& nomin
   FilterReport report;
   const Quadrotor& vehicle = shield_.policy().vehicle();
   if (!is_usable(state, nominal)) return refused(vehicle);
-  shield_.see(state.rotors);
+  shield_.see(state);
   const double seen = shield_.radius() + kSeen, distance = shield_.distance(state.x.p, seen);
   report.margin = distance < seen ? distance - shield_.radius() : std::numeric_limits<double>::infinity();
   const bool admissible = vehicle.admissible(nominal.wrench);

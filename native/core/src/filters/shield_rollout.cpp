@@ -17,8 +17,6 @@ using geometry::multiply;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kStep = 0.01;       // maximum RK4 step [s]
-constexpr double kTurn = 0.1;        // maximum turn in a step [rad]
 constexpr int kSweeps = 8;           // chords tried before the path is checked tick by tick
 constexpr double kTurnPerTick = 1;   // [rad]; beyond this, the model of an input held for a tick is invalid
 constexpr double kAlmost = 4;        // multiple of the rest thresholds of speed, rate and tilt
@@ -29,107 +27,11 @@ constexpr double kMost = 0.25;                   // maximum excursion that is co
 
 }  // namespace
 
-// One tick of rotors that are commanded to reach u.
-State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
-  const double tick = options_.tick_s, lag = options_.motor_time_constant_s;
-  const double needed = std::max({tick / kStep * (1 - 1e-9), norm(x.omega) * tick / kTurn, 2 * tick / lag});
-  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
-  const auto derivative = [&](const State& at, const Wrench& made) { return policy_.vehicle().derivative(at, made); };
-  const Wrench command = leading(policy_.vehicle(), lag, rotors, u, tick);
-  State y = x;
-  for (int i = 0; i < steps; ++i)
-    y = following_step(policy_.vehicle(), lag, y, rotors, command, tick / steps, derivative);
-  y.sigma = shadowed(y.sigma);
-  return y;
-}
-
-// True if hovering is asymptotically stable with lag, except for position and, without a spring, heading: powers of
-// the Jacobian of a tick vanish.
-bool Shield::settles() const {
-  constexpr std::size_t kSize = 13;  // velocity, attitude, rates, rotors
-  constexpr double kChange = 1e-5, kVanished = 1e-3;
-  using Row = std::array<double, kSize>;
-  const double unit = policy_.vehicle().hover_thrust() / 4;  // unit of the rotor states [N]
-  const auto after_a_tick = [&](std::size_t i, double change) {
-    Row row{};
-    row[i] = change;
-    State x{{}, geometry::from_rows(&row[3]), geometry::from_rows(&row[0]), geometry::from_rows(&row[6])};
-    Vec4 rotors = rotors_;
-    for (std::size_t r = 0; r < 4; ++r) rotors[r] += row[9 + r] * unit;
-    x = following(x, rotors, flown(x, {}, 0));
-    if (policy_.kind() != BackupKind::hover) x.sigma.z = 0;
-    return Row{x.v.x,           x.v.y,     x.v.z,     x.sigma.x,        x.sigma.y,        x.sigma.z,
-               x.omega.x,       x.omega.y, x.omega.z, rotors[0] / unit, rotors[1] / unit, rotors[2] / unit,
-               rotors[3] / unit};
-  };
-  std::array<Row, kSize> power{};
-  for (std::size_t i = 0; i < kSize; ++i) {
-    const Row above = after_a_tick(i, kChange), below = after_a_tick(i, -kChange);
-    for (std::size_t j = 0; j < kSize; ++j) power[j][i] = (above[j] - below[j]) / (2 * kChange);
-  }
-  double largest = kInfinity;
-  for (int doubled = 0; doubled < 14 && largest > kVanished; ++doubled) {
-    std::array<Row, kSize> next{};
-    largest = 0;
-    for (std::size_t i = 0; i < kSize; ++i)
-      for (std::size_t j = 0; j < kSize; ++j) {
-        for (std::size_t k = 0; k < kSize; ++k) next[i][j] += power[i][k] * power[k][j];
-        largest = std::max(largest, std::abs(next[i][j]));
-      }
-    if (!(largest < 1e100)) return false;
-    power = next;
-  }
-  return largest <= kVanished;
-}
-
-// The wrench of a manoeuvre in a tick.
-Wrench Shield::flown(const State& x, const Manoeuvre& manoeuvre, int tick) const {
-  return manoeuvre.is_urgent ? policy_.urgent(x, manoeuvre.at(tick)) : policy_(x, manoeuvre.at(tick));
-}
-
-State Shield::after(const State& x, const Wrench& u) const {
-  if (lags()) {
-    Vec4 rotors = rotors_;
-    return following(x, rotors, u);
-  }
-  State y = x;
-  const double needed = std::max(options_.tick_s / kStep * (1 - 1e-9), norm(x.omega) * options_.tick_s / kTurn);
-  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
-  const double h = options_.tick_s / steps;
-  for (int i = 0; i < steps; ++i) y = policy_.vehicle().step(y, u, h);
-  y.sigma = shadowed(y.sigma);
-  return y;
-}
-
-bool Shield::resting(const State& x) const {
-  const ShieldOptions& o = options_;
-  if (dot(x.v, x.v) > o.rest_speed_m_s * o.rest_speed_m_s) return false;
-  if (dot(x.omega, x.omega) > o.rest_rate_rad_s * o.rest_rate_rad_s) return false;
-  const Vec3 b = thrust_axis(x.sigma);
-  if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
-  // With a spring on the heading, the only rest is at the heading that it pulls to.
-  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
-  return policy_.sways_at_most(x, rest_drift_);
-}
-
-// The same with rotors that have not settled. Left alone, the rotors would still add the momentum that is computed
-// here; under command they add a part of it. A linear loop ends where a loop without lag ends from the state with
-// that part, which lies between the two.
-bool Shield::resting(const State& x, const Vec4& rotors) const {
-  if (!resting(x)) return false;
-  if (!lags()) return true;
-  const Wrench u = policy_.vehicle().wrench(rotors);
-  State y = x;
-  y.v.z += options_.motor_time_constant_s * (u.thrust / policy_.vehicle().mass() - policy_.vehicle().gravity());
-  y.omega += options_.motor_time_constant_s * divide(u.torque, policy_.vehicle().inertia());
-  return resting(y);
-}
-
 // True if the flight from where `settles_clear` may end a path stays well within the distance that it requires. For
 // the loop about hover the excursion is a bound; low caps of tilt, thrust or torque, or a slow attitude, may violate
 // it. Tested from the corners of the admitted states, scaled to the maximum excursion considered.
 bool Shield::keeps_to_excursion() const {
-  if (lags()) return false;
+  if (!acts_at_once()) return false;
   const ShieldOptions& o = options_;
   const double speed = kAlmost * o.rest_speed_m_s, tilt = kAlmost * o.rest_tilt_rad / 4,
                rate = kAlmost * o.rest_rate_rad_s;
@@ -165,7 +67,9 @@ bool Shield::settles_clear(const State& x, double distance, double& looked) {
   if (!(excursion <= looked / 2)) return false;
   looked = excursion;
   const double needed = distance + kRoom * excursion;
-  return this->distance(x.p, needed) >= needed;
+  if (!(this->distance(x.p, needed) >= needed)) return false;
+  tail_ = std::max(options_.margin_m / 2, kRoom * excursion), ended_early_ = true;
+  return true;
 }
 
 // Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the remaining
@@ -181,6 +85,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   State now = x;
   Vec4 rotors = rotors_;
   double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
+  tail_ = options_.margin_m / 2, ended_early_ = false;
   const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks &&
@@ -191,9 +96,10 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const bool is_first = tick < before;
     const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
     const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
-    const State next = lags() ? following(now, rotors, command) : after(now, command);
+    const State next = acts_at_once() ? after(now, command) : following(now, rotors, command);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag,
-    // thrust and torques go on a straight line from u to those at the end, so the maximum is at one of the ends.
+    // thrust and torques go on a straight line from u to those at the end, so the maximum is at one of the ends. A
+    // rate loop can have any torque and thrust of the rotors in between.
     const double next_spin = norm(next.omega);
     if (!(spin * h <= kTurnPerTick)) return false;
     double thrust = std::abs(u.thrust) / vehicle.mass(), growth = 0;
@@ -202,7 +108,11 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
       return norm(divide(torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia()));
     };
     double turning = spin_up(u.torque);
-    if (lags()) {
+    if (has_rate_loop()) {
+      growth = std::max(most_thrust_ - u.thrust, u.thrust - least_thrust_) / vehicle.mass(), thrust += growth;
+      const double fastest = std::max(spin, next_spin) + h * spin_up_;
+      turning = spin_up_ + swing_ * fastest * fastest;
+    } else if (lags()) {
       const Wrench end = vehicle.wrench(rotors);
       growth = std::abs(end.thrust - u.thrust) / vehicle.mass(), thrust += growth;
       turning = std::max(turning, spin_up(end.torque));
@@ -294,12 +204,38 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   Certificate result;
   if (!is_finite(x)) return result;
   result.rests = roll(x, manoeuvre, first, result.time_s);
+  result.clears_tubes = result.rests && clears_tubes();
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
   const bool clear = march(0, radius_ + margin_m, thorough, least, result.contact_speed);
   result.clearance = least - radius_;
   result.safe = clear && result.rests;
   return result;
+}
+
+// True if the path of the last rollout, and the rest at its end, keep the radius from all tubes up to their horizon.
+bool Shield::clears_tubes() const {
+  if (tubes_.empty()) return true;
+  const double h = options_.tick_s;
+  const std::size_t last = path_.size() - 1;
+  const auto ticks = static_cast<std::size_t>(std::ceil(tubes_.horizon() / h * (1 - 1e-9)));
+  const std::size_t flown = std::min(last, ticks);
+  if (!std::isfinite(path_[flown].arc)) return false;
+  const double reach = radius_ + path_[flown].arc + tail_;
+  return tubes_.all_near(path_.front().p, reach, [&](const Tube& tube) {
+    for (std::size_t k = 0; k < ticks; ++k) {
+      const double from = static_cast<double>(k) * h;
+      const Vec3 a = path_[std::min(k, last)].p, b = path_[std::min(k + 1, last)].p;
+      if (!tubes_.is_clear_of(tube, a, b, from, from + h, radius_, k < last ? path_[k + 1].sag : tail_)) return false;
+    }
+    return true;
+  });
+}
+
+// The same for the manoeuvre of the last rollout. One that ended early is rolled out to rest if that may matter.
+bool Shield::clears_tubes(const State& x, const Manoeuvre& manoeuvre, const Wrench* first) {
+  double unused = 0;
+  return clears_tubes() || (ended_early_ && roll(x, manoeuvre, first, unused) && clears_tubes());
 }
 
 // `certify` for its verdict alone; the rollout ends early when the remaining path is clear.

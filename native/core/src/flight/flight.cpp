@@ -41,6 +41,7 @@ CommandKind innermost(Interface interface) {
 
 ActuatorModel remembered(const VehicleSpec& vehicle, const FlightOptions& options) {
   ActuatorModel model = vehicle.assumed;
+  if (vehicle.interface == Interface::body_rates) model.rate_time_constant_s = vehicle.rate_time_constant_s;
   if (options.has_losses) model.delay_s += options.stale_s;
   return model;
 }
@@ -193,8 +194,9 @@ void Flight::lower(CommandKind from, CommandKind to) {
   if (to == CommandKind::sticks && from < CommandKind::sticks) {
     const Wrench u = vehicle_.body.limited(nominal_.wrench);
     const double held = options_.dt_s * static_cast<double>(options_.filter_ticks);
-    nominal_.sticks = RacerCommand{vehicle_.racer.throttle_for(u.thrust / vehicle_.body.mass()),
-                                   body_rates(vehicle_.body, x, u, held, vehicle_.max_rate)};
+    nominal_.sticks = RacerCommand{
+        vehicle_.racer.throttle_for(u.thrust / vehicle_.body.mass()),
+        body_rates(vehicle_.body, x, u, rate_lead_s(vehicle_.rate_time_constant_s, held), vehicle_.max_rate)};
   }
 }
 
@@ -303,11 +305,12 @@ void Flight::finish() {
                                  flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
           const double held = options_.dt_s * static_cast<double>(held_ticks);
           if (vehicle_.interface == Interface::body_rates)
-            c.rates = body_rates(vehicle_.body, seen_.x, flown_, held, vehicle_.max_rate);
+            c.rates = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held),
+                                 vehicle_.max_rate);
         }
         c.wrench = predictor_.lead(flown_);
       }
-      predictor_.fly(c.wrench);
+      predictor_.fly(c.wrench, c.rates, seen_.x);
       seen_.thrust = flown_.thrust;
       seen_.thrust_rate =
           by_wrench ? records_.back().report.thrust_rate : (seen_.thrust - thrust_before) / options_.dt_s;

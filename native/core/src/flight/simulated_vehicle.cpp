@@ -9,8 +9,6 @@
 namespace alula::flight {
 namespace {
 
-using geometry::cross;
-using geometry::multiply;
 using geometry::norm;
 
 PlantOptions without_sensor(PlantOptions options) {
@@ -74,7 +72,8 @@ void check(const VehicleSpec& spec) {
           "the rate loop needs a time constant and limits above 0");
   require(spec.velocity_gain > 0 && spec.max_speed > 0 && spec.max_acceleration > 0 && spec.max_jerk > 0 &&
               spec.actuation_delay_s >= 0 && spec.actuation_delay_s <= 10 && spec.radius_m >= 0 &&
-              spec.mass_scale >= 0.01 && spec.mass_scale <= 100,
+              spec.mass_scale >= 0.01 && spec.mass_scale <= 100 && spec.rate_gain_scale >= 0.01 &&
+              spec.rate_gain_scale <= 100,
           "gains, limits and scales of a vehicle must be positive");
 }
 
@@ -122,10 +121,9 @@ Wrench SimulatedVehicle::wrench_of_acceleration(Vec3 a) const {
 }
 
 Wrench SimulatedVehicle::wrench_of_rates() const {
-  const Vec3 inertia = spec_.body.inertia();
   Wrench u = held_;
-  u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +
-             1 / spec_.rate_time_constant_s * multiply(inertia, command_.rates - x_.omega);
+  const double time_constant = spec_.rate_time_constant_s / spec_.rate_gain_scale;
+  u.torque = rate_loop_torque(spec_.body, x_.omega, command_.rates, time_constant);
   return spec_.body.limited(u);
 }
 

@@ -44,6 +44,13 @@ void check(const FlightVehicle& vehicle, const FlightRules& rules) {
   if (!good) throw std::invalid_argument("the rules of a flight must be positive");
 }
 
+// The assumed actuators, with the vehicle's rate loop where it is commanded by rates.
+ActuatorModel assumed_by(const FlightVehicle& vehicle) {
+  ActuatorModel model = vehicle.assumed;
+  if (vehicle.interface == CommandInterface::body_rates) model.rate_time_constant_s = vehicle.rate_time_constant_s;
+  return model;
+}
+
 bool is_same(const Wrench& a, const Wrench& b) {
   return a.thrust == b.thrust && a.torque.x == b.torque.x && a.torque.y == b.torque.y && a.torque.z == b.torque.z;
 }
@@ -61,7 +68,7 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
       reference_(reference),
       body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
       point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}),
-      predictor_(vehicle.body, vehicle.assumed, rules.dt_s),
+      predictor_(vehicle.body, assumed_by(vehicle), rules.dt_s),
       guide_(guide == nullptr ? nullptr : guide->clone()) {
   check(vehicle, rules);
   if (guide_) {
@@ -138,7 +145,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, CommandKind kind, doubl
     led = predictor_.lead(flown_);
     realise_s = seconds_since(before);
     error = fly(led);
-    predictor_.fly(led);
+    predictor_.fly(led, rates_, seen_.x);
     seen_.thrust = flown_.thrust;
     is_other_ = flown_.thrust != nominal_.wrench.thrust;
   }
@@ -180,7 +187,8 @@ void FlightTrial::renew(const FilterReport& answer, CommandKind kind) {
   command_ = is_wrench ? acceleration_of(vehicle_.body, seen_.x, answer.wrench.thrust) : answer.acceleration;
   if (vehicle_.interface != CommandInterface::body_rates) return;
   const double held_s = rules_.dt_s * static_cast<double>(is_wrench ? rules_.filter_ticks : rules_.controller_ticks);
-  rates_ = body_rates(vehicle_.body, seen_.x, flown_, held_s, vehicle_.max_rate);
+  rates_ = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held_s),
+                      vehicle_.max_rate);
 }
 
 // Flies the wrench, held, or its body rates for a tick. Returns the largest difference of the body's acceleration and
@@ -192,9 +200,7 @@ double FlightTrial::fly(const Wrench& led) {
   for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
     Wrench u = led;
     if (by_rates) {
-      const Vec3 inertia = vehicle_.body.inertia();
-      u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +
-                 1 / vehicle_.rate_time_constant_s * multiply(inertia, rates_ - x_.omega);
+      u.torque = rate_loop_torque(vehicle_.body, x_.omega, rates_, vehicle_.rate_time_constant_s);
       u = vehicle_.body.limited(u);
     }
     body_.step(dt, u);

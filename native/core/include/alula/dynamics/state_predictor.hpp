@@ -2,7 +2,8 @@
 //
 // Only the past commands are needed: the modelled rotors follow them, and the body's model is integrated from the
 // measured state with the resulting wrenches. Without disturbances, and with the vehicle's true lag and delay, the
-// prediction is the true state up to rounding and the error of RK4 with steps of a millisecond.
+// prediction is the true state up to rounding and the error of RK4 with steps of a millisecond. So is that of a
+// vehicle with a rate loop of steps of a millisecond.
 #pragma once
 
 #include <vector>
@@ -36,13 +37,21 @@ class StatePredictor {
   }
 
   // Records that `command` acts from now on for a tick; if it is not finite, the rotors keep the last one.
-  void fly(const Wrench& command);
+  void fly(const Wrench& command) { fly(command, {}, {}); }
+
+  // The same with a rate loop: the thrust of `command` and these body rates are commanded [rad/s]. `now`: the present
+  // state, as predicted.
+  void fly(const Wrench& command, Vec3 rates, const State& now);
 
  private:
   struct Tick {
     Wrench command;
+    Vec3 rates;
+    State x;      // at the start of the tick, with a rate loop
     Vec4 rotors;  // at the start of the tick
   };
+  bool has_rate_loop() const { return model_.rate_time_constant_s > 0; }
+  void advance(State& x, Vec4& rotors, const Tick& tick, double time) const;
   const Tick& ago(std::size_t ticks) const { return past_[(next_ + past_.size() - ticks) % past_.size()]; }
 
   Quadrotor body_;

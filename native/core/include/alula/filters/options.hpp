@@ -136,6 +136,18 @@ struct ShieldOptions {
   bool early_end = true;
   // assumed time constant of the rotors; 0: rotors follow a command at once [s]
   double motor_time_constant_s = 0.0;
+  // time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded
+  // by thrust and torque [s]
+  double rate_time_constant_s = 0.0;
+  // maximum body rates of a command [rad/s]
+  Vec3 max_rate_rad_s{10.0, 10.0, 4.0};
+  // how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
+  double tube_horizon_s = 1.0;
+  // probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for
+  // any distribution with the covariance of its track
+  double tube_risk = 0.05;
+  // maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]
+  double tube_acceleration_m_s2 = 2.0;
 };
 
 // Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what

@@ -22,6 +22,21 @@
 // propagate them. An input is then the wrench that the rotors reach by the end of a tick (`leading`), as far as their
 // limits allow; the caller must command that. The induction is the same, for exact thrusts.
 //
+// With a rate loop an input is the thrust and the body rates that a wrench leads to, held for a tick, which the loop
+// follows within the limits of the rotors, with their lag. Thrust and torque within a tick are then bounded by those
+// limits alone.
+//
+// What moves cannot be excluded for ever, so the tubes of tracks (tubes.hpp) only choose among inputs that are safe
+// without them. A manoeuvre is clear when it keeps the radius from all tubes up to their horizon, in continuous time,
+// also at rest. `decide` flies, as the first that is possible,
+//   (a) the candidate, if a safe and clear manoeuvre remains after it;
+//   (b) a safe and clear manoeuvre, or an input between it and the candidate after which one remains;
+//   (c) the candidate, if a safe manoeuvre remains: a filter that evades may stand before the shield, and braking
+//       would not be clear either;
+//   (d) what it flies without tracks.
+// (a) and (b) are `certified_moving`. They alternate only where both are clear, and a manoeuvre that is being flown
+// comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
+//
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
 // slowest at its first contact.
@@ -29,6 +44,8 @@
 // Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <limits>
 #include <memory>
 #include <span>
@@ -38,6 +55,8 @@
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
 #include "alula/filters/options.hpp"
+#include "alula/filters/safety_filter.hpp"
+#include "alula/filters/tubes.hpp"
 #include "alula/geometry/obstacle_map.hpp"
 
 namespace alula::flight {
@@ -50,6 +69,7 @@ struct Certificate {
   double time_s = 0;                                            // until rest
   double contact_speed = std::numeric_limits<double>::infinity();  // bound on the speed at the first contact [m/s];
                                                                    // infinite without contact, or if not searched for
+  bool clears_tubes = false;  // keeps the radius from the tubes of all tracks; independent of `safe`
 };
 
 // What manoeuvres must be clear of, and the radius of the ball that they keep clear [m].
@@ -93,9 +113,16 @@ class Shield {
   // hover. It matters only with a motor time constant.
   void see(const std::optional<Vec4>& rotors) { rotors_ = rotors.value_or(hovering_); }
 
+  // The same, and the tracks from now on; initially and after `reset` there are none.
+  void see(const FlightState& state) {
+    see(state.rotors);
+    tubes_.set(state.tracks, state.position_variance);
+  }
+
   // Action of the backup if nothing else is accepted: the manoeuvre committed last, or the best found.
-  // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
-  // and the backup's, or the backup's (status backup), or the best remaining one (recovering). In the last case
+  // Sets report's wrench, status, `certified` and `certified_moving`: `candidate` with `accepted` when it is safe, an
+  // input between it and the backup's, or the backup's (status backup), or the best remaining one (recovering). In
+  // the last case
   // `candidate` is used only where it comes no nearer than now. `cone_escape` turns away from the cones of the
   // ellipsoids `near`. Returns true if the candidate itself was accepted.
   bool decide(const State& x, const Wrench& candidate, SafetyStatus accepted, std::span<const Found> near,
@@ -121,28 +148,49 @@ class Shield {
     double arc;  // bound on the length of the path up to here
     double sag;  // bound on the path's deviation from the previous chord
   };
+  // A change about hover, by velocity, attitude, rates and rotors.
+  static constexpr std::size_t kSize = 13;
+  using Row = std::array<double, kSize>;
+  struct Linear {
+    std::array<Row, kSize> next;  // the change after a tick
+    std::array<Row, 3> moved;     // of the position, in the tick
+  };
+  // An input that leaves a safe manoeuvre, and one that is clear of the tubes too.
+  enum class Verdict : std::uint8_t { unsafe, safe, clear };
+
   bool lags() const { return options_.motor_time_constant_s > 0; }
-  bool settles() const;
+  bool has_rate_loop() const { return options_.rate_time_constant_s > 0; }
+  bool acts_at_once() const { return !lags() && !has_rate_loop(); }
+  void bound_motion();
+  Linear linearised() const;
+  bool settles();
   State following(const State& x, Vec4& rotors, const Wrench& u) const;
+  State following_rates(const State& x, Vec4& rotors, const Wrench& u) const;
   Wrench flown(const State& x, const Manoeuvre& manoeuvre, int tick) const;
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time,
             double distance = std::numeric_limits<double>::infinity());
+  bool is_slow(const State& x) const;
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;
+  bool drifts_at_most(const State& x, const Vec4& rotors, double limit) const;
   bool keeps_to_excursion() const;
   bool settles_clear(const State& x, double distance, double& looked);
   bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
   std::size_t sweep(double distance);
   bool is_clear(std::size_t from, std::size_t to, double distance);
+  bool clears_tubes() const;
+  bool clears_tubes(const State& x, const Manoeuvre& manoeuvre, const Wrench* first = nullptr);
   bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                bool until_rest = false);
-  // Manoeuvre to a stop: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
-  Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
+  // Manoeuvre to a stop: the gentle policy, but with lag or a rate loop it overshoots its tilt and speeds up at
+  // first.
+  Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = !acts_at_once()}; }
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
                      bool until_rest = false);
   bool comes_no_nearer(const State& x, const Wrench& u);
-  bool accept(const State& x, const Wrench& u);
-  bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
+  bool takes(const State& x, const Wrench& u, const Manoeuvre& next, double kept, Verdict& best);
+  Verdict accept(const State& x, const Wrench& u);
+  Verdict accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
   bool choose(const State& x, std::span<const Found> near);
   void find_escapes(const State& x, std::span<const Found> near);
@@ -154,12 +202,19 @@ class Shield {
   ShieldOptions options_;
   double rest_drift_;
   bool ends_early_ = false;
+  std::array<Row, 3> drift_{};  // of the linear loop about hover until rest, by velocity, attitude, rates and rotors
+  // With a rate loop: the limits of the thrust [N], and bounds on |omega'| by torque [rad/s^2] and, without torque,
+  // per |omega|^2.
+  double least_thrust_ = 0, most_thrust_ = 0, spin_up_ = 0, swing_ = 0;
+  Tubes tubes_;
+  double tail_ = 0;  // the vehicle stays within this distance of the end of the path [m]
+  bool ended_early_ = false;
   Vec4 hovering_{}, rotors_{};
   std::vector<Tick> path_;
   MapMemory memory_;
   Manoeuvre committed_, chosen_, next_;  // accepted last; flown now; follows the input just accepted
   Escapes escapes_;
-  bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
+  bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false, is_chosen_clear_ = false;
   bool is_committed_ = false;  // true if it was safe
 };
 

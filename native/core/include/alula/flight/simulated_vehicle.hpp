@@ -58,7 +58,7 @@ struct VehicleSpec {
   double radius_m = 0;
   RacerModel racer;  // thrust by throttle, for sticks
   RacerOptions racer_options;
-  double mass_scale = 1;  // true mass and inertia over those of `body`
+  double mass_scale = 1, rate_gain_scale = 1;  // true mass and inertia, and rate loop, over those of the model
 };
 
 // Throws std::invalid_argument where the model does not take the interface, or a number is out of range.

@@ -1,0 +1,246 @@
+"""The shield and the predictor for a vehicle that is commanded by thrust and body rates."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from alula import _core
+from alula.schemas.vehicle import read_vehicle
+from alula.stages.filtering.registry import make_splat_filter
+from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from support import quadrotor_model as model
+from support.paths import VEHICLES
+from support.wrench_flight import Scene, empty_scene, moving, random_scene, wall_scene
+
+CRAZYFLIE = read_vehicle(VEHICLES / "crazyflie21.toml")
+BODY, GAINS = quadrotor(CRAZYFLIE), tracking_gains(CRAZYFLIE)
+INERTIA = np.array(BODY.inertia)
+MAX_RATE = CRAZYFLIE.rates.max_rad_s
+TICK, PERIOD = 0.01, 0.001
+
+
+def shield_of(scene, lag=0.0, constant=0.02, kind="brake", **options):
+    own = {"motor_time_constant_s": lag, "rate_time_constant_s": constant, "max_rate_rad_s": MAX_RATE}
+    policy = _core.BackupPolicy(BODY, kind)
+    return _core.Shield(policy, scene.index, _core.ShieldOptions(**own, **options))
+
+
+def random_wrench(rng):
+    return BODY.allocation @ rng.uniform(0.02, 0.1125, 4)
+
+
+def commanded(x, u, rotors, lag, constant):
+    """Rates and thrust that a flight commands for a wrench."""
+    rates = _core.body_rates(BODY, x[None], np.array([u]), dt_s=max(constant, TICK), max_rate_rad_s=MAX_RATE)[
+        0
+    ]
+    if not lag:
+        return rates, u[0]
+    goal = np.linalg.solve(BODY.allocation, u)
+    led = BODY.allocation @ (rotors + (goal - rotors) / (1 - np.exp(-TICK / lag)))
+    return rates, BODY.limited(led[None])[0, 0]
+
+
+def loop_torque(omega, rates, constant):
+    return np.cross(omega, INERTIA * omega) + INERTIA * (rates - omega) / constant
+
+
+def at_random(rng, lag, fast=3.0):
+    """A state and the thrusts of rotors on their way."""
+    x = np.concatenate([np.zeros(3), 0.1 * rng.normal(size=3), rng.normal(size=3), fast * rng.normal(size=3)])
+    return x, rng.uniform(0.03, 0.1, 4) if lag else np.full(4, BODY.hover_thrust / 4)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03, 0.05])
+@pytest.mark.parametrize("constant", [0.02, 0.05])
+def test_a_tick_is_that_of_the_model_integrated_by_another_solver(lag, constant):
+    """Of a loop without a period: the shield's differs by half a period of the angular acceleration."""
+    rng, shield = np.random.default_rng(1), shield_of(empty_scene(), lag, constant)
+    for _ in range(10):
+        x, rotors = at_random(rng, lag)
+        u = random_wrench(rng)
+        rates, thrust = commanded(x, u, rotors, lag, constant)
+
+        def derivative(_, y, rates=rates, thrust=thrust):
+            state, f = y[:12], y[12:]
+            made = BODY.allocation @ f
+            spin = (made[1:] - np.cross(state[9:], INERTIA * state[9:])) / INERTIA
+            sensed = state[9:] - PERIOD / 2 * spin if lag else state[9:]
+            own = constant if lag else constant - PERIOD / 2
+            goal = BODY.limited(np.array([[thrust, *loop_torque(sensed, rates, own)]]))[0]
+            if not lag:
+                made = goal
+            still = (np.linalg.solve(BODY.allocation, goal) - f) / lag if lag else np.zeros(4)
+            return np.concatenate(
+                [model.derivative(state, made, mass=BODY.mass, inertia=INERTIA, gravity=BODY.gravity), still]
+            )
+
+        y = solve_ivp(derivative, (0, TICK), [*x, *rotors], rtol=1e-8, atol=1e-10, max_step=1e-3).y[:12, -1]
+        shield.see(rotors.tolist())
+        np.testing.assert_allclose(shield.after(x, tuple(u)), y, rtol=0, atol=2e-3)
+        np.testing.assert_allclose(shield.after(x, tuple(u))[6:9], y[6:9], rtol=0, atol=1e-4)
+
+
+def ticks_of_the_plant(plant, u, rotors, lag, constant):
+    """A tick of thrust and rates, with a rate loop at 1 kHz; the commanded thrust and rates."""
+    x = np.array(plant.state)
+    rates, thrust = commanded(x, u, rotors, lag, constant)
+    for _ in range(round(TICK / PERIOD)):
+        torque = loop_torque(np.array(plant.state)[9:], rates, constant)
+        plant.step(PERIOD, BODY.limited(np.array([[thrust, *torque]]))[0])
+    plant.switch_shadow()
+    return thrust, rates
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03, 0.05])
+def test_a_tick_is_what_the_plant_flies(lag):
+    rng, shield = np.random.default_rng(2), shield_of(empty_scene(), lag)
+    plant = _core.Plant(BODY, _core.PlantOptions(motor_time_constant_s=lag))
+    for _ in range(20):
+        x, _ = at_random(rng, lag)
+        plant.reset(x)
+        for _ in range(20):
+            plant.step(0.001, random_wrench(rng))
+        x, rotors = np.array(plant.state), np.linalg.solve(BODY.allocation, plant.wrench)
+        u = BODY.limited(random_wrench(rng)[None])[0]
+        shield.see(rotors.tolist())
+        after = shield.after(x, tuple(u))
+        ticks_of_the_plant(plant, u, rotors, lag, 0.02)
+        np.testing.assert_allclose(after[:9], plant.state[:9], rtol=0, atol=2e-4)
+        np.testing.assert_allclose(after[9:], plant.state[9:], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.034])
+def test_the_prediction_is_the_plant_with_its_rate_loop(lag, delay):
+    rng = np.random.default_rng(3)
+    options = _core.PlantOptions(motor_time_constant_s=lag, sensor=_core.SensorOptions(delay_s=delay))
+    plant = _core.Plant(BODY, options)
+    plant.reset(moving((1, -0.5, 0.2)))
+    assumed = _core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay, rate_time_constant_s=0.02)
+    predictor = _core.StatePredictor(BODY, assumed, tick_s=TICK)
+    for tick in range(30):
+        now = np.array(predictor.now(np.array(plant.measured), age_s=TICK * tick))
+        now[3:6] = _core.shadowed(np.ascontiguousarray(now[None, 3:6]))[0]
+        np.testing.assert_allclose(now, plant.state, rtol=0, atol=1e-6)
+        if lag and tick:
+            np.testing.assert_allclose(BODY.allocation @ predictor.rotors, plant.wrench, rtol=0, atol=1e-7)
+        u = random_wrench(rng)
+        thrust, rates = ticks_of_the_plant(plant, u, np.array(predictor.rotors), lag, 0.02)
+        predictor.fly(np.array([thrust, 0, 0, 0]), rates.tolist(), now)
+
+
+def test_a_rate_loop_needs_rates_and_a_state():
+    predictor = _core.StatePredictor(BODY, _core.ActuatorModel(rate_time_constant_s=0.02), tick_s=TICK)
+    with pytest.raises(ValueError, match="rates and the present state"):
+        predictor.fly(np.array([0.28, 0, 0, 0]))
+    with pytest.raises(ValueError, match="rate loop"):
+        _core.ActuatorModel(rate_time_constant_s=-1.0)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+@pytest.mark.parametrize("kind", ["hover", "brake"])
+def test_what_counts_as_rest_stays_within_half_the_margin(lag, kind):
+    """Flown on the plant, from states near rest, with any heading for `brake`."""
+    body = model.fastbridge() if kind == "hover" else BODY
+    policy, inertia = _core.BackupPolicy(body, kind), np.array(body.inertia)
+    options = _core.ShieldOptions(motor_time_constant_s=lag, rate_time_constant_s=0.02)
+    shield, rng, rests = _core.Shield(policy, empty_scene().index, options), np.random.default_rng(4), 0
+    plant = _core.Plant(body, _core.PlantOptions(motor_time_constant_s=lag))
+    for _ in range(300):
+        yaw = rng.uniform(-3, 3) if kind == "brake" else 0.0
+        x = np.array([0, 0, 0, 0, 0, np.tan(yaw / 4), *0.04 * rng.normal(size=3), *0.07 * rng.normal(size=3)])
+        x[3:5] += 0.004 * rng.normal(size=2)
+        x[6:] *= 0.1 if kind == "hover" else 1  # it stops more slowly
+        x[3:5] *= 0.1 if kind == "hover" else 1
+        plant.reset(x)
+        shield.see(None)
+        if shield.certify(x)["time_s"] > 0:
+            continue
+        rests += 1
+        predictor = _core.StatePredictor(
+            body, _core.ActuatorModel(motor_time_constant_s=lag, rate_time_constant_s=0.02), tick_s=TICK
+        )
+        for _ in range(60):
+            x = np.array(plant.state)
+            u = np.array(policy(x))
+            rates = _core.body_rates(body, x[None], u[None], dt_s=0.02, max_rate_rad_s=MAX_RATE)[0]
+            thrust = predictor.lead(u)[0]
+            predictor.fly(np.array([thrust, 0, 0, 0]), rates.tolist(), x)
+            for _ in range(10):
+                omega = np.array(plant.state)[9:]
+                torque = np.cross(omega, inertia * omega) + inertia * (rates - omega) / 0.02
+                plant.step(PERIOD, np.array([thrust, *torque]))
+            plant.switch_shadow()
+            assert np.linalg.norm(np.array(plant.state)[:3]) < 0.01
+        if rests == 8:
+            break
+    assert rests > 3
+
+
+def test_gains_too_quick_for_the_rate_loop_are_refused():
+    with pytest.raises(ValueError, match="do not settle"):
+        shield_of(empty_scene(), 0.2, 0.2, tick_s=0.05, margin_m=0.1)
+    for bad in ({"rate_time_constant_s": -0.1}, {"max_rate_rad_s": (1, 0, 1)}):
+        with pytest.raises(ValueError, match="rate"):
+            _core.Shield(_core.BackupPolicy(BODY, "brake"), empty_scene().index, _core.ShieldOptions(**bad))
+
+
+def world_of(scene, lag):
+    return SplatWorld(
+        index=scene.index,
+        body=BODY,
+        gains=GAINS,
+        radius_m=scene.radius,
+        dt_s=TICK,
+        motor_time_constant_s=lag,
+        rate_time_constant_s=0.02,
+        max_rate_rad_s=MAX_RATE,
+    )
+
+
+@pytest.mark.parametrize("name", ["cone-backup", "cone-ecbf", "shield"])
+@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.03, 0.02), (0.05, 0.02)])
+def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
+    rng = np.random.default_rng(11)
+    assumed = _core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay)
+    options = _core.PlantOptions(motor_time_constant_s=lag, sensor=_core.SensorOptions(delay_s=delay))
+    vehicle = _core.FlightVehicle(
+        BODY,
+        GAINS,
+        options,
+        interface="body-rates",
+        max_rate_rad_s=MAX_RATE,
+        rate_time_constant_s=0.02,
+        assumed=assumed,
+    )
+    ticks = 0
+    for scene in (wall_scene(), random_scene(rng, 120)):
+        made = make_splat_filter(name, world_of(scene, lag), {})
+        ends = [(rng.uniform(-3, 1, 3) * [1, 0.5, 0.5], (5.0, *rng.uniform(-1, 1, 2))) for _ in range(3)]
+        references = [
+            _core.ReferenceCurve(*rest_to_rest(np.array(a), np.array(b), 3.0))
+            for a, b in ends
+            if scene.clearance(np.tile(a, (2, 1))) > 0.1
+        ]
+        for log in _core.fly(vehicle, _core.FlightRules(max_time_s=3.0), references, made.native, jobs=1):
+            assert ((log["flags"] & 4) != 0).all()
+            assert scene.clearance(log["position"]) >= 0.008
+            ticks += len(log["flags"])
+    assert ticks > 300
+
+
+def test_a_thin_obstacle_between_ticks_is_seen():
+    """A needle across the path at 12 m/s, 12 cm from tick to tick."""
+    for offset in np.linspace(0, 0.12, 9):
+        needle = Scene([[1 + offset, 0, 0]], [[1e-3, 3.0, 1e-3]], [[1, 0, 0, 0]], radius=0.01)
+        assert not shield_of(needle, 0.03).certify(moving((12, 0, 0)))["safe"]
+
+
+def test_a_filter_is_built_for_the_rate_loop_of_its_world():
+    made = make_splat_filter("cone-backup", world_of(empty_scene(), 0.03), {})
+    options = made.native.options.shield_options
+    assert options.rate_time_constant_s == 0.02
+    assert options.max_rate_rad_s == list(MAX_RATE)
