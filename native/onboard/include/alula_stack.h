@@ -19,31 +19,38 @@
  *
  * Guarantees, each under the conditions at the head of the part's own header:
  *
- *   polytope-cbf alone   a vehicle that flies exactly the velocity never comes closer than the radius.
- *   dr-acbf alone        walls: never hit, as long as their rows have a common point. Moving obstacles: each row
- * holds with probability 1 - alpha over one horizon. geofence alone       h_I >= 0: the vehicle can always stop
- * inside. stack, last part     keeps its own guarantee, whatever the parts before it command: nothing changes its
- * command. A geofence that is on is the last part. stack, other parts   no guarantee follows. Behind a velocity loop
- * the vehicle lags the velocity of polytope-cbf: alula_stack_init demands gain >= 4 beta, with which a vehicle with
- * v' = gain (v_cmd - v) does not overshoot towards one plane; attitude lag, several planes and the limit of a are
- *                        covered by tests only. dr-acbf may leave the row of polytope-cbf to avoid an obstacle; the
- *                        walls' rows then limit the speed towards the hulls. With sticks the acceleration lags by the
- *                        attitude: `latency_s`, `j_max` and `wall_room_m` must cover it. Walls beyond `most_walls`
- *                        are not known to dr-acbf (`walls_are_full`). The geofence knows no moving obstacle and may
- *                        fly back into the way of one.
+ *   polytope-cbf   a vehicle that flies exactly the velocity never comes closer than the radius
+ *   dr-acbf        no wall is hit while the walls' rows have a common point; each row of an obstacle holds with
+ *                  probability 1 - alpha over one horizon
+ *   geofence       h_I >= 0: the vehicle can always stop inside
+ *
+ * In the stack only the last part keeps its guarantee, whatever the parts before it command, because nothing changes
+ * its command any more. A geofence that is on is the last part. For the parts before it nothing is proven:
+ *
+ * polytope-cbf is made for a vehicle that changes its velocity at once. Behind a velocity loop it hits hulls, also
+ * when flown slowly: it limits the velocity towards the nearest hull, so another one that becomes the nearest may be
+ * met too fast. The stack accepts it there only with dr-acbf, whose walls count every near hull, or with a geofence
+ * that keeps out of a map. It also demands gain >= 4 beta: a vehicle with v' = gain (v_cmd - v) then does not
+ * overshoot towards a single plane. That no hull is hit then is tested, not proven.
+ *
+ * dr-acbf may leave the row of polytope-cbf to avoid an obstacle; the rows of the walls then limit the speed towards
+ * the hulls. It does not know walls beyond `most_walls` (see `walls_are_full`). With sticks the acceleration lags by
+ * the attitude, which its rows do not model: latency_s, j_max and wall_room_m must cover that, and only tests can
+ * show that they do.
+ *
+ * The geofence knows no moving obstacle, and may fly back into the way of one.
  *
  * Refusals. The status of the stack is the worst of its parts; REFUSED also for a nominal command that is not finite
- * or not of the kind `takes`. Then nothing of the nominal is flown, and no earlier command again:
+ * or not of the kind `takes`. Then nothing of it is flown, and no earlier command again:
  *
- *   polytope-cbf    zero velocity
- *   dr-acbf         an acceleration that brakes as hard as the velocity loop would towards zero velocity, projected
- *                   on the rows of the stack's own walls; zero if the velocity is not finite
- *   cascade         without a valid state: hover throttle and zero rates, or no pilot for a geofence
- *   geofence        without a pilot u_B; without navigation its prediction, then its hand-over; before the first
- *                   navigation, as alone, no throttle
+ *   polytope-cbf   zero velocity
+ *   dr-acbf        an acceleration that brakes as the velocity loop would towards zero velocity, projected on the
+ * rows of the walls that the stack found; zero if the velocity is not finite cascade        without a valid state:
+ * hover throttle and zero rates; before a geofence, no pilot geofence       without a pilot u_B; without navigation
+ * its prediction, then its hand-over; before the first navigation no throttle, as alone
  *
- * Parts behind a refusing one go on filtering what it gives. Geofence outcomes as filter statuses: PASSED is OK,
- * BLENDED is FILTERED, BACKUP and NO_PILOT are RECOVERING, HAND_OVER and REFUSED are REFUSED.
+ * The parts behind one that refuses filter what it gives. Outcomes of the geofence: PASSED is OK, BLENDED is
+ * FILTERED, BACKUP and NO_PILOT are RECOVERING, HAND_OVER and REFUSED are REFUSED.
  *
  * One inertial frame, z up, the map's; SI units; quaternions w, x, y, z, body to world. Cost: the sum of the parts,
  * and the planes of the hulls that may be walls. All memory is in the struct, also that of parts that are off.
@@ -122,9 +129,10 @@ typedef struct {
  * Returns ALULA_BAD_POINTER for a missing map or fence of a part that is on; the status of the part's own set-up;
  * ALULA_BAD_PARAMETER when no part is on; when a part is not between `takes` and `gives` (polytope-cbf needs
  * velocities in, dr-acbf velocities or accelerations in and more than velocities out, the geofence sticks out); when
- * time steps of the parts differ; velocity_gain is below 4 beta or above 1 / dt; and with a cascade when the model's
- * thrust is less than |(a_max, a_max, g + a_max)|, or a_max is above 0.95 g: then it could not fly all
- * accelerations of the box. */
+ * polytope-cbf is on, the stack gives more than velocities, and neither dr-acbf nor a geofence with a map is on; when
+ * time steps of the parts differ; when a velocity loop's gain is below 4 beta or above 1 / dt; and with a cascade
+ * when the model's thrust is less than |(a_max, a_max, g + a_max)| or a_max is above 0.95 g: then it could not fly
+ * all accelerations of the box. */
 ALULA_MUST_USE alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const alula_fence* fence,
                                              const alula_stack_config* config);
 
