@@ -44,10 +44,11 @@
  * or not of the kind `takes`. Then nothing of it is flown, and no earlier command again:
  *
  *   polytope-cbf   zero velocity
- *   dr-acbf        an acceleration that brakes as the velocity loop would towards zero velocity, projected on the
- * rows of the walls that the stack found; zero if the velocity is not finite cascade        without a valid state:
- * hover throttle and zero rates; before a geofence, no pilot geofence       without a pilot u_B; without navigation
- * its prediction, then its hand-over; before the first navigation no throttle, as alone
+ *   dr-acbf        an acceleration that brakes as the velocity loop would towards zero velocity, projected on
+ *                  the rows of the walls that the stack found; zero if the velocity is not finite
+ *   cascade        without a valid state: hover throttle and zero rates; before a geofence, no pilot
+ *   geofence       without a pilot u_B; without navigation its prediction, then its hand-over; before the
+ *                  first navigation no throttle, as alone
  *
  * The parts behind one that refuses filter what it gives. Outcomes of the geofence: PASSED is OK, BLENDED is
  * FILTERED, BACKUP and NO_PILOT are RECOVERING, HAND_OVER and REFUSED are REFUSED.
