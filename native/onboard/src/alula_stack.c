@@ -1,5 +1,6 @@
 #include "alula_stack.h"
 
+#include "polytope_walk.h"
 #include "racer_steps.h"
 #include "stack_walls.h"
 
@@ -25,8 +26,8 @@ alula_stack_config alula_stack_defaults(void) {
 
 static int parts_are_in_order(const alula_stack_config* c) {
   const uint32_t all = (1U << ALULA_STACK_PARTS) - 1U;
-  const int kinds = c->takes >= ALULA_STACK_VELOCITY && c->takes <= c->gives && c->gives <= ALULA_STACK_STICKS;
-  if (c->parts == 0U || c->parts > all || !kinds) return 0;
+  const uint32_t takes = (uint32_t)c->takes, gives = (uint32_t)c->gives;
+  if (c->parts == 0U || c->parts > all || takes > gives || gives > (uint32_t)ALULA_STACK_STICKS) return 0;
   if ((c->parts >> ALULA_STACK_POLYTOPE_CBF & 1U) != 0U && c->takes != ALULA_STACK_VELOCITY) return 0;
   if ((c->parts >> ALULA_STACK_GEOFENCE & 1U) != 0U && c->gives != ALULA_STACK_STICKS) return 0;
   if ((c->parts >> ALULA_STACK_DR_ACBF & 1U) == 0U) return 1;
@@ -101,6 +102,7 @@ alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const 
   if (status != ALULA_READY) return status;
   if (!loops_are_good(config)) return ALULA_BAD_PARAMETER;
   stack->hover = config->gives == ALULA_STACK_STICKS ? alula_racer_hover_throttle(&config->geofence.model) : 0.0F;
+  if (alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF)) alula_walk_forget(&stack->polytope_cbf);
   stack->is_ready = 1;
   return ALULA_READY;
 }

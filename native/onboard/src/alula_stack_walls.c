@@ -20,13 +20,15 @@ static float stopping_speed(float brake, float x) {
   return x < 0.0F ? -__builtin_sqrtf(-2.0F * brake * x) : __builtin_sqrtf(2.0F * brake * x);
 }
 
-/* A distance from which no row of alula_wall_row binds: its bound is then at least sqrt 3 a_max, for the largest lag,
- * and for the largest speed at the end of it. */
-static float binding_reach(const alula_dr_acbf_config* c, float speed) {
+/* A distance from which no row of alula_wall_row binds: its bound is then at least sqrt 3 a_max, towards any wall. */
+static float binding_reach(const alula_dr_acbf* filter, float speed) {
+  const alula_dr_acbf_config* c = &filter->config;
   const float most = DIAGONAL * c->avoidance.a_max, brake = c->wall_deceleration;
+  const float doing = norm(filter->executed), told = norm(filter->avoidance.command);
+  const float a = doing > told ? doing : told;
   float lag = c->avoidance.latency_s;
-  if (c->j_max > 0.0F) lag += (most + brake) / (2.0F * c->j_max);
-  const float then = speed + most * lag;
+  if (c->j_max > 0.0F) lag += (a + brake) / (2.0F * c->j_max);
+  const float then = speed + a * lag;
   const float needed = then + (most + brake) * (c->avoidance.dt_s + lag);
   const float room = needed * needed / (2.0F * brake) + 0.5F * (speed + then) * lag;
   return (room + c->avoidance.radius_m + c->avoidance.wall_room_m) * (1.0F + ROUNDING);
@@ -88,13 +90,10 @@ static void consider_fence(choice* chosen, const alula_fence* fence, const float
   }
 }
 
-static void consider_hulls(choice* chosen, alula_polytope_cbf* cbf, const float x[3]) {
+static void consider_walk(choice* chosen, alula_polytope_cbf* cbf, const float x[3]) {
   alula_walk_rule rule = {chosen->reach, ALULA_NO_HULL, 0.0F, 0.0F, -FLT_MAX};
   alula_walk walk;
   float hard;
-  for (int k = 0; k < 3; ++k)
-    if (!(absolute(x[k]) <= cbf->map.extent_m)) return;
-  alula_walk_forget(cbf); /* the list of the last call may not reach as far */
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
     if (!alula_walk_planes(cbf, &rule, x, &walk, &hard)) continue;
@@ -108,6 +107,16 @@ static void consider_hulls(choice* chosen, alula_polytope_cbf* cbf, const float 
   }
 }
 
+/* The hulls that polytope-cbf listed in this tick come first, if it did: with them the reach is short when all others
+ * follow. They are then considered again, which changes nothing. The list is forgotten, as it is of this tick. */
+static void consider_hulls(choice* chosen, alula_polytope_cbf* cbf, const float x[3]) {
+  for (int k = 0; k < 3; ++k)
+    if (!(absolute(x[k]) <= cbf->map.extent_m)) return; /* the call refused it and has no list */
+  if (cbf->near_count != ALULA_NO_LIST) consider_walk(chosen, cbf, x);
+  alula_walk_forget(cbf);
+  consider_walk(chosen, cbf, x);
+}
+
 uint32_t alula_stack_walls(alula_stack* stack, const float position[3], const float velocity[3], uint32_t room,
                            alula_wall* wall, int* is_full) {
   const alula_dr_acbf_config* c = &stack->config.dr_acbf;
@@ -119,14 +128,14 @@ uint32_t alula_stack_walls(alula_stack* stack, const float position[3], const fl
   chosen.speed = norm(velocity);
   chosen.keep = c->avoidance.radius_m + c->avoidance.wall_room_m;
   chosen.brake = c->wall_deceleration;
-  chosen.reach = binding_reach(c, chosen.speed);
+  chosen.reach = binding_reach(&stack->dr_acbf, chosen.speed);
   const int has_fence = alula_stack_has(stack, ALULA_STACK_GEOFENCE);
   if (has_fence) consider_fence(&chosen, stack->geofence.fence, position);
   if (alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF) && !stack->polytope_cbf.is_damaged) {
     consider_hulls(&chosen, &stack->polytope_cbf, position);
     if (stack->polytope_cbf.is_damaged) { /* its planes may be anything */
       chosen.count = 0U;
-      chosen.reach = binding_reach(c, chosen.speed);
+      chosen.reach = binding_reach(&stack->dr_acbf, chosen.speed);
       if (has_fence) consider_fence(&chosen, stack->geofence.fence, position);
     }
   }

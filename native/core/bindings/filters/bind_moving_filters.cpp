@@ -25,6 +25,7 @@
 #include "alula/filters/moving_filter.hpp"
 #include "alula/filters/option_fields.hpp"
 #include "arrays.hpp"
+#include "filters/onboard_inputs.hpp"
 #include "python_qp.hpp"
 
 namespace nb = nanobind;
@@ -37,9 +38,7 @@ using flight::MovingFilter;
 using flight::MovingFilterOptions;
 using flight::MovingMethod;
 using flight::MovingReport;
-using Numbers = std::map<std::string, double>;
 using Triple = std::array<double, 3>;
-using Tracks = In<double, nb::shape<-1, 29>>;  // id, position, velocity, covariance, radius
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
@@ -69,21 +68,7 @@ MovingFilterOptions defaults() {
 
 MovingFilterOptions options_of(const Numbers& numbers) {
   MovingFilterOptions options = defaults();
-  std::size_t used = 0;
-  each_field<MovingFilterOptions>(options, [&](const std::string& name, const auto& field, auto& value) {
-    const auto found = numbers.find(name);
-    if (found == numbers.end()) return;
-    ++used;
-    using T = std::remove_reference_t<decltype(value)>;
-    if constexpr (!std::is_floating_point_v<T>) {
-      if (!(found->second >= 0 && found->second < 1e6) || found->second != std::floor(found->second)) {
-        throw std::invalid_argument(name + " must be a whole number");
-      }
-    }
-    check_limits(name, field.limits, found->second);
-    value = static_cast<T>(found->second);
-  });
-  if (used != numbers.size()) throw std::invalid_argument("a moving filter has no such option");
+  assign_numbers(options, numbers, "a moving filter");
   return options;
 }
 
@@ -105,32 +90,6 @@ alula_vehicle_state vehicle_of(const Triple& position, const Triple& velocity,
   }
   for (std::size_t k = 0; k < 6; ++k) vehicle.covariance[k] = static_cast<float>(covariance[k]);
   return vehicle;
-}
-
-std::vector<alula_track> tracks_of(const Tracks& rows) {
-  std::vector<alula_track> tracks(rows.shape(0));
-  for (std::size_t i = 0; i < tracks.size(); ++i) {
-    const double* row = rows.data() + 29 * i;
-    alula_track& t = tracks[i];
-    if (!(row[0] >= 0 && row[0] < 4294967295.0)) throw std::invalid_argument("ids are from 0 to 2^32 - 2");
-    t.id = static_cast<std::uint32_t>(row[0]);
-    for (std::size_t k = 0; k < 3; ++k) {
-      t.position[k] = static_cast<float>(row[1 + k]);
-      t.velocity[k] = static_cast<float>(row[4 + k]);
-    }
-    for (std::size_t k = 0; k < 21; ++k) t.covariance[k] = static_cast<float>(row[7 + k]);
-    t.radius_m = static_cast<float>(row[28]);
-  }
-  return tracks;
-}
-
-std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
-  std::vector<alula_wall> walls(rows.shape(0));
-  for (std::size_t i = 0; i < walls.size(); ++i) {
-    for (std::size_t k = 0; k < 3; ++k) walls[i].normal[k] = static_cast<float>(rows.data()[4 * i + k]);
-    walls[i].distance_m = static_cast<float>(rows.data()[4 * i + 3]);
-  }
-  return walls;
 }
 
 // Runs one tick, and measures the median time of `repeats` further ticks on copies.

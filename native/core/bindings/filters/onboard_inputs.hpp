@@ -1,0 +1,68 @@
+// Inputs of the onboard filters from Python: options by name, tracks and walls as rows.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include "alula/base/fields.hpp"
+#include "alula_avoidance.h"
+#include "arrays.hpp"
+
+namespace alula {
+
+using Numbers = std::map<std::string, double>;
+using Tracks = In<double, nanobind::shape<-1, 29>>;  // id, position, velocity, covariance, radius
+
+// Sets the fields given by name; `what` has them. Throws std::invalid_argument for unknown names, values beyond their
+// limits, and fractions where a whole number is needed.
+template <class T>
+void assign_numbers(T& object, const Numbers& given, const std::string& what) {
+  std::map<std::string, double> left = given;
+  each_field<T>(object, [&](const std::string& name, const auto& field, auto& value) {
+    const auto found = left.find(name);
+    if (found == left.end()) return;
+    using M = std::remove_reference_t<decltype(value)>;
+    if constexpr (!std::is_floating_point_v<M>) {
+      if (!(found->second >= 0 && found->second < 1e6) || found->second != std::floor(found->second)) {
+        throw std::invalid_argument(name + " must be a whole number");
+      }
+    }
+    check_limits(name, field.limits, found->second);
+    value = static_cast<M>(found->second);
+    left.erase(found);
+  });
+  if (!left.empty()) throw std::invalid_argument(what + " has no parameter " + left.begin()->first);
+}
+
+inline std::vector<alula_track> tracks_of(const Tracks& rows) {
+  std::vector<alula_track> tracks(rows.shape(0));
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    const double* row = rows.data() + 29 * i;
+    alula_track& t = tracks[i];
+    if (!(row[0] >= 0 && row[0] < 4294967295.0)) throw std::invalid_argument("ids are from 0 to 2^32 - 2");
+    t.id = static_cast<std::uint32_t>(row[0]);
+    for (std::size_t k = 0; k < 3; ++k) {
+      t.position[k] = static_cast<float>(row[1 + k]);
+      t.velocity[k] = static_cast<float>(row[4 + k]);
+    }
+    for (std::size_t k = 0; k < 21; ++k) t.covariance[k] = static_cast<float>(row[7 + k]);
+    t.radius_m = static_cast<float>(row[28]);
+  }
+  return tracks;
+}
+
+inline std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
+  std::vector<alula_wall> walls(rows.shape(0));
+  for (std::size_t i = 0; i < walls.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) walls[i].normal[k] = static_cast<float>(rows.data()[4 * i + k]);
+    walls[i].distance_m = static_cast<float>(rows.data()[4 * i + 3]);
+  }
+  return walls;
+}
+
+}  // namespace alula
