@@ -1,4 +1,4 @@
-"""Ticks of the stack of all filters: flights among hulls and thrown balls in a fence, replayed on emulated cores.
+"""Ticks of the stack of all filters: flights among hulls and thrown balls in a fence, on emulated cores.
 
 Beside them unrelated states anywhere, with any attitude: the worst case for what a tick caches.
 """
@@ -118,9 +118,7 @@ def record(image: bytes, half_m: FloatArray, seed: int = 1) -> Recorded:
             to_goal = goal - x[:3]
             if step % BALL_EVERY == BALL_EVERY // 2:
                 balls = [*balls[-1:], (len(rows), thrown(rng, x), step)]
-            seen = [
-                track((p + (step - begin) * DT_S * v, v), number) for number, (p, v), begin in balls
-            ]
+            seen = [track((p + (step - begin) * DT_S * v, v), number) for number, (p, v), begin in balls]
             nominal = 1.5 * to_goal / max(float(np.linalg.norm(to_goal)), 1.5)
             plant_command = tick(x, nominal, seen, flying=True).sticks
             for _ in range(5):
@@ -140,8 +138,12 @@ def record(image: bytes, half_m: FloatArray, seed: int = 1) -> Recorded:
     head = struct.pack("<4I", 7, 0, 2, 8)
     head += struct.pack("<7f", 2.5, *numbers, *(HULLS[name] for name in ("beta", "kappa", "dt_s", "v_max")))
     head += struct.pack("<6f", *(MOVING[name] for name in order))
-    inputs = head + geofence.config_words + geofence.fence_words + struct.pack("<I", len(rows)) + b"".join(rows)
-    values = [np.concatenate([getattr(r, v) for v in VALUES] + [[getattr(r, d) for d in DETAILS]]) for r in results]
+    inputs = (
+        head + geofence.config_words + geofence.fence_words + struct.pack("<I", len(rows)) + b"".join(rows)
+    )
+    values = [
+        np.concatenate([getattr(r, v) for v in VALUES] + [[getattr(r, d) for d in DETAILS]]) for r in results
+    ]
     return Recorded(
         inputs,
         np.array([r.status for r in results]),
