@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cycles import cycles_per_instruction
 from emulated import Replay, replay, single
 from numpy.typing import NDArray
 
@@ -40,18 +41,25 @@ class Recorded:
     """Ticks of a stack and the host's results.
 
     Attributes:
-        inputs: of the replay.
+        head: the configuration, as the inputs of the replay begin.
+        rows: inputs of each tick.
         status: shape (ticks,).
         parts: status of each part, shape (ticks, 3).
         values: velocity, acceleration, sticks, and `DETAILS`, shape (ticks, 17).
         in_flight: false for unrelated states, shape (ticks,).
     """
 
-    inputs: bytes
+    head: bytes
+    rows: list[bytes]
     status: NDArray[np.int64]
     parts: NDArray[np.int64]
     values: NDArray[np.float32]
     in_flight: NDArray[np.bool_]
+
+    def inputs(self, begin: int = 0, end: int | None = None) -> bytes:
+        """Inputs of the replay for the ticks from `begin` to `end`."""
+        chosen = self.rows[begin:end]
+        return self.head + struct.pack("<I", len(chosen)) + b"".join(chosen)
 
 
 def rounded_up(value: float) -> np.float32:
@@ -138,14 +146,12 @@ def record(image: bytes, half_m: FloatArray, seed: int = 1) -> Recorded:
     head = struct.pack("<4I", 7, 0, 2, 8)
     head += struct.pack("<7f", 2.5, *numbers, *(HULLS[name] for name in ("beta", "kappa", "dt_s", "v_max")))
     head += struct.pack("<6f", *(MOVING[name] for name in order))
-    inputs = (
-        head + geofence.config_words + geofence.fence_words + struct.pack("<I", len(rows)) + b"".join(rows)
-    )
     values = [
         np.concatenate([getattr(r, v) for v in VALUES] + [[getattr(r, d) for d in DETAILS]]) for r in results
     ]
     return Recorded(
-        inputs,
+        head + geofence.config_words + geofence.fence_words,
+        rows,
         np.array([r.status for r in results]),
         np.array([r.parts for r in results]),
         np.array(values, np.float32),
@@ -166,7 +172,7 @@ def measure(firmware: Path, work: Path, image: bytes, half_m: FloatArray) -> dic
     host = record(image, half_m)
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
     for core in ("m4", "m7", "host"):
-        out = replay(firmware, work, core, "stack", host.inputs, image)
+        out = replay(firmware, work, core, "stack", host.inputs(), image)
         found["host_target_mismatches"] += mismatches(host, out)
         found["ticks"] += len(out.ticks)
         name = f"{core}_all_filters"
@@ -179,4 +185,10 @@ def measure(firmware: Path, work: Path, image: bytes, half_m: FloatArray) -> dic
         found[f"{name}_flight_instructions"] = int(out.instructions[host.in_flight].max())
         found[f"{name}_median_instructions"] = int(np.median(out.instructions[host.in_flight]))
         found[f"{name}_stack_bytes"] = out.stack_bytes
+        if core == "m4":
+            worst = max(int(out.instructions[host.in_flight].argmax()), 1)
+            two = host.inputs(worst - 1, worst + 1)
+            found[f"{name}_cycles_per_instruction"] = cycles_per_instruction(
+                firmware, work, "stack", two, image
+            )
     return found

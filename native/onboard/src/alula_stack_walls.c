@@ -99,8 +99,12 @@ static void consider_walk(choice* chosen, alula_polytope_cbf* cbf, const float x
     if (!alula_walk_planes(cbf, &rule, x, &walk, &hard)) continue;
     const float* const end = walk.plane + 4U * walk.plane_count;
     const float* deciding = walk.plane;
-    for (const float* plane = walk.plane; plane < end; plane += 4) {
-      if (alula_plane_value(plane, x) > alula_plane_value(deciding, x)) deciding = plane;
+    float most = -FLT_MAX;
+    for (const float* plane = walk.plane; plane < end && most < hard; plane += 4) {
+      const float value = alula_plane_value(plane, x);
+      if (!(value > most)) continue;
+      most = value;
+      deciding = plane;
     }
     consider(chosen, deciding, hard);
     rule.nearer = chosen->reach;
