@@ -36,7 +36,7 @@ void assign_numbers(T& object, const Numbers& given, const std::string& what) {
     value = static_cast<M>(found->second);
     left.erase(found);
   });
-  if (!left.empty()) throw std::invalid_argument(what + " has no parameter " + left.begin()->first);
+  if (!left.empty()) throw std::invalid_argument(what + " has no such option: " + left.begin()->first);
 }
 
 inline std::vector<alula_track> tracks_of(const Tracks& rows) {
