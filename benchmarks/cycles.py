@@ -18,7 +18,11 @@ _INSTRUCTION = re.compile(r"^0x([0-9a-f]+):\s+((?:[0-9a-f]{4} ?)+)\s+(\S+)\s*(.*
 _TRACE = re.compile(r"^Trace \d+: \S+ \[[0-9a-f]+/([0-9a-f]+)/[^\]]*\] (\S*)")
 _BRANCH = re.compile(r"^(b|bl|bx|blx|cbz|cbnz|b(eq|ne|hs|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le))(\.w|\.n)?$")
 _TAKEN = 4
-ENTRY = {"polytope": "alula_polytope_cbf_filter", "geofence": "alula_geofence_filter"}
+ENTRY = {
+    "polytope": "alula_polytope_cbf_filter",
+    "geofence": "alula_geofence_filter",
+    "stack": "alula_stack_filter",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +119,7 @@ def count(log: Path, first: str, after: str) -> list[tuple[int, int]]:
 
 
 def cycles_per_instruction(build_folder: Path, work: Path, name: str, inputs: bytes, image: bytes) -> float:
-    """Maximum cycles per instruction in the last tick of a replay of `polytope` or `geofence`.
+    """Maximum cycles per instruction in the last tick of a replay of `polytope`, `geofence` or `stack`.
 
     Raises:
         RuntimeError: the traced instructions are not the counted ones.

@@ -60,7 +60,24 @@ GEOFENCE_TICK = np.dtype(
         ("counted", "<u4"),
     ]
 )
-TICKS = {"polytope": (2, POLYTOPE_TICK), "dr_acbf": (1, DR_ACBF_TICK), "geofence": (2, GEOFENCE_TICK)}
+STACK_TICK = np.dtype(
+    [
+        ("status", "<u4"),
+        ("part", "<u4", 3),
+        ("velocity", "<f4", 3),
+        ("acceleration", "<f4", 3),
+        ("sticks", "<f4", 4),
+        *((name, "<u4") for name in ("outcome", "walls", "walls_are_full", "mode", "rows")),
+        *((name, "<f4") for name in ("margin_m", "h_i", "regulation")),
+        ("counted", "<u4"),
+    ]
+)
+TICKS = {
+    "polytope": (2, POLYTOPE_TICK),
+    "dr_acbf": (1, DR_ACBF_TICK),
+    "geofence": (2, GEOFENCE_TICK),
+    "stack": (2, STACK_TICK),
+}
 """By replay: number of statuses of its set-up, and the record of a tick."""
 
 

@@ -29,6 +29,7 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a 
 import encounter_ticks
 import fence_ticks
 import numpy as np
+import stack_ticks
 from cycles import cycles_per_instruction
 from emulated import (
     FIRMWARE,
@@ -76,6 +77,8 @@ ENTRIES = (
     "alula_dr_acbf_filter",
     "alula_geofence_init",
     "alula_geofence_filter",
+    "alula_stack_init",
+    "alula_stack_filter",
 )
 WORK = ("boxes", "hulls", "planes", "made", "exponentials")
 
@@ -261,6 +264,9 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
     say("geofences")
     kept_out = field(KEEP_OUT, g=KEEP_OUT_G)
     parts.append(fence_ticks.measure(firmware, work, kept_out, np.array(HALVES[KEEP_OUT]) * KEEP_OUT_G))
+    say("all filters")
+    image = encode_map(field(FIELDS[0]), indexed=True)
+    parts.append(stack_ticks.measure(firmware, work, image, np.array(HALVES[FIELDS[0]]) * G))
     for part in parts:
         for name in ("ticks", "host_target_mismatches"):
             found[name] += part.pop(name)
@@ -285,6 +291,9 @@ def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
             ("geofence", "replayed_fence"),
         )
     )
+    composed = sum(
+        symbol_bytes(firmware, "m4", "stack", f"replayed_stack{part}") for part in ("", "_map", "_fence")
+    )
     stack = {entry: stack_bound(firmware, "m4", entry) for entry in ENTRIES}
     code = sizes["text"] + sizes["rodata"] + sizes["data"]
     return {
@@ -295,8 +304,9 @@ def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
         "code_bytes": code,
         "flash_bytes": code + measured[f"map_{max(FIELDS)}_bytes"],
         "state_bytes": state,
+        "all_filters_state_bytes": composed,
         "stack_bytes": max(stack.values()),
-        "ram_bytes": sizes["data"] + sizes["bss"] + state + max(stack.values()),
+        "ram_bytes": sizes["data"] + sizes["bss"] + max(state, composed) + max(stack.values()),
         **{f"stack_{entry.removeprefix('alula_')}_bytes": value for entry, value in stack.items()},
     }
 
@@ -317,7 +327,7 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         found.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
     if figures["ram_bytes"] > crazyflie.ram_bytes:
         found.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
-    for name in ("m4", "m4_geofence", "m4_geofence_faces", "m4_geofence_map"):
+    for name in ("m4", "m4_geofence", "m4_geofence_faces", "m4_geofence_map", "m4_all_filters"):
         if figures[f"{name}_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
             found.append(
                 f"{name}_cycles_per_instruction is {figures[f'{name}_cycles_per_instruction']}, above 2"

@@ -31,6 +31,7 @@ void bind_encounter(nb::module_& m);
 void bind_moving_filters(nb::module_& m);
 void bind_racer(nb::module_& m);
 void bind_geofence(nb::module_& m);
+void bind_onboard_stack(nb::module_& m);
 void bind_pendulum(nb::module_& m);
 void bind_rates(nb::module_& m);
 
@@ -64,6 +65,7 @@ NB_MODULE(_core, m) {
   bind_encounter(m);
   bind_racer(m);
   bind_geofence(m);
+  bind_onboard_stack(m);
   bind_pendulum(m);
   bind_rates(m);
   bind_flight(m);

@@ -7,6 +7,8 @@
  *                alula_dr_acbf_filter
  *   geofence     alula_geofence_init        throttle and rates of a pilot, inside a box or polytope, outside the map
  *                alula_geofence_filter
+ *   stack        alula_stack_init           these filters one after the other, from velocities to throttle and rates
+ *                alula_stack_filter
  *
  * Every filter is a struct that the caller owns. Set-up checks every parameter and returns an alula_status; a tick
  * takes the state and the nominal input and returns a status and the command to fly. No heap, no recursion,
@@ -23,5 +25,6 @@
 #include "alula_geofence.h"
 #include "alula_map.h"
 #include "alula_polytope_cbf.h"
+#include "alula_stack.h"
 
 #endif

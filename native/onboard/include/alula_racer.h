@@ -59,9 +59,10 @@ typedef struct {
 
 alula_racer_step_size alula_racer_step_of(const alula_racer_model* model, float dt);
 
-float alula_racer_thrust(const alula_racer_model* model, float throttle); /* [m/s^2] */
-float alula_racer_hover_throttle(const alula_racer_model* model);         /* a(throttle) = g; above 1: cannot hover */
-void alula_racer_axis(const float attitude[4], float axis[3]);            /* z(q) */
+float alula_racer_thrust(const alula_racer_model* model, float throttle);     /* [m/s^2] */
+float alula_racer_throttle_for(const alula_racer_model* model, float thrust); /* 0 where none is so small */
+float alula_racer_hover_throttle(const alula_racer_model* model); /* a(throttle) = g; above 1: cannot hover */
+void alula_racer_axis(const float attitude[4], float axis[3]);    /* z(q) */
 void alula_racer_limit(const alula_racer_model* model, alula_racer_command* command); /* into its box */
 
 /* Nonzero for a finite, plausible state: |v_i| <= 200 m/s, |omega_i| <= 100 rad/s, |p_i| <= 10^5 m,

@@ -21,10 +21,15 @@ alula_racer_step_size alula_racer_step_of(const alula_racer_model* model, float 
 }
 
 /* 2 c / (b + sqrt(b^2 + 4 a c)) avoids cancellation and the division by a small a. */
-float alula_racer_hover_throttle(const alula_racer_model* model) {
-  const float c = model->gravity - model->thrust[0], b = model->thrust[1];
+float alula_racer_throttle_for(const alula_racer_model* model, float thrust) {
+  const float c = thrust - model->thrust[0], b = model->thrust[1];
+  if (!(c > 0.0F)) return 0.0F;
   const float root = __builtin_sqrtf(b * b + 4.0F * model->thrust[2] * c);
   return 2.0F * c / (b + root);
+}
+
+float alula_racer_hover_throttle(const alula_racer_model* model) {
+  return alula_racer_throttle_for(model, model->gravity);
 }
 
 int alula_racer_state_is_valid(const alula_racer_state* state) {

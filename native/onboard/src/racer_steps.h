@@ -42,6 +42,17 @@ static inline float steepness(float zeta) {
   return between(STEEPEST + (STEEPEST - INVERTED) * FADE * zeta, INVERTED, STEEPEST);
 }
 
+/* omega_des = -gain e_R for the desired attitude d. (w, x, y, z) = d* q; e_R = 2 w (x, y, z) */
+static inline void attitude_rates(float attitude_gain, float dw, float dx, float dy, float dz, const float q[4],
+                                  float rates[3]) {
+  float w = dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3];
+  if (absolute(w) < QUARTER) w = w < 0.0F ? -QUARTER : QUARTER;
+  const float gain = -2.0F * attitude_gain * w;
+  rates[0] = gain * (dw * q[1] - dx * q[0] - dy * q[3] + dz * q[2]);
+  rates[1] = gain * (dw * q[2] - dy * q[0] - dz * q[1] + dx * q[3]);
+  rates[2] = gain * (dw * q[3] - dz * q[0] - dx * q[2] + dy * q[1]);
+}
+
 /* `zeta` is the third component of the axis. */
 static inline void backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
                                   const alula_backup_hold* hold, float hover, const alula_racer_state* state,
@@ -60,13 +71,7 @@ static inline void backup_command(const alula_racer_model* model, const alula_ba
   const float dw = hold->half_c * c, dz = hold->half_s * c;
   const float dx = -s * (hold->half_c * ty + hold->half_s * tx);
   const float dy = s * (hold->half_c * tx - hold->half_s * ty);
-  /* (w, x, y, z) = q_d* q; e_R = 2 w (x, y, z) */
-  float w = dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3];
-  if (absolute(w) < QUARTER) w = w < 0.0F ? -QUARTER : QUARTER;
-  const float gain = -2.0F * gains->attitude_gain * w;
-  command->rates[0] = gain * (dw * q[1] - dx * q[0] - dy * q[3] + dz * q[2]);
-  command->rates[1] = gain * (dw * q[2] - dy * q[0] - dz * q[1] + dx * q[3]);
-  command->rates[2] = gain * (dw * q[3] - dz * q[0] - dx * q[2] + dy * q[1]);
+  attitude_rates(gains->attitude_gain, dw, dx, dy, dz, q, command->rates);
   command->throttle = hover * steepness(zeta) +
                       clipped(gains->height_gain * (hold->height - state->position[2]), gains->most_throttle) +
                       clipped(gains->climb_gain * (v_d[2] - state->velocity[2]), gains->most_throttle);

@@ -2815,6 +2815,87 @@ def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first:
     Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), true distance and status (number). Only tick_s, the filter's time in each tick, is measured.
     """
 
+class OnboardStackResult:
+    """Report of a stack of onboard filters for one tick."""
+
+    @property
+    def status(self) -> int:
+        """
+        The worst of the parts: 0 nominal, 1 filtered, 2 shortened, 3 recovering, 4 refused.
+        """
+
+    @property
+    def parts(self) -> list[int]:
+        """
+        Statuses of polytope-cbf, dr-acbf and the geofence; 0 for a part that is off.
+        """
+
+    @property
+    def velocity(self) -> NDArray[numpy.float64]:
+        """Velocity (3) [m/s]."""
+
+    @property
+    def acceleration(self) -> NDArray[numpy.float64]:
+        """Acceleration (3) [m/s^2]."""
+
+    @property
+    def sticks(self) -> NDArray[numpy.float64]:
+        """Throttle, and body rates [rad/s] (4)."""
+
+    @property
+    def walls(self) -> int:
+        """Number of walls that dr-acbf was given."""
+
+    @property
+    def walls_are_full(self) -> bool:
+        """Other walls that could bind may have been left out."""
+
+    @property
+    def margin_m(self) -> float:
+        """Margin of polytope-cbf's smooth psi [m]; 0 when it is off."""
+
+    @property
+    def mode(self) -> int:
+        """0 nominal, 1 avoid, 2 hover, of dr-acbf."""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of dr-acbf."""
+
+    @property
+    def h_i(self) -> float:
+        """h_I of the geofence [m]."""
+
+    @property
+    def regulation(self) -> float:
+        """Regulation function of the geofence."""
+
+    @property
+    def outcome(self) -> int:
+        """Number of the geofence's status, see alula_geofence_status."""
+
+class OnboardStack:
+    """
+    The onboard filters one after the other, as on a microcontroller: polytope-cbf if `image` is given, dr-acbf
+    if its options are, and the geofence if one is. See alula_stack.h.
+
+    `takes` and `gives` are velocity, acceleration or sticks. ValueError for a combination that it refuses.
+    """
+
+    def __init__(self, takes: str, gives: str, *, image: bytes | None = None, extent_m: float = 0.0, polytope_cbf: PolytopeCbfConfig | None = None, dr_acbf: Mapping[str, float] | None = None, geofence: Geofence | None = None, model: RacerModel = ..., velocity_gain: float = 2.5, most_walls: int = 8) -> None: ...
+
+    def reset(self) -> None:
+        """Reset to the state before the first tick."""
+
+    def filter(self, state: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)], nominal: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], yaw_rate_rad_s: float = 0.0) -> OnboardStackResult:
+        """
+        Filter one tick: `state` (13), nominal velocity or acceleration (3) or sticks (4), tracks (n, 29) and walls
+        (m, 4) as of MovingFilter, covariance of the position, and the yaw rate of the cascade.
+        """
+
+    def walls(self, result: OnboardStackResult) -> NDArray[numpy.float64]:
+        """Walls (m, 4) of the last tick: normal, distance; the caller's first."""
+
 class PendulumFilter:
     """
     A safety filter of the inverted pendulum theta'' = sin theta + u: `regulation` or `backup-qp`.

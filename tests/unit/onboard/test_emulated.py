@@ -196,6 +196,7 @@ def test_the_stack_used_stays_within_the_bound_of_the_call_graph(measured):
     assert figures["m4_polytope_stack_bytes"] <= figures["stack_polytope_cbf_filter_bytes"] + outside
     assert figures["m4_dracbf_stack_bytes"] <= figures["stack_dr_acbf_filter_bytes"] + 1.5 * outside
     assert figures["m4_geofence_stack_bytes"] <= figures["stack_geofence_filter_bytes"] + 1.5 * outside
+    assert figures["m4_all_filters_stack_bytes"] <= figures["stack_stack_filter_bytes"] + 1.5 * outside
     assert figures["ram_bytes"] <= TARGETS["crazyflie"].ram_bytes
 
 
@@ -242,6 +243,49 @@ def test_navigation_and_sticks_that_are_no_numbers_are_refused_on_the_target(fen
     assert np.isfinite(ticks["command"]).all()
     assert (ticks["stale_s"][20:30] > 0).all()
     assert (ticks["status"][40:50] == 3).all()
+
+
+@pytest.fixture(scope="module")
+def stack(measured, short):
+    """Recorded ticks of all filters and how to replay them."""
+    _, folder = measured
+    half = np.array(onboard.HALVES[150]) * onboard.G
+    recorded = onboard.stack_ticks.record(short[0], half, seed=5)
+
+    def again(core, inputs, raw=short[0]):
+        return emulated.replay(folder / "firmware", folder / "work", core, "stack", inputs, raw)
+
+    return recorded, again
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_all_filters_together_fly_the_same_on_the_target(stack, core):
+    recorded, again = stack
+    assert {1, 3} <= set(recorded.status.tolist())
+    assert onboard.stack_ticks.mismatches(recorded, again(core, recorded.inputs())) == 0
+    changed = [row[:80] + struct.pack("<f", 0.5) + row[84:] for row in recorded.rows[:300]]
+    other = replace(recorded, rows=changed)
+    found = again(core, other.inputs())
+    part = replace(
+        recorded,
+        **{name: getattr(recorded, name)[:300] for name in ("status", "parts", "values", "in_flight")},
+    )
+    assert onboard.stack_ticks.mismatches(part, found) > 100
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_a_stack_refuses_what_is_not_finite_and_flies_on(stack, core):
+    recorded, again = stack
+    rows = recorded.rows[:40].copy()
+    rows[10] = rows[10][:12] + struct.pack("<f", np.nan) + rows[10][16:]  # velocity
+    rows[20] = rows[20][:80] + struct.pack("<f", np.inf) + rows[20][84:]  # nominal
+    ticks = again(core, replace(recorded, rows=rows).inputs()).ticks
+    assert (ticks["status"] == 4).nonzero()[0].tolist() == [10, 20]
+    for name in ("velocity", "acceleration", "sticks"):
+        assert np.isfinite(ticks[name]).all()
+    assert (ticks["acceleration"][10] == 0).all()
+    assert (ticks["velocity"][20] == 0).all()
+    assert (ticks["outcome"][10] == 3).all()  # u_B: no pilot
 
 
 @pytest.mark.parametrize("core", CORES)

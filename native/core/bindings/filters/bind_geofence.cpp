@@ -16,6 +16,7 @@
 #include "alula/flight/geofence_flight.hpp"
 #include "fields.hpp"
 #include "filters/geofence_fields.hpp"
+#include "filters/onboard_inputs.hpp"
 #include "python_control.hpp"
 #include "racer_arrays.hpp"
 
@@ -42,25 +43,10 @@ const char* name_of(alula_geofence_status status) {
   return kNames[status];
 }
 
-void set(alula_geofence_config& c, const std::string& key, double given) {
-  bool is_known = false;
-  each_field<alula_geofence_config>(c, [&](const std::string& name, const auto& field, auto& value) {
-    if (name != key) return;
-    is_known = true;
-    using T = std::remove_reference_t<decltype(value)>;
-    check_limits(name, field.limits, given);
-    value = static_cast<T>(given);
-  });
-  if (!is_known) throw std::invalid_argument("a geofence has no parameter " + key);
-}
-
 alula_geofence_config config_of(const RacerModel& model, const std::map<std::string, double>& given) {
   alula_geofence_config c = alula_geofence_defaults();
-  c.model.gravity = static_cast<float>(model.gravity);
-  c.model.rate_gain = static_cast<float>(model.rate_gain);
-  for (std::size_t i = 0; i < 3; ++i) c.model.thrust[i] = static_cast<float>(model.thrust[i]);
-  for (int i = 0; i < 3; ++i) c.model.max_rate[i] = static_cast<float>(model.max_rate[i]);
-  for (const auto& [key, value] : given) set(c, key, value);
+  c.model = to_onboard(model);
+  assign_numbers(c, given, "a geofence");
   return c;
 }
 

@@ -25,6 +25,7 @@
 #include "alula/filters/moving_filter.hpp"
 #include "alula/filters/option_fields.hpp"
 #include "arrays.hpp"
+#include "filters/onboard_inputs.hpp"
 #include "python_qp.hpp"
 #include "track_rows.hpp"
 
@@ -38,7 +39,6 @@ using flight::MovingFilter;
 using flight::MovingFilterOptions;
 using flight::MovingMethod;
 using flight::MovingReport;
-using Numbers = std::map<std::string, double>;
 using Triple = std::array<double, 3>;
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
@@ -69,21 +69,7 @@ MovingFilterOptions defaults() {
 
 MovingFilterOptions options_of(const Numbers& numbers) {
   MovingFilterOptions options = defaults();
-  std::size_t used = 0;
-  each_field<MovingFilterOptions>(options, [&](const std::string& name, const auto& field, auto& value) {
-    const auto found = numbers.find(name);
-    if (found == numbers.end()) return;
-    ++used;
-    using T = std::remove_reference_t<decltype(value)>;
-    if constexpr (!std::is_floating_point_v<T>) {
-      if (!(found->second >= 0 && found->second < 1e6) || found->second != std::floor(found->second)) {
-        throw std::invalid_argument(name + " must be a whole number");
-      }
-    }
-    check_limits(name, field.limits, found->second);
-    value = static_cast<T>(found->second);
-  });
-  if (used != numbers.size()) throw std::invalid_argument("a moving filter has no such option");
+  assign_numbers(options, numbers, "a moving filter");
   return options;
 }
 
@@ -105,15 +91,6 @@ alula_vehicle_state vehicle_of(const Triple& position, const Triple& velocity,
   }
   for (std::size_t k = 0; k < 6; ++k) vehicle.covariance[k] = static_cast<float>(covariance[k]);
   return vehicle;
-}
-
-std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
-  std::vector<alula_wall> walls(rows.shape(0));
-  for (std::size_t i = 0; i < walls.size(); ++i) {
-    for (std::size_t k = 0; k < 3; ++k) walls[i].normal[k] = static_cast<float>(rows.data()[4 * i + k]);
-    walls[i].distance_m = static_cast<float>(rows.data()[4 * i + 3]);
-  }
-  return walls;
 }
 
 // Runs one tick, and measures the median time of `repeats` further ticks on copies.

@@ -81,6 +81,15 @@ std::uint32_t Fence::braked_for(std::uint32_t deciding, Vec3 p, Vec3 v) const {
   return found;
 }
 
+alula_racer_model to_onboard(const RacerModel& model) {
+  alula_racer_model m = ALULA_RACER_MODEL_DEFAULTS;
+  m.gravity = static_cast<float>(model.gravity);
+  m.rate_gain = static_cast<float>(model.rate_gain);
+  for (std::size_t i = 0; i < 3; ++i) m.thrust[i] = static_cast<float>(model.thrust[i]);
+  for (int i = 0; i < 3; ++i) m.max_rate[i] = static_cast<float>(model.max_rate[i]);
+  return m;
+}
+
 alula_racer_state to_onboard(const RacerState& x) {
   alula_racer_state s;
   for (int i = 0; i < 3; ++i) {

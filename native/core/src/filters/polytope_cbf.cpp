@@ -11,16 +11,6 @@ std::array<float, 3> to_float(const Vec3& v) {
   return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
 }
 
-alula_polytope_cbf_config single(const PolytopeCbfConfig& config) {
-  return {.radius_m = round_up(config.radius_m),
-          .beta = static_cast<float>(config.beta),
-          .kappa = static_cast<float>(config.kappa),
-          .dt_s = static_cast<float>(config.dt_s),
-          .v_max = static_cast<float>(config.v_max),
-          .smoothing = config.smoothing,
-          .brute_force = config.brute_force};
-}
-
 void require_ready(alula_status status) {
   switch (status) {
     case ALULA_READY:
@@ -36,16 +26,26 @@ void require_ready(alula_status status) {
 
 }  // namespace
 
+alula_polytope_cbf_config to_onboard(const PolytopeCbfConfig& config) {
+  return {.radius_m = round_up(config.radius_m),
+          .beta = static_cast<float>(config.beta),
+          .kappa = static_cast<float>(config.kappa),
+          .dt_s = static_cast<float>(config.dt_s),
+          .v_max = static_cast<float>(config.v_max),
+          .smoothing = config.smoothing,
+          .brute_force = config.brute_force};
+}
+
 PolytopeCbf::PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config)
     : map_(std::move(map)), config_(config) {
   const alula_polytope_map view = map_->view();
-  const alula_polytope_cbf_config rounded = single(config);
+  const alula_polytope_cbf_config rounded = to_onboard(config);
   require_ready(alula_polytope_cbf_init(&cbf_, &view, &rounded));
 }
 
 PolytopeCbf::PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config)
     : image_(std::move(image)), config_(config) {
-  const alula_polytope_cbf_config rounded = single(config);
+  const alula_polytope_cbf_config rounded = to_onboard(config);
   require_ready(alula_polytope_cbf_open(&cbf_, &image_->map(), round_up(extent_m), &rounded));
 }
 

@@ -37,6 +37,7 @@ struct GeofenceReport {
   alula_geofence_result detail{};
 };
 
+alula_racer_model to_onboard(const RacerModel& model);
 alula_racer_state to_onboard(const RacerState& x);
 alula_racer_command to_onboard(const RacerCommand& u);
 RacerCommand from_onboard(const alula_racer_command& u);

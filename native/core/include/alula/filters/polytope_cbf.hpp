@@ -13,6 +13,9 @@ namespace alula {
 
 using Vec3 = std::array<double, 3>;
 
+// In single precision, the radius rounded up.
+alula_polytope_cbf_config to_onboard(const PolytopeCbfConfig& config);
+
 struct FilterOutput {
   Vec3 u;  // equals the nominal input, bit by bit, when the status is OK
   alula_filter_status status;
