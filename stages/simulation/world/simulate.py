@@ -408,7 +408,8 @@ def _extent(
         )
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
-    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + 10 * speed
+    seconds = 10 + (scenario.vehicle.velocity_lag_s or 0.0)
+    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + seconds * speed
 
 
 def _safety_of_starts(
