@@ -24,9 +24,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT / "benchmarks"))
-sys.path.append(str(ROOT / "tests"))  # the combinations
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # the combinations
 
 import msgspec
 import numpy as np
@@ -42,6 +41,7 @@ from alula.stages.simulation.world.simulate import prepare, simulate_world
 from alula.stages.verdict import wilson_interval
 from support import combinations
 
+ROOT = Path(__file__).resolve().parents[1]
 SCENARIO = ROOT / "examples" / "world" / "room.toml"
 LISTS: tuple[tuple[str, ...], ...] = (
     (),

@@ -13,6 +13,7 @@ from alula.schemas.world import WorldScenario
 from alula.schemas.world_tables import Interface
 
 _NOISE = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s", "delay_s")
+_ATTITUDE_LAG_S = 0.15  # of the attitude loop within a velocity loop
 
 
 def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
@@ -62,6 +63,8 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
     }
     if vehicle.model != "single-integrator":
         values["velocity_gain_per_s"] = vehicle.tracking.kv_per_s
+        gain = table.velocity_gain_per_s or vehicle.tracking.kv_per_s
+        values["velocity_lag_s"] = 1 / gain + _ATTITUDE_LAG_S
     if vehicle.model == "double-integrator":
         values["actuation_delay_s"] = 0.0
     if vehicle.model == "quadrotor":

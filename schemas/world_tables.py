@@ -127,6 +127,13 @@ class VehicleTable(Table, frozen=True, kw_only=True):
         Positive | None,
         about("gain of the loop that follows velocities; default: the vehicle's tracking.kv_per_s [1/s]"),
     ] = None
+    velocity_lag_s: Annotated[
+        Delay | None,
+        about(
+            "lag with which velocities are followed: filters of velocities keep the way to a stop clear, too; "
+            "default: 1 / velocity_gain_per_s plus 0.15 s for the attitude loop; single integrator: 0 [s]"
+        ),
+    ] = None
     mass_scale: Annotated[Scale, about("true mass over the vehicle's, which filters assume")] = 1.0
     thrust_scale: Annotated[Scale, about("true thrust over the vehicle's")] = 1.0
     rate_gain_scale: Annotated[Scale, about("true gain of the rate loop over the vehicle's")] = 1.0

@@ -20,14 +20,13 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.filtering.bridge import native_filter, native_velocity_filter
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_filters import keeps_from_hulls
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.flight.commanders.geometric import GeometricCommander
-from alula.stages.flight.commanders.protocol import Commander
-from alula.stages.flight.commanders.velocity import VelocityCommander
+from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
@@ -314,8 +313,8 @@ def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> t
 
 def make_commander(
     mission: Mission, safety: Filter | SplatFilter | None, accepts: frozenset[type[Setpoint]]
-) -> Commander:
-    """Build the commander: a controller of `simulate` behind the filter.
+) -> FlightCommander:
+    """Build the commander: the flight of `simulate`, with the vehicle, the filter and the controller.
 
     Args:
         mission: to fly.
@@ -326,37 +325,47 @@ def make_commander(
         LinkError: the link accepts no kind of set-point that can carry the filter's output.
     """
     config, vehicle = mission.config, mission.vehicle
-    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
     kinds = wanted_setpoints(mission, safety)
     kind = next((kind for kind in kinds if kind in accepts), None)
     if kind is None:
         names = " or ".join(kind.__name__ for kind in kinds)
         raise LinkError(f"the filter {config.filter} needs a link that accepts {names}; this link does not")
+    speed, lag, dt = config.speed_m_s, config.velocity_lag_s, 1 / config.rate_hz
+    assert speed is not None
+    assert lag is not None
+    command: str | None = None
+    filters: list[_core.SafetyFilter] = []
     if not mission.is_splat:
-        assert config.speed_m_s is not None
-        assert config.velocity_lag_s is not None
-        return VelocityCommander(
-            cast(Filter, safety),
-            config.gain,
-            config.speed_m_s,
-            lag_s=config.velocity_lag_s,
-            delay_s=delay,
-            dt_s=1 / config.rate_hz,
-        )
-    return GeometricCommander(
-        filter=cast(SplatFilter | None, safety),
-        body=quadrotor(vehicle),
+        command = "velocity"
+        filters = [native_velocity_filter(cast(Filter, safety), lag_s=lag, max_speed_m_s=speed)]
+    elif safety is not None:
+        command = cast(SplatFilter, safety).kind
+        filters = [native_filter(cast(SplatFilter, safety))]
+    body = quadrotor(vehicle)
+    flown = _core.VehicleSpec(
+        body,
+        interface=INTERFACES[kind],
         gains=tracking_gains(vehicle, config.catch_up_m_s),
-        actuators=_core.ActuatorModel(
-            motor_time_constant_s=lag,
-            delay_s=delay + config.stale_s,
-            rate_time_constant_s=vehicle.rates.time_constant_s,
+        assumed=_core.ActuatorModel(
+            motor_time_constant_s=vehicle.assumed.motor_time_constant_s, delay_s=vehicle.assumed.delay_s
         ),
-        delay_s=delay,
-        dt_s=1 / config.rate_hz,
         max_rate_rad_s=vehicle.rates.max_rad_s,
-        rate_lead_s=max(vehicle.rates.time_constant_s, 1 / config.rate_hz),
+        rate_time_constant_s=vehicle.rates.time_constant_s,
+        velocity_lag_s=lag,
+        max_speed_m_s=speed,
+    )
+    options = _core.FlightOptions(
+        dt_s=dt,
+        stale_s=config.stale_s,
+        has_losses=True,  # the age of a state varies
+    )
+    return FlightCommander(
+        flight=_core.Flight(flown, options, _core.Mission.given(gain_per_s=config.gain), filters),
         setpoint=kind,
+        body=body,
+        delay_s=vehicle.assumed.delay_s,
+        dt_s=dt,
+        command=command,
     )
 
 

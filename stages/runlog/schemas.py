@@ -160,6 +160,26 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "description": "The supervisor's state, the vehicle's reports and the times of the loop, per "
             "tick. A step has the event that caused it and the action that was taken.",
         },
+        "alula.Replay": {
+            **_object(
+                time_s=_NUMBER,
+                number=_INTEGER,
+                repeats=_INTEGER,
+                age_s=_NUMBER,
+                measured=_array(_NUMBER),
+                target=_array(_NUMBER),
+                decided=_TEXT,
+                decided_values=_array(_NUMBER),
+                is_own=_FLAG,
+                sent=_TEXT,
+                sent_values=_array(_NUMBER),
+            ),
+            "description": "Inputs and set-points of each tick of a real flight, not rounded, so that the native "
+            "flight repeats it bit by bit: the number of the tick since set-points began and the ticks left out "
+            "before it; the age of the measured state (position, attitude as MRP, velocity, body rates); the "
+            "reference (position to snap, yaw and its rates); the set-point decided, whether it was sent as it "
+            "is, and the one sent.",
+        },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
         "foxglove.SceneUpdate": _object(

@@ -64,6 +64,13 @@ def loop_of(made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False
     )
 
 
+def refilter(loop, made, change=lambda inner: inner):
+    """From now on fly behind a changed filter; what was sent before is forgotten."""
+    changed = change(make_safety(made))
+    loop.commander = make_commander(made, changed, loop.link.accepts)
+    return changed
+
+
 def fly(made=None, on_poll=None, **keywords):
     """Fly; the loop and the vehicle."""
     made = made or mission()

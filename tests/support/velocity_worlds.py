@@ -1,9 +1,12 @@
 """Worlds, targets and states for the commander of velocities."""
 
+import dataclasses
+
+import msgspec
 import numpy as np
 
-from alula.stages.flight.links.protocol import VehicleState
-from alula.stages.flight.mission import make_safety
+from alula.stages.flight.links.protocol import VehicleState, VelocitySetpoint
+from alula.stages.flight.mission import make_commander, make_safety
 from support.flights import mission
 from support.small_scenes import box_cover, line_plan
 
@@ -39,6 +42,19 @@ def world(speed, lag):
         )
         _MADE[speed, lag] = made, make_safety(made)
     return _MADE[speed, lag]
+
+
+def commander_around(filtering, gain, speed, *, lag_s=0.0, delay_s=0.0, dt_s=0.01):
+    """The commander of velocities around any filter."""
+    made, _ = world(3.0, 0.6)
+    fields = {"gain": gain, "speed_m_s": speed, "velocity_lag_s": lag_s, "rate_hz": 1 / dt_s}
+    assumed = msgspec.structs.replace(made.vehicle.assumed, delay_s=delay_s)
+    made = dataclasses.replace(
+        made,
+        config=dataclasses.replace(made.config, **fields),
+        vehicle=msgspec.structs.replace(made.vehicle, assumed=assumed),
+    )
+    return make_commander(made, filtering, frozenset({VelocitySetpoint}))
 
 
 def target_at(point):

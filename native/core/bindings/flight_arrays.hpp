@@ -16,6 +16,7 @@ namespace alula::flight {
 using Triple = std::array<double, 3>;
 using InStates = In<double, nanobind::shape<-1, 12>>;  // p, sigma, v, omega
 using InState = In<double, nanobind::shape<12>>;
+using InReference = In<double, nanobind::shape<18>>;       // as a row of InReferences
 using InWrenches = In<double, nanobind::shape<-1, 4>>;     // T, tau
 using InReferences = In<double, nanobind::shape<-1, 18>>;  // p, v, a, j, s, yaw, yaw', yaw''
 using Doubles = nanobind::ndarray<nanobind::numpy, double>;

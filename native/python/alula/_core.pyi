@@ -2950,7 +2950,13 @@ class Rates:
 class VelocityFilter(SafetyFilter):
     """polytope-cbf as a safety filter of velocities."""
 
-    def __init__(self, filter: PolytopeCbf) -> None: ...
+    def __init__(self, filter: PolytopeCbf, *, is_bare: bool = False) -> None:
+        """is_bare: only report the margin, and pass the nominal velocity."""
+
+class ChordFilter(SafetyFilter):
+    """A filter of velocities on the chord of a vehicle that lags."""
+
+    def __init__(self, filter: SafetyFilter, *, lag_s: float, max_speed_m_s: float) -> None: ...
 
 class MovingSafety(SafetyFilter):
     """A filter among moving obstacles, with walls of a map."""
@@ -2972,7 +2978,7 @@ class PythonFilter(SafetyFilter):
 class VehicleSpec:
     """A vehicle, as modelled and as it truly is."""
 
-    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, velocity_lag_s: float = 0.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
         """
         Args:
             model: single-integrator, double-integrator, quadrotor or racer
@@ -2983,6 +2989,7 @@ class VehicleSpec:
             max_rate_rad_s: limit of a commanded body rate [rad/s]
             rate_time_constant_s: of the vehicle's own rate loop [s]
             velocity_gain_per_s: of the velocity loop [1/s]
+            velocity_lag_s: assumed time constant with which velocities are followed [s]
             max_speed_m_s: limit of velocity commands, and of points [m/s]
             max_acceleration_m_s2: limit of points [m/s^2]
             max_jerk_m_s3: limit of a double integrator [m/s^3]
@@ -3120,6 +3127,10 @@ class Mission:
         """Straight to a goal; with `hovers` hold it."""
 
     @staticmethod
+    def given(*, gain_per_s: float = 2.0, speed_m_s: float = float('inf')) -> Mission:
+        """Track the reference point of each tick."""
+
+    @staticmethod
     def by_sticks() -> Mission:
         """By the sticks of a pilot."""
 
@@ -3146,9 +3157,19 @@ class Flight:
 
     def __init__(self, vehicle: VehicleSpec, options: FlightOptions, mission: Mission, filters: Sequence[SafetyFilter]) -> None: ...
 
-    def observe(self, now_s: float, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None, *, tracks: bytes = ..., position_variance: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None) -> None:
+    def observe(self, now_s: float, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None, *, tracks: bytes = ..., position_variance: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(18), order='C', device='cpu', writable=False)] | None = None, age_s: float | None = None) -> None:
         """
-        The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them.
+        The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them; `target` as
+        of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s].
+        """
+
+    def reset(self) -> None:
+        """Before another flight, and when others have flown the vehicle."""
+
+    def sent(self, interface: object | None = None, values: Sequence[float] | None = None) -> None:
+        """
+        What was decided was sent for this tick; or another command: a velocity, an acceleration (the first three
+        values), a thrust [N] with torque, or with body rates.
         """
 
     def decide(self) -> dict[str, Any]:

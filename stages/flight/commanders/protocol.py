@@ -10,6 +10,25 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import Setpoint, VehicleState
 
 
+@dataclass(frozen=True, slots=True)
+class TickInputs:
+    """All that the native flight got for a tick, in full precision: the log holds it for a replay.
+
+    Attributes:
+        measured: position, attitude (MRP), velocity and body rates, shape (12,), world frame, SI units.
+        age_s: age of these, with the latency of the link [s].
+        target: reference, shape (18,), see `Commander.decide`.
+        number: of the tick since the flight was reset; 0 right after that.
+        repeats: ticks before this one that were left out, in which the vehicle went on with the last set-point.
+    """
+
+    measured: FloatArray
+    age_s: float
+    target: FloatArray
+    number: int
+    repeats: int
+
+
 @dataclass(slots=True)
 class Decision:
     """Result of a commander for one tick.
@@ -24,6 +43,7 @@ class Decision:
         active: index of the obstacle that determines the command, -1 for none.
         infeasible, certified: as reported by the filter.
         thrust_nominal_n: thrust of the controller [N]; None for velocity set-points.
+        inputs: of the native flight; None of other commanders.
     """
 
     setpoint: Setpoint | None
@@ -36,6 +56,7 @@ class Decision:
     infeasible: bool = False
     certified: bool = False
     thrust_nominal_n: float | None = None
+    inputs: TickInputs | None = None
 
 
 class Commander(Protocol):

@@ -25,6 +25,7 @@ from alula.stages.flight.recorder.messages import (
     CHANNELS,
     log_line,
     pose_message,
+    replay_message,
     safety_message,
     state_message,
     step_message,
@@ -329,6 +330,8 @@ class _Writer:
         self.ticks += 1
         if sample.filter is not None and sample.position is not None:
             self.path.append(sample.position)
+        if sample.filter is not None and sample.filter.replay is not None:  # of every tick
+            self.log.send("/replay", now, replay_message(now, sample.filter.replay))
         if self.ticks % self.head.log_every:
             return
         self.log.send("/supervisor", now, tick_message(sample))

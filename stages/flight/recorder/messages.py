@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.supervisor import State
-from alula.stages.flight.recorder.samples import FilterSample, TickSample
+from alula.stages.flight.recorder.samples import FilterSample, ReplaySample, TickSample
 from alula.stages.runlog.messages import DECIMALS, stamp, xyz
 
 CHANNELS = {
@@ -20,6 +21,7 @@ CHANNELS = {
     "/pose": "foxglove.PoseInFrame",
     "/log": "foxglove.Log",
     "/supervisor": "alula.Supervisor",
+    "/replay": "alula.Replay",
 }
 _NUMBERS = {state.value: number for number, state in enumerate(State)}
 
@@ -87,6 +89,16 @@ def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) ->
     if done.thrust_nominal_n is not None:
         splat["thrust_nom_n"] = _number(done.thrust_nominal_n)
     return common | splat | ({} if margin is None else {"margin": margin})
+
+
+def replay_message(time_s: float, tick: ReplaySample) -> dict[str, Any]:
+    """Message `alula.Replay` of a tick; nothing is rounded.
+
+    Args:
+        time_s: time since the start of the flight [s].
+        tick: its inputs and set-points.
+    """
+    return {"time_s": time_s, **msgspec.structs.asdict(tick)}
 
 
 def tick_message(sample: TickSample) -> dict[str, Any]:

@@ -40,6 +40,28 @@ _FINE = frozenset(
 Three = tuple[float, float, float]
 
 
+class ReplaySample(msgspec.Struct, array_like=True, gc=False):
+    """Inputs and set-points of a tick in full precision, see `TickInputs`.
+
+    Attributes:
+        decided: kind of the set-point that was decided; empty for none.
+        decided_values: its numbers, as those of `sent_values`.
+        is_own: it was sent, not one of the geofence.
+        sent, sent_values: kind and numbers of the set-point that was sent.
+    """
+
+    number: int
+    repeats: int
+    age_s: float
+    measured: tuple[float, ...]
+    target: tuple[float, ...]
+    decided: str
+    decided_values: tuple[float, ...]
+    is_own: bool
+    sent: str
+    sent_values: tuple[float, ...]
+
+
 class FilterSample(msgspec.Struct, array_like=True, gc=False):
     """Result of controller, filter and geofence in a tick; see `Decision` and `Guarded`."""
 
@@ -60,6 +82,7 @@ class FilterSample(msgspec.Struct, array_like=True, gc=False):
     fence_flies: bool
     sent: str
     sent_values: tuple[float, ...]
+    replay: ReplaySample | None = None
 
 
 class TickSample(msgspec.Struct, array_like=True, gc=False):
@@ -190,7 +213,21 @@ def filter_sample(decision: Decision, guarded: Guarded, plan: PlanClock, filter_
         plan: time along the plan.
         filter_s: duration of the decision [s].
     """
-    kind, values = _numbers(guarded.setpoint)
+    kind, values = numbers_of(guarded.setpoint)
+    replay = None
+    if (inputs := decision.inputs) is not None:
+        is_own = guarded.setpoint is not None and guarded.setpoint is decision.setpoint
+        replay = ReplaySample(
+            inputs.number,
+            inputs.repeats,
+            inputs.age_s,
+            tuple(inputs.measured.tolist()),
+            tuple(inputs.target.tolist()),
+            *numbers_of(decision.setpoint),
+            is_own,
+            kind,
+            values,
+        )
     return FilterSample(
         status=int(decision.status),
         margin=decision.margin,
@@ -209,6 +246,7 @@ def filter_sample(decision: Decision, guarded: Guarded, plan: PlanClock, filter_
         fence_flies=guarded.takes_over,
         sent=kind,
         sent_values=values,
+        replay=replay,
     )
 
 
@@ -217,7 +255,7 @@ def _three(vector: FloatArray) -> Three:
     return x, y, z
 
 
-def _numbers(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
+def numbers_of(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
     """Kind and numbers of a set-point, for the log."""
     if setpoint is None:
         return "", ()

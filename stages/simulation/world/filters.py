@@ -15,11 +15,12 @@ from alula.schemas.filter_options import GeofenceParameters, MovingFilterParamet
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS
+from alula.stages.filtering.bridge import native_filter, native_velocity_filter
 from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import FilterStatus, World
+from alula.stages.filtering.protocol import World
 from alula.stages.filtering.registry import make_splat_filter
-from alula.stages.filtering.splat_filters import BOTH, ELLIPSOIDS, HULLS, SHIELD_MAP, NativeSplatFilter
-from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, SplatWorld
+from alula.stages.filtering.splat_filters import BOTH, ELLIPSOIDS, HULLS, SHIELD_MAP
+from alula.stages.filtering.splat_protocol import SplatWorld
 from alula.stages.simulation.encounters.world import WALL_FRACTION
 from alula.stages.simulation.world.vehicle import box_of_accelerations
 from alula.stages.simulation.world.world import StaticWorld
@@ -117,7 +118,8 @@ def _of_velocities(
     values = _plain(given)
     values.pop("onboard", None)
     built = NativeFilter(velocity_world(scenario, world, max_speed_m_s, extent_m), values)
-    return _core.VelocityFilter(built.native)
+    lag = scenario.vehicle.velocity_lag_s or 0.0
+    return native_velocity_filter(built, lag_s=lag, max_speed_m_s=max_speed_m_s)
 
 
 def _among_moving(
@@ -202,61 +204,4 @@ def _among_obstacles(
     )
     built = make_splat_filter(name, of_what, given)
     assert built is not None
-    return (
-        built.native
-        if isinstance(built, NativeSplatFilter)
-        else _core.PythonFilter(built.kind, Bridge(built))
-    )
-
-
-class Bridge:
-    """A filter in Python as the native loop calls it: plain values in and out.
-
-    Args:
-        made: the filter.
-    """
-
-    def __init__(self, made: SplatFilter) -> None:
-        self._made = made
-
-    def reset(self) -> None:
-        """Discard the state of the flight before."""
-        self._made.reset()
-
-    def tick(self, state: Mapping[str, Any], nominal: Mapping[str, Any]) -> dict[str, Any]:
-        """Filter one tick.
-
-        Args:
-            state: fields of `FlightState` by name.
-            nominal: fields of `Nominal` by name.
-        """
-        seen = FlightState(
-            position=np.array(state["position"]),
-            sigma=np.array(state["sigma"]),
-            velocity=np.array(state["velocity"]),
-            omega=np.array(state["omega"]),
-            thrust=state["thrust"],
-            thrust_rate=state["thrust_rate"],
-            rotors=state["rotors"],
-        )
-        wanted = Nominal(
-            acceleration=np.array(nominal["acceleration"]),
-            wrench=np.array(nominal["wrench"]),
-            thrust_rate=nominal["thrust_rate"],
-            thrust_acceleration=nominal["thrust_acceleration"],
-            position_error=np.array(nominal["position_error"]),
-            velocity_error=np.array(nominal["velocity_error"]),
-            reference_acceleration=np.array(nominal["reference_acceleration"]),
-        )
-        result = self._made(seen, wanted)
-        refused = FilterStatus(result.status) is FilterStatus.REFUSED
-        size = 3 if self._made.kind == "acceleration" else 4
-        return {
-            "status": int(result.status),
-            "u": [0.0] * size if refused else np.asarray(result.u, np.float64).tolist(),
-            "margin": float(result.margin),
-            "active": int(result.active),
-            "thrust_rate": float(result.thrust_rate),
-            "infeasible": bool(result.infeasible),
-            "certified": bool(result.certified),
-        }
+    return native_filter(built)

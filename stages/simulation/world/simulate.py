@@ -216,10 +216,11 @@ def prepare(
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
-    filters = safety_filters(full, vehicle, world, speed_m_s=peak, max_speed_m_s=most, extent_m=extent)
+    told = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    filters = safety_filters(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
     psi = None
     if "polytope-cbf" in names:
-        bare = NativeFilter(velocity_world(full, world, most, extent), {}, enabled=False).native
+        bare = NativeFilter(velocity_world(full, world, told, extent), {}, enabled=False).native
 
         def psi(points: FloatArray) -> FloatArray:
             return np.asarray(bare.psi(points)[1])
@@ -422,7 +423,8 @@ def _extent(
         )
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
-    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + 10 * speed
+    seconds = 10 + (scenario.vehicle.velocity_lag_s or 0.0)
+    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + seconds * speed
 
 
 def _safety_of_starts(

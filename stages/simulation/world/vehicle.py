@@ -71,6 +71,8 @@ def vehicle_spec(
     }
     if table.velocity_gain_per_s is not None:
         given["velocity_gain_per_s"] = table.velocity_gain_per_s
+    if table.velocity_lag_s is not None:
+        given["velocity_lag_s"] = table.velocity_lag_s
     if table.max_acceleration_m_s2 is not None:
         given["max_acceleration_m_s2"] = table.max_acceleration_m_s2
     if table.max_jerk_m_s3 is not None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
-from alula.stages.flight.commanders.velocity import VelocityCommander
-from support.velocity_worlds import ZERO, seen, target_at, world
+from support.velocity_worlds import ZERO, commander_around, seen, target_at, world
 
 
 @pytest.mark.parametrize(
@@ -22,7 +21,7 @@ def test_what_is_sent_is_let_through_at_all_points_of_the_chord(p, v, nominal):
     """This also holds where three passes do not suffice for an agreement."""
     _, safety = world(3.0, 0.6)
     asked = Failing(safety)
-    commander = VelocityCommander(asked, 8.0, 3.0, lag_s=0.6)
+    commander = commander_around(asked, 8.0, 3.0, lag_s=0.6)
     target = target_at(np.array(p))
     target[0, 3:6] = nominal
     found = commander.decide(seen(np.array(p), np.array(v)), 0.0, target)
@@ -67,7 +66,7 @@ def test_nothing_is_sent_whichever_point_of_the_chord_the_filter_fails_at(name, 
     _, safety = world(3.0, 0.6)
 
     def decided(filtering):
-        commander = VelocityCommander(filtering, 8.0, 3.0, lag_s=0.6)
+        commander = commander_around(filtering, 8.0, 3.0, lag_s=0.6)
         return commander.decide(seen(p, v), 0.0, target_at((0.0, 5.0, 1.5)))
 
     sound = Failing(safety)

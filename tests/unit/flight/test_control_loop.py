@@ -11,8 +11,20 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.flight.mission import make_safety
 from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import BALL, GOAL, PILLAR, START, Breaking, after, fly, loop_of, mission
+from support.flights import (
+    BALL,
+    GOAL,
+    PILLAR,
+    START,
+    Breaking,
+    after,
+    fly,
+    loop_of,
+    mission,
+    refilter,
+)
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 RATES, ACCELERATIONS, VELOCITIES = (
@@ -243,8 +255,9 @@ def test_silence_declines_nothing_and_is_told_once():
 )
 def test_a_filter_that_fails_is_held_then_landed(how, event):
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)  # without a lag a tick is one call
-    loop.commander.filter = Breaking(loop.commander.filter, how, 100)
+    made = mission(velocity_lag_s=0.0)  # without a lag a tick is one call
+    loop = loop_of(made, vehicle)
+    refilter(loop, made, lambda inner: Breaking(inner, how, 100))
     loop.run()
     assert event in causes(loop)
     assert loop.recorder.states[-2:] == ["land", "done"]
@@ -267,15 +280,18 @@ def test_a_hold_is_filtered_where_state_and_filter_are_well():
 
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
     vehicle.on_poll = fault
-    loop = loop_of(mission(), vehicle)
-    asked, inner = [], loop.commander.filter
+    made, asked = mission(), []
+    loop = loop_of(made, vehicle)
 
-    def watching(x, u):
-        result = inner(x, u)
-        asked.append((vehicle.clock(), loop.state, u.copy(), result.u))
-        return result
+    def watched(inner):
+        def watching(x, u):
+            result = inner(x, u)
+            asked.append((vehicle.clock(), loop.state, u.copy(), result.u))
+            return result
 
-    loop.commander.filter = watching
+        return watching
+
+    refilter(loop, made, watched)
     loop.run()
     assert loop.supervision.cause is Event.PLAN_FINISHED
     held = [s for s in loop.recorder.samples if s.state == "hold"]
@@ -293,18 +309,22 @@ def test_a_hold_is_filtered_where_state_and_filter_are_well():
 
 def test_a_hold_whose_filter_fails_is_the_vehicles_own():
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)  # without a lag a tick is one call
-    loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
-    calls, breaking = [], loop.commander.filter
+    made, calls = mission(velocity_lag_s=0.0), []  # without a lag a tick is one call
+    loop = loop_of(made, vehicle)
 
-    def failing(x, u):
-        if loop.state is State.HOLD:
-            calls.append(1)
-            if len(calls) == 20:
-                raise RuntimeError("no more")
-        return breaking(x, u)
+    def failing_once(inner):
+        breaking = Breaking(inner, "falls back", 100)
 
-    loop.commander.filter = failing
+        def failing(x, u):
+            if loop.state is State.HOLD:
+                calls.append(1)
+                if len(calls) == 20:
+                    raise RuntimeError("no more")
+            return breaking(x, u)
+
+        return failing
+
+    refilter(loop, made, failing_once)
     loop.run()
     orders = [order for order in vehicle.orders if order is not Order.NOTHING]
     first = orders.index(Order.HOLD)
@@ -338,11 +358,19 @@ def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
     sent, times, inner = [], [], loop.commander
 
     class Watching:
-        reset, sent = inner.reset, inner.sent
+        ticks = 0
+
+        def reset(self):
+            self.ticks = 0
+            inner.reset()
+
+        def sent(self, setpoint):
+            self.ticks += 1
+            inner.sent(setpoint)
 
         def decide(self, *seen):
             times.append(vehicle.clock())
-            sent.append(len(inner._sent))
+            sent.append(self.ticks)
             return inner.decide(*seen)
 
     loop.commander = Watching()
@@ -359,9 +387,8 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
     """With the default lag a tick calls the filter several times; if any call fails, nothing is sent."""
     for point in (1, 4):
         vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-        loop = loop_of(mission(), vehicle)
-        inner, failed = loop.commander.filter, []
-        calls = {}
+        made, failed, calls = mission(), [], {}
+        loop, inner = loop_of(made, vehicle), make_safety(made)
 
         def failing(x, u, inner=inner, calls=calls, vehicle=vehicle, failed=failed, point=point):
             now = vehicle.clock()
@@ -371,7 +398,7 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
                 return Breaking(inner, how, 1)(x, u)
             return inner(x, u)
 
-        loop.commander.filter = failing
+        refilter(loop, made, lambda _, failing=failing: failing)
         loop.run()
         assert len(failed) == 1, point
         assert failed[0] not in [at for at, _, _ in vehicle.sent]
@@ -383,11 +410,12 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
 @pytest.mark.parametrize("late_s", [0.0, 0.08])
 def test_a_fallback_is_as_long_as_the_clock_says_however_few_its_ticks(late_s):
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)
-    loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
+    made = mission(velocity_lag_s=0.0)
+    loop = loop_of(made, vehicle)
+    breaking = refilter(loop, made, lambda inner: Breaking(inner, "falls back", 100))
 
     def every_other(vehicle, now):
-        if loop.commander.filter.left < 0 and not vehicle.clock.extra_s:
+        if breaking.left < 0 and not vehicle.clock.extra_s:
             vehicle.clock.extra_s.extend([late_s, 0.0])
 
     vehicle.on_poll = every_other

@@ -8,7 +8,7 @@ import pytest
 
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.loop.supervisor_table import TABLE, Event, State
-from support.flights import mission
+from support.flights import mission, refilter
 from support.lockstep import (
     Flight,
     Upset,
@@ -76,15 +76,13 @@ def broken(status):
     """The filter returns this status as soon as the vehicle flies; `None` raises."""
 
     def do(flight):
-        inner = flight.loop.commander.filter
-
         def answer(x, u):
             if status is None:
                 raise RuntimeError("no more")
             return FilterResult(np.zeros(3), status, 1.0)
 
-        flight.mended = lambda: setattr(flight.loop.commander, "filter", inner)
-        flight.loop.commander.filter = answer
+        flight.mended = lambda: refilter(flight.loop, flight.made)
+        refilter(flight.loop, flight.made, lambda _: answer)
 
     return do
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
-from alula.stages.flight.commanders.velocity import VelocityCommander
 from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body
 from alula.stages.flight.mission import make_commander, make_safety
@@ -19,7 +18,7 @@ from support.crazyflie_rehearsal import velocity as crazyflie_velocity
 from support.effort import examples
 from support.flights import mission
 from support.small_scenes import box_cover
-from support.velocity_worlds import BOXES, ZERO, seen, target_at, world
+from support.velocity_worlds import BOXES, ZERO, commander_around, seen, target_at, world
 
 DT, STEPS = 0.01, 4
 RADIUS_M, MARGIN_M = 0.15, 0.1
@@ -191,7 +190,8 @@ def test_an_old_state_is_taken_on_by_what_was_sent(sent, tau, whole, part):
     """The prediction of a first-order vehicle from the sent set-points equals its true state."""
     age = min(whole + part, len(sent)) * DT
     step, x, v = first_order(tau), np.array([1.0, -2.0, 3.0]), np.array([0.5, 1.0, -1.5])
-    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=tau, delay_s=0.4 * age, dt_s=DT)
+    passing = Passing()
+    commander = commander_around(passing, 2.0, 20.0, lag_s=tau, delay_s=0.4 * age, dt_s=DT)
     begin, left = len(sent) * DT - age, age
     now_x, now_v = x, v
     for i, u in enumerate(np.array(sent)):
@@ -201,35 +201,38 @@ def test_an_old_state_is_taken_on_by_what_was_sent(sent, tau, whole, part):
         now_x, now_v, _ = step(now_x, now_v, ZERO, u, held)
     assert left == pytest.approx(0, abs=1e-9)
     commander.decide(seen(x, v), 0.6 * age, target_at(ZERO))
-    lead, _ = commander.filter.asked[-1]
+    lead, _ = passing.asked[-1]
     np.testing.assert_allclose(lead, now_x + tau * now_v, atol=1e-9)
     found = commander.decide(seen(x, v), 0.6 * age, target_at(ZERO))
     np.testing.assert_allclose(found.nominal, -now_x, atol=1e-9)  # the error is that of p
 
 
 def test_what_is_not_known_is_taken_on_by_its_velocity():
-    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=0.5, delay_s=0.03, dt_s=DT)
+    passing = Passing()
+    commander = commander_around(passing, 2.0, 20.0, lag_s=0.5, delay_s=0.03, dt_s=DT)
     v = np.array([1.0, 2.0, 0.0])
     for then in (lambda: None, lambda: commander.sent(RatesSetpoint(9.8, ZERO)), commander.reset):
-        commander.filter.asked.clear()
+        passing.asked.clear()
         then()
         commander.decide(seen(ZERO, v), 0.02, target_at(ZERO))
-        np.testing.assert_allclose(commander.filter.asked[-1][0], (0.05 + 0.5) * v, atol=1e-12)
+        np.testing.assert_allclose(passing.asked[-1][0], (0.05 + 0.5) * v, atol=1e-12)
 
 
 def test_at_a_high_rate_as_much_time_is_known():
-    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=0.5, delay_s=0.5, dt_s=0.002)
+    passing = Passing()
+    commander = commander_around(passing, 2.0, 20.0, lag_s=0.5, delay_s=0.5, dt_s=0.002)
     for _ in range(1000):
         commander.sent(VelocitySetpoint(ZERO, 0.0))
     commander.decide(seen(ZERO, np.array([1.0, 0, 0])), 0.15, target_at(ZERO))
-    np.testing.assert_allclose(commander.filter.asked[-1][0], (0.5, 0, 0), atol=1e-9)  # q stays where it was
+    np.testing.assert_allclose(passing.asked[-1][0], (0.5, 0, 0), atol=1e-9)  # q stays where it was
 
 
 @pytest.mark.parametrize("margin", [0.01, 0.3, 5.0])
 def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
-    commander = VelocityCommander(Passing(margin), 2.0, 20.0, lag_s=0.5)
+    passing = Passing(margin)
+    commander = commander_around(passing, 2.0, 20.0, lag_s=0.5)
     commander.decide(seen(ZERO, np.array([3.0, 0, 0])), 0.0, target_at(ZERO))
-    places = [x[0] for x, _ in commander.filter.asked]
+    places = [x[0] for x, _ in passing.asked]
     assert places[0] == 0
     assert places[-1] == 1.5
     assert 2 <= len(places) <= 13
@@ -261,9 +264,10 @@ def test_a_fast_vehicle_does_not_cut_across_a_thin_pillar(share):
 
 @pytest.mark.parametrize(("speed", "most_m"), [(3.0, 0.15), (10.0, 0.2), (100.0, 0.2)])
 def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
-    commander = VelocityCommander(Passing(0.01), 2.0, 100.0, lag_s=0.6)
+    passing = Passing(0.01)
+    commander = commander_around(passing, 2.0, 100.0, lag_s=0.6)
     commander.decide(seen(ZERO, np.array([speed, 0, 0])), 0.0, target_at(ZERO))
-    places = [x[0] for x, _ in commander.filter.asked]
+    places = [x[0] for x, _ in passing.asked]
     assert max(np.diff(places)) <= most_m + 1e-9
 
 

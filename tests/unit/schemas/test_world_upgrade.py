@@ -21,7 +21,7 @@ from alula.schemas.world_defaults import completed
 from support.paths import EXAMPLES, ROOT
 from support.paths import VEHICLES as FILES_OF_VEHICLES
 
-OLD_FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.parent.name != "vehicles")
+OLD_FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.parent.name not in ("vehicles", "world"))
 
 
 def read_old(path):

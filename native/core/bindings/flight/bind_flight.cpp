@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "alula/filters/adapters.hpp"
+#include "alula/filters/chord_filter.hpp"
 #include "alula/flight/simulation.hpp"
 #include "fields.hpp"
 #include "flight_arrays.hpp"
@@ -49,6 +50,7 @@ struct Fields<flight::VehicleSpec> {
       Field{"max_rate_rad_s", &Spec::max_rate, "limit of a commanded body rate [rad/s]"},
       Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of the vehicle's own rate loop [s]"},
       Field{"velocity_gain_per_s", &Spec::velocity_gain, "of the velocity loop [1/s]"},
+      Field{"velocity_lag_s", &Spec::velocity_lag_s, "assumed time constant with which velocities are followed [s]"},
       Field{"max_speed_m_s", &Spec::max_speed, "limit of velocity commands, and of points [m/s]"},
       Field{"max_acceleration_m_s2", &Spec::max_acceleration, "limit of points [m/s^2]"},
       Field{"max_jerk_m_s3", &Spec::max_jerk, "limit of a double integrator [m/s^3]"},
@@ -242,7 +244,8 @@ struct SteppedFlight {
   SteppedFlight(const SteppedFlight&) = delete;
 
   void observe(double now_s, const std::optional<InState>& measured, const nb::bytes& seen, const Triple& variance,
-               const std::optional<Vec4>& sticks) {
+               const std::optional<Vec4>& sticks, const std::optional<InReference>& target,
+               const std::optional<double>& age_s) {
     if (seen.size() % sizeof(alula_track) != 0) throw std::invalid_argument("these are no tracks");
     tracks.resize(seen.size() / sizeof(alula_track));
     std::memcpy(tracks.data(), seen.data(), seen.size());
@@ -252,7 +255,19 @@ struct SteppedFlight {
     observation.tracks = tracks;
     observation.position_variance = vector_of(variance);
     if (sticks) observation.sticks = RacerCommand{(*sticks)[0], {(*sticks)[1], (*sticks)[2], (*sticks)[3]}};
+    if (target) observation.target = reference_at(target->data());
+    observation.age_s = age_s;
     flight.observe(observation);
+  }
+
+  void sent(const nb::handle& interface, const std::optional<Vec4>& values) {
+    if (!values) return flight.sent();
+    Command other;
+    other.interface = fields::choice<Interface>(interface, "interface");
+    const Vec3 first{(*values)[0], (*values)[1], (*values)[2]}, last{(*values)[1], (*values)[2], (*values)[3]};
+    other.velocity = other.acceleration = first;
+    other.wrench = {(*values)[0], last}, other.rates = last;
+    flight.sent(other);
   }
 
   LogDict decide() {
@@ -267,6 +282,8 @@ struct SteppedFlight {
                        : c.interface == Interface::acceleration ? c.acceleration
                                                                 : c.rates;
     d["command"] = Rows(1).add(outer).add(c.wrench).add(c.sticks.throttle).add(c.sticks.rates).array({11});
+    d["nominal"] = nominal_of(flight.nominal());
+    d["target"] = Rows(1).add(flight.target()).array({18});
     d["is_refused"] = decision.is_refused, d["is_stale"] = decision.is_stale;
     d["is_limited"] = decision.is_limited;
     d["estimate"] = to_array(flight.estimate().x);
@@ -277,6 +294,8 @@ struct SteppedFlight {
       one["active"] = r.report.active, one["rows"] = r.report.rows;
       one["certified"] = r.report.certified, one["certified_moving"] = r.report.certified_moving;
       one["infeasible"] = r.report.infeasible, one["seconds"] = r.seconds;
+      one["velocity"] = triple_of(r.report.velocity), one["acceleration"] = triple_of(r.report.acceleration);
+      one["thrust"] = r.report.wrench.thrust;
       filters.append(one);
     }
     d["filters"] = filters;
@@ -286,7 +305,11 @@ struct SteppedFlight {
 
 void bind_adapters(nb::module_& m) {
   nb::class_<VelocityFilter, SafetyFilter>(m, "VelocityFilter", "polytope-cbf as a safety filter of velocities.")
-      .def(nb::init<const PolytopeCbf&>(), "filter"_a);
+      .def(nb::init<const PolytopeCbf&, bool>(), "filter"_a, nb::kw_only(), "is_bare"_a = false,
+           "is_bare: only report the margin, and pass the nominal velocity.");
+  nb::class_<ChordFilter, SafetyFilter>(m, "ChordFilter",
+                                        "A filter of velocities on the chord of a vehicle that lags.")
+      .def(nb::init<const SafetyFilter&, double, double>(), "filter"_a, nb::kw_only(), "lag_s"_a, "max_speed_m_s"_a);
   nb::class_<MovingSafety, SafetyFilter>(m, "MovingSafety", "A filter among moving obstacles, with walls of a map.")
       .def(
           "__init__",
@@ -340,6 +363,10 @@ void bind_specs(nb::module_& m) {
           },
           "goal"_a, nb::kw_only(), "gain_per_s"_a = Mission{}.gain, "speed_m_s"_a = Mission{}.speed,
           "hovers"_a = false, "Straight to a goal; with `hovers` hold it.")
+      .def_static(
+          "given", [](double gain, double speed) { return Mission{MissionKind::given, nullptr, {}, gain, speed}; },
+          nb::kw_only(), "gain_per_s"_a = Mission{}.gain, "speed_m_s"_a = Mission{}.speed,
+          "Track the reference point of each tick.")
       .def_static("by_sticks", [] { return Mission{.kind = MissionKind::pilot}; }, "By the sticks of a pilot.");
   nb::class_<Task>(m, "Task", "A trial: its start, its mission, and a simulated pilot where it flies by sticks.")
       .def(
@@ -382,7 +409,16 @@ void bind_flight(nb::module_& m) {
            "options"_a, "mission"_a, "filters"_a)
       .def("observe", &SteppedFlight::observe, "now_s"_a, "measured"_a.none(), nb::kw_only(),
            "tracks"_a = nb::bytes("", 0), "position_variance"_a = Triple{}, "sticks"_a = nb::none(),
-           "The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them.")
+           "target"_a = nb::none(), "age_s"_a = nb::none(),
+           "The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them; `target` as\n"
+           "of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s].")
+      .def(
+          "reset", [](SteppedFlight& self) { self.flight.reset(); },
+          "Before another flight, and when others have flown the vehicle.")
+      .def("sent", &SteppedFlight::sent, "interface"_a = nb::none(), "values"_a = nb::none(),
+           "What was decided was sent for this tick; or another command: a velocity, an acceleration (the first "
+           "three\n"
+           "values), a thrust [N] with torque, or with body rates.")
       .def("decide", &SteppedFlight::decide,
            "A dict: command (11), is_refused, is_stale, is_limited, estimate, and a record of each filter.");
 }

@@ -67,6 +67,7 @@ FilterReport VelocityFilter::filter(const FlightState& state, const Nominal& nom
   report.velocity = {output.u[0], output.u[1], output.u[2]};
   report.margin = output.detail.margin_m;
   report.active = output.detail.active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(output.detail.active);
+  if (is_bare_) report.velocity = u, report.status = SafetyStatus::ok;
   return report;
 }
 

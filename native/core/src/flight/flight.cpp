@@ -66,20 +66,39 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
           "filters stand in the order of their commands: velocities, accelerations, wrenches, sticks");
     outer = filter->kind();
     filters_.push_back(filter->clone());
-    filters_.back()->reset();
   }
   if (outer > innermost(vehicle.interface))
     throw std::invalid_argument("a filter's command is beyond what the vehicle takes");
   records_.resize(filters_.size());
   past_.resize(
       static_cast<std::size_t>(std::ceil((vehicle.assumed.delay_s + options.stale_s) / options.dt_s - 1e-9)) + 1);
-  seen_.thrust = vehicle.body.hover_thrust();
-  flown_ = vehicle.body.limited({vehicle.body.hover_thrust(), {}});
+  reset();
+}
+
+void Flight::reset() {
+  for (const auto& filter : filters_) filter->reset();
+  predictor_.reset();
+  seen_ = {};
+  seen_.thrust = vehicle_.body.hover_thrust();
+  flown_ = vehicle_.body.limited({vehicle_.body.hover_thrust(), {}});
+  std::fill(past_.begin(), past_.end(), std::nullopt);
+  std::fill(records_.begin(), records_.end(), FilterRecord{});
+  first_ = nominal_ = {};
+  target_ = reference_ = {};
+  last_ = {};
+  now_ = 0, arrived_ = -1, age_.reset();
+  has_state_ = has_target_ = is_other_ = false;
+  tick_ = 0;
+  decision_ = {};
 }
 
 void Flight::observe(const Observation& seen) {
   now_ = seen.now_s;
-  if (seen.measured && is_finite(*seen.measured)) last_ = *seen.measured, arrived_ = now_, has_state_ = true;
+  if (seen.measured && is_finite(*seen.measured)) {
+    last_ = *seen.measured, arrived_ = now_, has_state_ = true;
+    age_ = seen.age_s;
+  }
+  if (seen.target) target_ = *seen.target, has_target_ = true;
   seen_.tracks = seen.tracks;
   seen_.position_variance = seen.position_variance;
   nominal_.sticks = seen.sticks;
@@ -91,32 +110,49 @@ void Flight::predict() {
   const double waited = now_ - arrived_;
   const bool by_sticks = vehicle_.interface == Interface::sticks;
   // The geofence predicts itself, with a bound of the error, where navigation is missing.
-  seen_.is_known = has_state_ && (by_sticks ? waited == 0 : waited <= options_.stale_s);
+  const double delay = vehicle_.assumed.delay_s, age = (age_ ? *age_ : std::min(now_, delay)) + waited;
+  seen_.is_known = has_state_ && (by_sticks ? waited == 0
+                                  : age_    ? age <= options_.stale_s + delay
+                                            : waited <= options_.stale_s);
   seen_.x = last_;
   if (!seen_.is_known || by_sticks) return;
-  const double age = std::min(now_, vehicle_.assumed.delay_s) + waited;
   if (is_rigid() && vehicle_.interface >= Interface::wrench) {
     seen_.x = predictor_.now(last_, age);
     seen_.rotors = predictor_.rotors();
     return;
   }
   // A point, or a vehicle with its own cascade: by the commands of the last ticks, each held for a tick.
-  double left = age;
-  const bool is_velocity = vehicle_.interface == Interface::velocity;
   const auto ticks = static_cast<std::size_t>(std::ceil(age / options_.dt_s - 1e-9));
-  for (std::size_t k = std::min(ticks, past_.size()); k > 0 && left > 1e-12; --k) {
-    const Vec3 command = past_[past_.size() - k];
-    double held = left - static_cast<double>(k - 1) * options_.dt_s;
-    if (k == 1) held = left;
+  const std::size_t known = std::min(ticks, past_.size());
+  double left = age;
+  for (std::size_t k = known; k > 0 && left > 1e-12; --k) {
+    const double later = static_cast<double>(k - 1) * options_.dt_s;  // the oldest one is held for less than a tick
+    const double held = left - later;
     if (!(held > 0)) continue;
-    if (vehicle_.model == VehicleModel::single_integrator) {
-      seen_.x.p = seen_.x.p + held * command;
-    } else {
-      const Vec3 a = is_velocity ? velocity_loop(vehicle_, command, seen_.x.v) : command;
-      seen_.x.p = seen_.x.p + held * seen_.x.v + held * held / 2 * a;
-      seen_.x.v = seen_.x.v + held * a;
-    }
+    const std::optional<Vec3>& command = past_[past_.size() - k];
+    if (command)
+      follow(*command, held);
+    else
+      seen_.x.p = seen_.x.p + held * seen_.x.v;
     left -= held;
+  }
+}
+
+// The predicted state after a command was held for a time.
+void Flight::follow(Vec3 command, double held) {
+  State& x = seen_.x;
+  const bool is_velocity = vehicle_.interface == Interface::velocity;
+  if (vehicle_.model == VehicleModel::single_integrator) {
+    x.p = x.p + held * command;
+  } else if (is_velocity && is_rigid()) {
+    const double lag = vehicle_.velocity_lag_s;
+    const Vec3 v = lag > 0 ? command + std::exp(-held / lag) * (x.v - command) : x.v;
+    x.p = x.p + held * (lag > 0 ? command : v) + lag * (x.v - v);
+    x.v = v;
+  } else {
+    const Vec3 a = is_velocity ? velocity_loop(vehicle_, command, x.v) : command;
+    x.p = x.p + held * x.v + held * held / 2 * a;
+    x.v = x.v + held * a;
   }
 }
 
@@ -132,8 +168,8 @@ void Flight::make_nominal() {
   const State& x = seen_.x;
   Vec3 towards = mission_.goal - x.p;
   Vec3 velocity;
-  if (mission_.kind == MissionKind::curve) {
-    target_ = mission_.curve->at(mission_.curve->start() + now_);
+  if (mission_.kind != MissionKind::goal) {
+    if (mission_.kind == MissionKind::curve) target_ = mission_.curve->at(mission_.curve->start() + now_);
     velocity = target_.v + mission_.gain / 2 * (target_.p - x.p);
   } else {
     target_ = reference_for(mission_.goal, {}, target_.yaw);
@@ -234,7 +270,8 @@ void Flight::stand_in(CommandKind kind) {
 const Decision& Flight::decide() {
   decision_.is_refused = decision_.is_stale = false;
   const bool is_controlled = is_turn(options_.controller_ticks), is_filtered = is_turn(options_.filter_ticks);
-  if (!seen_.is_known && mission_.kind != MissionKind::pilot) {
+  const bool is_aimless = mission_.kind == MissionKind::given && !has_target_;
+  if (is_aimless || (!seen_.is_known && mission_.kind != MissionKind::pilot)) {
     decision_.is_refused = decision_.is_stale = true;
     level_ = innermost(vehicle_.interface);
     stand_in(vehicle_.interface == Interface::body_rates ? CommandKind::wrench : level_);
@@ -269,27 +306,24 @@ const Decision& Flight::decide() {
   return decision_;
 }
 
-// The command of the interface, and what later ticks need of it.
+// The command of the interface.
 void Flight::finish() {
   Command& c = decision_.command;
   c.interface = vehicle_.interface;
   c.yaw = target_.yaw;
-  Vec3 remembered;
   switch (vehicle_.interface) {
     case Interface::velocity:
-      c.velocity = remembered = limited(nominal_.velocity, vehicle_.max_speed);
+      c.velocity = limited(nominal_.velocity, vehicle_.max_speed);
       break;
     case Interface::acceleration:
       if (level_ == CommandKind::velocity) lower(level_, CommandKind::acceleration);
       c.acceleration = nominal_.acceleration;
       for (int i = 0; i < 3 && !is_rigid(); ++i)
         c.acceleration[i] = std::clamp(c.acceleration[i], -vehicle_.max_acceleration, vehicle_.max_acceleration);
-      remembered = c.acceleration;
       break;
     case Interface::wrench:
     case Interface::body_rates: {
       if (level_ == CommandKind::velocity) lower(level_, CommandKind::wrench);
-      const double thrust_before = seen_.thrust;
       // An acceleration waits for the controller, through whose attitude loop it is flown.
       const bool by_wrench = !filters_.empty() && filters_.back()->kind() >= CommandKind::wrench;
       const std::int64_t held_ticks = by_wrench ? options_.filter_ticks : options_.controller_ticks;
@@ -310,10 +344,8 @@ void Flight::finish() {
         }
         c.wrench = predictor_.lead(flown_);
       }
-      predictor_.fly(c.wrench, c.rates, seen_.x);
-      seen_.thrust = flown_.thrust;
       seen_.thrust_rate =
-          by_wrench ? records_.back().report.thrust_rate : (seen_.thrust - thrust_before) / options_.dt_s;
+          by_wrench ? records_.back().report.thrust_rate : (flown_.thrust - seen_.thrust) / options_.dt_s;
       is_other_ = flown_.thrust != first_.wrench.thrust;
       break;
     }
@@ -321,9 +353,50 @@ void Flight::finish() {
       c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
       break;
   }
-  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
-  past_.back() = remembered;
   ++tick_;
+}
+
+void Flight::sent() {
+  const Command& c = decision_.command;
+  switch (vehicle_.interface) {
+    case Interface::velocity:
+      return remember(c.velocity);
+    case Interface::acceleration:
+      return remember(c.acceleration);
+    case Interface::wrench:
+    case Interface::body_rates:
+      predictor_.fly(c.wrench, c.rates, seen_.x);
+      seen_.thrust = flown_.thrust;
+      return;
+    case Interface::sticks:
+      return;
+  }
+}
+
+void Flight::sent(const Command& other) {
+  const bool is_same = other.interface == vehicle_.interface;
+  switch (vehicle_.interface) {
+    case Interface::velocity:
+      return remember(is_same ? std::optional(other.velocity) : std::nullopt);
+    case Interface::acceleration:
+      return remember(is_same ? std::optional(other.acceleration) : std::nullopt);
+    case Interface::wrench:
+    case Interface::body_rates:  // the torque that its loop makes of other rates is not known
+      if (other.interface < Interface::wrench || other.interface == Interface::sticks) return;
+      predictor_.fly({other.wrench.thrust, is_same && vehicle_.interface == Interface::wrench
+                                               ? other.wrench.torque
+                                               : decision_.command.wrench.torque},
+                     other.rates, seen_.x);
+      seen_.thrust = other.wrench.thrust;
+      return;
+    case Interface::sticks:
+      return;
+  }
+}
+
+void Flight::remember(const std::optional<Vec3>& command) {
+  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
+  past_.back() = command;
 }
 
 }  // namespace alula::flight

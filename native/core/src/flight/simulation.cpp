@@ -230,6 +230,7 @@ SimulatedFlight Trial::fly() {
     const Decision& decision = flight_.decide();
     const float seconds = std::chrono::duration<float>(Clock::now() - begin).count();
     note(seen, decision, seconds);
+    flight_.sent();
     vehicle_.command(decision.command);
     for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
     vehicle_.end_tick();

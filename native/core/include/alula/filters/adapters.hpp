@@ -33,10 +33,11 @@ class WallPlanes {
   std::vector<alula_wall> walls_;
 };
 
-// polytope-cbf. The command that it keeps safe is a velocity: what a vehicle behind it makes of that is not proven.
+// polytope-cbf. The velocity that it returns is safe for a vehicle that follows it at once; for others there is
+// ChordFilter. With `is_bare` it returns the nominal velocity, and only reports the margin.
 class VelocityFilter final : public SafetyFilter {
  public:
-  explicit VelocityFilter(const PolytopeCbf& filter) : filter_(filter) {}
+  explicit VelocityFilter(const PolytopeCbf& filter, bool is_bare = false) : filter_(filter), is_bare_(is_bare) {}
 
   CommandKind kind() const override { return CommandKind::velocity; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
@@ -44,6 +45,7 @@ class VelocityFilter final : public SafetyFilter {
 
  private:
   PolytopeCbf filter_;
+  bool is_bare_;
 };
 
 // dr-acbf and the methods that it was compared with. Static obstacles are walls to them.

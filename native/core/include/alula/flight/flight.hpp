@@ -6,6 +6,8 @@
 //   observe   the newest measurement, if one arrived, is predicted to now; tracks of what moves are taken as they are
 //   decide    mission -> nominal command -> the filters in their order, each with the command of the one before it ->
 //             command of the vehicle's interface
+//   sent      the command that the vehicle got for this tick: the decided one, or another one, if a fence behind it
+//             had the last word. Predictions and filters go on from it; without it, nothing was sent.
 //
 // Commands go from the outermost loop of the vehicle to the innermost, and so do the filters: velocities, then
 // accelerations, then wrenches, then sticks. Between two kinds stands one cascade: a velocity is held by the tracking
@@ -14,6 +16,10 @@
 //
 // A refused command is never flown: braking, rest or hovering stands in its place until the next filter. When the
 // last filter refuses, or the state is older than `stale_s`, the decision says so.
+//
+// A vehicle that follows velocities or accelerations itself is predicted from the commands that it got: a velocity u
+// with the lag tau of that loop, v = u + (v_0 - u) exp(-t / tau), so that p + tau v moves by u t. For a time with no
+// such command its velocity counts as constant.
 #pragma once
 
 #include <cstdint>
@@ -32,7 +38,8 @@ namespace alula::flight {
 enum class MissionKind : std::uint8_t {
   curve,  // a reference, at rest after its end; a curve of one point hovers
   goal,   // straight to a goal, by a law of the outermost loop
-  pilot   // by the sticks of each tick
+  pilot,  // by the sticks of each tick
+  given   // a reference, by the point that each observation brings
 };
 
 // What makes the nominal command.
@@ -62,7 +69,9 @@ struct Observation {
   std::optional<State> measured;  // nothing: none arrived in this tick
   std::span<const alula_track> tracks;
   Vec3 position_variance;
-  std::optional<RacerCommand> sticks;  // of the pilot
+  std::optional<RacerCommand> sticks;    // of the pilot
+  std::optional<ReferencePoint> target;  // of a mission by given points
+  std::optional<double> age_s;           // of `measured`, if it is known; else it is the assumed delay
 };
 
 // Record of one filter in one tick.
@@ -85,24 +94,28 @@ class Flight {
   Flight(const VehicleSpec& vehicle, const FlightOptions& options, const Mission& mission,
          std::span<const SafetyFilter* const> filters);
 
+  void reset();  // before another flight, and when others have flown the vehicle
   void observe(const Observation& seen);
   const Decision& decide();
+  void sent();                      // what was decided; again for each tick that the vehicle goes on with it
+  void sent(const Command& other);  // of any interface
 
   const FlightState& estimate() const { return seen_; }
   const Nominal& nominal() const { return first_; }  // of the mission, before any filter
   std::span<const FilterRecord> records() const { return records_; }
   const ReferencePoint& target() const { return target_; }
-  double now_s() const { return now_; }
 
  private:
   bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
   bool is_rigid() const { return vehicle_.model == VehicleModel::quadrotor; }
   void predict();
+  void follow(Vec3 command, double held);
   void make_nominal();
   void lower(CommandKind from, CommandKind to);
   void take(const FilterReport& report, CommandKind kind);
   void stand_in(CommandKind kind);
   void finish();
+  void remember(const std::optional<Vec3>& command);
 
   VehicleSpec vehicle_;
   FlightOptions options_;
@@ -116,11 +129,13 @@ class Flight {
   TrackingGains gains_;                            // with its gains
   State last_;                                     // newest measurement
   double now_ = 0, arrived_ = -1;
-  bool has_state_ = false;
+  std::optional<double> age_;  // of that measurement, if it is known
+  bool has_state_ = false, has_target_ = false;
   std::int64_t tick_ = 0;
   Wrench flown_;
-  bool is_other_ = false;   // the applied thrust differs from the controller's
-  std::vector<Vec3> past_;  // commanded velocities or accelerations of the last ticks, newest last
+  bool is_other_ = false;  // the applied thrust differs from the controller's
+  // Velocities or accelerations that were sent in the last ticks, newest last; none where others were sent.
+  std::vector<std::optional<Vec3>> past_;
   std::vector<FilterRecord> records_;
   Decision decision_;
 };

@@ -1,0 +1,108 @@
+"""Replay of a recorded flight: its logged inputs through the native flight again, compared bit by bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from alula.schemas.errors import InputError
+from alula.schemas.mcap_log import messages
+from alula.stages.flight.commanders.native import FlightCommander
+from alula.stages.flight.commanders.protocol import TickInputs
+from alula.stages.flight.links.protocol import (
+    AccelerationSetpoint,
+    RatesSetpoint,
+    Setpoint,
+    VelocitySetpoint,
+)
+from alula.stages.flight.recorder.samples import numbers_of
+
+
+class LoggedTick(msgspec.Struct, frozen=True):
+    """A message of the channel `/replay`; see `ReplaySample`."""
+
+    time_s: float
+    number: int
+    repeats: int
+    age_s: float
+    measured: tuple[float, ...]
+    target: tuple[float, ...]
+    decided: str
+    decided_values: tuple[float, ...]
+    is_own: bool
+    sent: str
+    sent_values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """Result of a replay.
+
+    Attributes:
+        ticks: number of ticks that were compared.
+        differing: times of the ticks whose set-point is not the logged one, since the start of the flight [s].
+    """
+
+    ticks: int
+    differing: list[float]
+
+
+def replay(log: Path, commander: FlightCommander) -> Replayed:
+    """Feed the logged inputs of a flight to a commander, and compare its set-points with the logged ones.
+
+    Args:
+        log: of the flight.
+        commander: of the same mission and kind of set-point; it is reset.
+
+    Raises:
+        InputError: the log cannot be read, has no ticks of set-points, or lacks some of them.
+    """
+    ticks, differing, next_number = 0, list[float](), 0
+    sent: Setpoint | None = None
+    for tick in _ticks(log):
+        if tick.number == 0:
+            commander.reset()
+        elif tick.number != next_number:
+            raise InputError(f"{log}: ticks before {tick.time_s:.2f} s are missing; the flight cannot be replayed")
+        elif sent is not None:
+            for _ in range(tick.repeats):
+                commander.sent(sent)
+        inputs = TickInputs(
+            np.array(tick.measured), tick.age_s, np.array(tick.target), tick.number, tick.repeats
+        )
+        decision = commander.step(inputs)
+        ticks, next_number = ticks + 1, tick.number + 1
+        if numbers_of(decision.setpoint) != (tick.decided, tick.decided_values):
+            differing.append(tick.time_s)
+        sent = decision.setpoint if tick.is_own else _setpoint(tick.sent, tick.sent_values)
+        if sent is not None:
+            commander.sent(sent)
+    if ticks == 0:
+        raise InputError(f"{log}: it has no set-points of a real flight")
+    return Replayed(ticks, differing)
+
+
+def _ticks(log: Path) -> Iterator[LoggedTick]:
+    decode = msgspec.json.Decoder(LoggedTick).decode
+    try:
+        with log.open("rb") as file:
+            for _, data in messages(file, ("/replay",)):
+                yield decode(data)
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror}") from error
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{log}: {' '.join(str(error).split())[:200]}") from error
+
+
+def _setpoint(kind: str, values: tuple[float, ...]) -> Setpoint | None:
+    """A set-point from its numbers in the log."""
+    if kind == "rates":
+        return RatesSetpoint(values[0], np.array(values[1:]))
+    if kind == "acceleration":
+        unknown = np.zeros(3)
+        return AccelerationSetpoint(np.array(values[:3]), unknown, unknown, values[3])
+    return VelocitySetpoint(np.array(values[:3]), values[3]) if kind == "velocity" else None
