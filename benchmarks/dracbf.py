@@ -33,8 +33,8 @@ from alula import _core
 from alula.schemas.encounters import Encounters, read_encounters
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate
-from alula.stages.simulation.encounters.simulate import fly_encounters
-from alula.stages.simulation.encounters.world import filter_options, native_encounter, native_filter
+from alula.stages.simulation.encounters.simulate import flight_logs, fly_encounters
+from alula.stages.simulation.encounters.world import filter_options
 from alula.stages.verdict import wilson_interval
 
 FloatArray = NDArray[np.float64]
@@ -82,30 +82,30 @@ def record(scenario: Encounters, count: int, seed: int) -> list[list[Tick]]:
     Positions of tracks are those of the flight. Velocities and covariances are not recorded: velocities are
     the true ones over ten ticks, covariances follow roughly from the sensor's noise at that distance.
     """
-    spec, native = native_encounter(scenario, None), native_filter(scenario)
-    logs = _core.fly_encounters(spec, native, seed=seed, first=0, count=count, keeps_path=True, jobs=0)
-    return [list(_ticks(log, scenario)) for log in logs]
+    trials = msgspec.structs.replace(scenario.trials, seed=seed)
+    seeded = msgspec.structs.replace(scenario, trials=trials)
+    return [list(_ticks(log, scenario)) for log in flight_logs(seeded, None, 0, count, jobs=0)]
 
 
 def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
-    vehicle, tracks, sensor = log["vehicle"], log["tracks"], scenario.sensor
+    vehicle, tracks, sensor = log["state"], log["track"], scenario.sensor
     back, dt = 10, scenario.run.dt_s
-    for k in range(back, len(vehicle)):
+    for k in range(back, len(tracks)):
         rows = []
         for i in range(tracks.shape[1]):
             now, before = tracks[k, i], tracks[k - back, i]
             if not (np.isfinite(now).all() and np.isfinite(before).all()):
                 continue
-            velocity = (log["obstacles"][k, i] - log["obstacles"][k - back, i]) / (back * dt)
+            velocity = (log["obstacle"][k, i] - log["obstacle"][k - back, i]) / (back * dt)
             across = float(np.linalg.norm(now - vehicle[k, :3])) * sensor.sigma_azimuth_rad
             variance = np.diag([*[0.25 * (sensor.sigma_range_m**2 + across**2)] * 3, *[0.25] * 3])
             rows.append([i, *now, *velocity, *variance[np.tril_indices(6)], scenario.obstacles[i].radius_m])
         yield Tick(
             position=vehicle[k, :3].tolist(),
-            velocity=vehicle[k, 3:6].tolist(),
+            velocity=vehicle[k, 6:9].tolist(),
             tracks=np.array(rows, np.float64).reshape(-1, 29),
             nominal=log["nominal"][k].tolist(),
-            is_active=bool(log["mode"][k] != 0),
+            is_active=bool(log["flags"][k, -1] >> 4),
         )
 
 

@@ -15,7 +15,7 @@ from alula.stages.runlog.maps import walls_message
 from alula.stages.runlog.messages import UPRIGHT, entity, number, pose_message, scene_message, sphere, xyz
 from alula.stages.runlog.schemas import ENCOUNTER_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
-from alula.stages.simulation.result import EncounterFlight
+from alula.stages.simulation.result import WorldFlight
 
 MODES = ("nominal", "avoid", "hover")
 _OBSTACLE_COLOR = {"r": 0.8, "g": 0.3, "b": 0.1, "a": 0.9}
@@ -25,7 +25,7 @@ _TRACK_COLOR = {"r": 0.1, "g": 0.45, "b": 0.8, "a": 0.35}
 def write_encounter_log(
     stream: BinaryIO,
     record: RunRecord,
-    flights: list[EncounterFlight],
+    flights: list[WorldFlight],
     walls: Hulls | None,
     frame: str,
     *,
@@ -56,21 +56,22 @@ def write_encounter_log(
 
 def _logged(
     trial: TrialResult,
-    flight: EncounterFlight,
+    flight: WorldFlight,
     frame: str,
     dt_s: float,
     radii_m: list[float],
     radius_m: float,
 ) -> LoggedTrial:
-    vehicle, obstacles, tracks = flight.rows("vehicle"), flight.rows("obstacles"), flight.rows("tracks")
+    state, obstacles, tracks = flight.rows("state"), flight.rows("obstacles"), flight.rows("tracks")
     command, nominal = flight.rows("command"), flight.rows("nominal")
+    mode = flight.mode()
     reach = np.array(radii_m, np.float64) + radius_m
-    gap = np.linalg.norm(obstacles - vehicle[:, None, :3], axis=2) - reach
+    gap = np.linalg.norm(obstacles - state[:, None, :3], axis=2) - reach
 
     def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
-        position = xyz(vehicle[i, :3])
+        position = xyz(state[i, :3])
         yield "/pose", pose_message(position, UPRIGHT, frame, now_s)
-        yield "/state", {"position_m": position, "velocity_m_s": xyz(vehicle[i, 3:6])}
+        yield "/state", {"position_m": position, "velocity_m_s": xyz(state[i, 6:9])}
         status = FilterStatus(flight.status[i])
         margin = number(gap[i].min(initial=np.inf))
         yield (
@@ -80,15 +81,15 @@ def _logged(
                 "margin_unit": "m",
                 "status": int(status),
                 "status_name": status.name.lower(),
-                "mode_name": MODES[flight.mode[i]],
+                "mode_name": MODES[mode[i]],
                 "a_nom_m_s2": xyz(nominal[i]),
-                "a_safe_m_s2": xyz(command[i]),
+                "a_safe_m_s2": xyz(command[i, :3]),
             },
         )
         yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_s)
 
     is_good = trial.outcome == "passed"
-    return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), vehicle[:, :3], messages)
+    return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), state[:, :3], messages)
 
 
 def _words(trial: TrialResult) -> str:

@@ -102,41 +102,6 @@ class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
         return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
 
-class EncounterFlight(_StoredFlight, frozen=True, kw_only=True):
-    """Samples of an encounter with n moving obstacles.
-
-    `vehicle` has position, velocity and acceleration, shape (T, 9); `obstacles` and `tracks` positions,
-    shape (T, n, 3), NaN without a track; `command` and `nominal` accelerations, shape (T, 3); `mode`
-    a byte for each.
-    """
-
-    _SHAPES = {
-        **{"vehicle": (9,), "obstacles": (-1, 3), "tracks": (-1, 3)},
-        **{"command": (3,), "nominal": (3,)},
-    }
-
-    vehicle: bytes
-    obstacles: bytes
-    tracks: bytes
-    command: bytes
-    nominal: bytes
-    mode: bytes
-
-    @classmethod
-    def of(cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float) -> Self:
-        """Sample a native log; see `logged_ticks`.
-
-        Args:
-            trial: its number.
-            flown: arrays by name, a row per tick.
-            dt_s: duration of a tick [s].
-            rate_hz: samples per second.
-        """
-        sample = logged_ticks(len(flown["mode"]) - 1, dt_s, rate_hz)
-        rows = {name: flown[name][sample].tobytes() for name in (*cls._SHAPES, "mode", "status")}
-        return cls(trial=trial, tick=sample.tobytes(), **rows)
-
-
 class FenceFlight(_StoredFlight, frozen=True, kw_only=True):
     """Samples of a flight in a geofence.
 
@@ -179,7 +144,8 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     `state` has position, attitude (MRP), velocity and rates, shape (T, 12), `estimate` what the filters got;
     `nominal` the mission's velocity or acceleration, shape (T, 3); `command` velocity, acceleration or rates
     (3), wrench (4) and sticks (4); `obstacles` and `tracks` positions, shape (T, n, 3), NaN without a track;
-    `margin` of each filter, shape (T, f); `each_status` and `each_flags` a byte for each filter.
+    `margin` of each filter, shape (T, f); `each_status` and `each_flags` a byte for each filter, the bits of
+    `SimulatedFlight` in native/core.
     """
 
     _SHAPES = {
@@ -224,6 +190,11 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             each_status=status.tobytes(),
             each_flags=flown["flags"][sample].tobytes(),
         )
+
+    def mode(self) -> NDArray[np.uint8]:
+        """Modes of the last filter, one among moving obstacles: 0 nominal, 1 avoid, 2 hover; shape (T,)."""
+        last: NDArray[np.uint8] = self.of_filters("each_flags")[:, -1] >> np.uint8(4)
+        return last
 
     def of_filters(self, name: str) -> NDArray[np.uint8]:
         """Bytes of a field for each filter, shape (T, f).

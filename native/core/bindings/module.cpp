@@ -27,7 +27,6 @@ void bind_splat_flight(nb::module_& m);
 void bind_flight(nb::module_& m);
 void bind_tracker(nb::module_& m);
 void bind_moving_world(nb::module_& m);
-void bind_encounter(nb::module_& m);
 void bind_moving_filters(nb::module_& m);
 void bind_racer(nb::module_& m);
 void bind_geofence(nb::module_& m);
@@ -62,7 +61,6 @@ NB_MODULE(_core, m) {
   bind_tracker(m);
   bind_moving_world(m);
   bind_moving_filters(m);
-  bind_encounter(m);
   bind_racer(m);
   bind_geofence(m);
   bind_onboard_stack(m);

@@ -2286,6 +2286,16 @@ class MovingSpec:
         yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course.
         """
 
+def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
+    """
+    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound on the probability that it is within the radius when it comes closest in the window.
+    """
+
+def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
+    """
+    Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
+    """
+
 class MovingReport:
     """Report of a filter among moving obstacles for one tick."""
 
@@ -2404,125 +2414,6 @@ def cantelli(alpha: float) -> float:
 
 def recursive_speed(a_max: float, horizon_s: float) -> float:
     """Closing speed below which the rows never demand more than a_max."""
-
-class EncounterVehicle:
-    """
-    A sphere among moving obstacles that moves as a double integrator with limits of speed, acceleration and jerk; it holds its start or goes to its goal.
-    """
-
-    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False) -> None:
-        """
-        Args:
-            start: start [m]
-            goal: goal [m]
-            start_speed_m_s: speed at the start, along the course [m/s]
-            cruise_m_s: nominal speed [m/s]
-            gain: gain of the speed error [1/s]
-            radius_m: radius of the sphere [m]
-            max_speed_m_s: maximum |v| of the executed motion [m/s]
-            max_acceleration_m_s2: maximum |a|_inf of a command [m/s^2]
-            max_jerk_m_s3: maximum |da/dt|_inf of the executed motion [m/s^3]
-            actuation_delay_s: time from a command until it acts [s]
-            hovers: hold the start instead of flying to the goal
-        """
-
-    @property
-    def start(self) -> list[float]:
-        """start [m]"""
-
-    @property
-    def goal(self) -> list[float]:
-        """goal [m]"""
-
-    @property
-    def start_speed_m_s(self) -> float:
-        """speed at the start, along the course [m/s]"""
-
-    @property
-    def cruise_m_s(self) -> float:
-        """nominal speed [m/s]"""
-
-    @property
-    def gain(self) -> float:
-        """gain of the speed error [1/s]"""
-
-    @property
-    def radius_m(self) -> float:
-        """radius of the sphere [m]"""
-
-    @property
-    def max_speed_m_s(self) -> float:
-        """maximum |v| of the executed motion [m/s]"""
-
-    @property
-    def max_acceleration_m_s2(self) -> float:
-        """maximum |a|_inf of a command [m/s^2]"""
-
-    @property
-    def max_jerk_m_s3(self) -> float:
-        """maximum |da/dt|_inf of the executed motion [m/s^3]"""
-
-    @property
-    def actuation_delay_s(self) -> float:
-        """time from a command until it acts [s]"""
-
-    @property
-    def hovers(self) -> bool:
-        """hold the start instead of flying to the goal"""
-
-class EncounterRules:
-    """Timing of an encounter and its end conditions."""
-
-    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0, risk_window_s: float = 0.4) -> None:
-        """
-        Args:
-            dt_s: time step of the filter [s]
-            plant_steps: steps of the plant per tick
-            max_time_s: time limit [s]
-            receded_s: a trial ends when all obstacles have receded for so long [s]
-            risk_window_s: window of the mission risk [s]
-        """
-
-    @property
-    def dt_s(self) -> float:
-        """time step of the filter [s]"""
-
-    @property
-    def plant_steps(self) -> int:
-        """steps of the plant per tick"""
-
-    @property
-    def max_time_s(self) -> float:
-        """time limit [s]"""
-
-    @property
-    def receded_s(self) -> float:
-        """a trial ends when all obstacles have receded for so long [s]"""
-
-    @property
-    def risk_window_s(self) -> float:
-        """window of the mission risk [s]"""
-
-class EncounterSpec:
-    """Specification of an encounter, without the filter."""
-
-    def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., moving: MovingSpec = ..., walls: PolytopeSet | None = None) -> None:
-        """Create a specification; ValueError if it is invalid."""
-
-def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
-    """
-    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` has a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), reaction and avoid [s], NaN for events that did not occur; with keeps_path also a row per tick of the vehicle (p, v, a), obstacles, tracks, command, nominal, mode and status.
-    """
-
-def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
-    """
-    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound on the probability that it is within the radius when it comes closest in the window.
-    """
-
-def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
-    """
-    Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
-    """
 
 class RacerModel:
     """
@@ -3070,17 +2961,21 @@ class Losses:
 class SimulationRules:
     """Timing of a simulation, and when a flight ends."""
 
-    def __init__(self, *, plant_steps: int = 10, stop_speed_m_s: float = 0.1, stuck_speed_m_s: float = 0.02, stuck_ticks: int = 200, receded_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0], ends_when_refused: bool = True) -> None:
+    def __init__(self, *, plant_steps: int = 10, stop_speed_m_s: float = 0.1, stuck_speed_m_s: float = 0.02, stuck_ticks: int = 200, receded_s: float = float('inf'), lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0], ends_when_refused: bool = True, ends_at_goal: bool = True, risk_window_s: float = 0.4, keeps_path: bool = True, keeps_ticks: bool = True) -> None:
         """
         Args:
             plant_steps: steps of the plant in a tick
             stop_speed_m_s: reached when slower than this, with the reference at its end [m/s]
             stuck_speed_m_s: stuck below this speed, away from the reference [m/s],
             stuck_ticks: for this many ticks
-            receded_s: ends when all obstacles have receded for so long; 0: does not [s]
+            receded_s: ends when all obstacles have receded for so long [s]
             lower: lower corner of the box that must not be left [m]
             upper: upper corner of that box [m]
             ends_when_refused: a refused command ends the flight
+            ends_at_goal: a goal that is reached ends the flight, and being stuck
+            risk_window_s: window of the risk of encounters [s]
+            keeps_path: the path is kept
+            keeps_ticks: a row per tick is kept
         """
 
     @property
@@ -3101,7 +2996,7 @@ class SimulationRules:
 
     @property
     def receded_s(self) -> float:
-        """ends when all obstacles have receded for so long; 0: does not [s]"""
+        """ends when all obstacles have receded for so long [s]"""
 
     @property
     def lower(self) -> list[float]:
@@ -3114,6 +3009,22 @@ class SimulationRules:
     @property
     def ends_when_refused(self) -> bool:
         """a refused command ends the flight"""
+
+    @property
+    def ends_at_goal(self) -> bool:
+        """a goal that is reached ends the flight, and being stuck"""
+
+    @property
+    def risk_window_s(self) -> float:
+        """window of the risk of encounters [s]"""
+
+    @property
+    def keeps_path(self) -> bool:
+        """the path is kept"""
+
+    @property
+    def keeps_ticks(self) -> bool:
+        """a row per tick is kept"""
 
 class Mission:
     """What makes the nominal command."""
@@ -3139,8 +3050,10 @@ class Task:
     A trial: its start, its mission, and a simulated pilot where it flies by sticks.
     """
 
-    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, *, pilot: Pilot | None = None, max_time_s: float = 60.0, stop_distance_m: float = 0.05) -> None:
-        """start: position, attitude (MRP), velocity, body rates."""
+    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, *, pilot: Pilot | None = None, max_time_s: float = 60.0, stop_distance_m: float = 0.05, expected_velocity_m_s: Sequence[float] | None = None) -> None:
+        """
+        start: position, attitude (MRP), velocity, body rates; expected_velocity_m_s: by which obstacles are drawn to meet the vehicle, else the mean velocity of the mission.
+        """
 
 class SimulationSpec:
     """All parts of simulated flights but the tasks and the filters."""

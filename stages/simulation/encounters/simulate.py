@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,19 +14,21 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
 from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
-from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.clearance import hull_obstacles, is_collision
+from alula.schemas.run import TrialResult
+from alula.stages.clearance import hull_obstacles, is_collision, sphere_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.obstacles import require_obstacles
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
-from alula.stages.simulation.encounters.world import native_encounter, native_filter, static_walls
-from alula.stages.simulation.result import EncounterFlight
+from alula.stages.simulation.encounters.world import (
+    native_encounter,
+    native_filter,
+    native_task,
+    static_walls,
+)
+from alula.stages.simulation.moving import obstacle_results
+from alula.stages.simulation.result import WorldFlight
 
 CHUNK = 16  # trials; they take some tenths of a second
-_FIGURES = (
-    *("closest_m", "separation_m", "closing_m_s", "detected_s", "warned_s"),
-    *("command_s", "reaction_s", "avoid_s"),
-)  # columns of the native log, per obstacle
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
@@ -45,7 +46,7 @@ class FlownChunk(FlownTrials, frozen=True, kw_only=True):
     tick_s: bytes
     command_s: bytes
     reaction_s: bytes
-    flights: list[EncounterFlight]
+    flights: list[WorldFlight]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ class EncounterRun:
     """
 
     trials: list[TrialResult]
-    flights: list[EncounterFlight]
+    flights: list[WorldFlight]
     walls: Hulls | None
     tick_s: NDArray[np.float32]
     command_s: NDArray[np.float64]
@@ -108,7 +109,7 @@ def fly_encounters(
     if cover is not None:
         require_obstacles(cover, jobs=jobs)
     walls = static_walls(scenario.walls, cover)
-    native_encounter(scenario, None)  # refuse wrong values before any work
+    native_encounter(scenario, keeps_path=False, keeps_ticks=False)  # refuse wrong values before any work
     native_filter(scenario)
     chunks = fly_missing(
         fly_chunk,
@@ -123,9 +124,8 @@ def fly_encounters(
     flown = _joined(scenario, walls, chunks)
     worst = closest_trial(scenario, flown.trials)
     if worst.index >= scenario.trials.logged:
-        native = native_encounter(scenario, None if walls is None else hull_obstacles(walls))
-        (log,) = _logs(scenario, native, native_filter(scenario), worst.index, 1, keeps_path=True)
-        again = EncounterFlight.of(worst.index, log, scenario.run.dt_s, scenario.run.log_rate_hz)
+        (log,) = flight_logs(scenario, None if walls is None else hull_obstacles(walls), worst.index, 1)
+        again = WorldFlight.of(worst.index, log, scenario.run.dt_s, scenario.run.log_rate_hz)
         flown = replace(flown, flights=[*flown.flights, again])
     return flown
 
@@ -172,25 +172,18 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
         chunk: scenario, walls and numbers of the trials.
     """
     scenario, logged = chunk.scenario, chunk.scenario.trials.logged
-    spec = native_encounter(scenario, None if chunk.walls is None else hull_obstacles(chunk.walls))
-    native = native_filter(scenario)
-
-    def flown(first: int, count: int, keeps_path: bool) -> Iterator[tuple[int, dict[str, Any]]]:
-        return enumerate(_logs(scenario, spec, native, first, count, keeps_path=keeps_path), first)
-
+    walls = None if chunk.walls is None else hull_obstacles(chunk.walls)
     kept = shown(chunk, logged)
+    logs = flight_logs(scenario, walls, chunk.first, kept)
+    logs += flight_logs(scenario, walls, chunk.first + kept, chunk.count - kept, keeps_ticks=False)
     trials, ticks, commands, reactions, flights = [], [], [], [], []
-    for index, log in (
-        *flown(chunk.first, kept, True),
-        *flown(chunk.first + kept, chunk.count - kept, False),
-    ):
-        trials.append(_trial(scenario, index, log))
+    for index, log in enumerate(logs, chunk.first):
+        trials.append(_trial(scenario, walls, index, log))
         ticks.append(log["active_tick_s"].tobytes())
-        columns = dict(zip(_FIGURES, log["obstacle"].T, strict=True))
-        commands.append(columns["command_s"].tobytes())
-        reactions.append((columns["command_s"] + columns["reaction_s"]).tobytes())
+        commands.append(log["command_s"].tobytes())
+        reactions.append((log["command_s"] + log["reaction_s"]).tobytes())
         if index < logged:
-            flights.append(EncounterFlight.of(index, log, scenario.run.dt_s, scenario.run.log_rate_hz))
+            flights.append(WorldFlight.of(index, log, scenario.run.dt_s, scenario.run.log_rate_hz))
     return FlownChunk(
         first=chunk.first,
         trials=trials,
@@ -201,39 +194,55 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
     )
 
 
-def _logs(
-    scenario: Encounters, spec: Any, native: Any, first: int, count: int, *, keeps_path: bool
+def flight_logs(
+    scenario: Encounters,
+    walls: _core.PolytopeSet | None,
+    first: int,
+    count: int,
+    *,
+    keeps_ticks: bool = True,
+    jobs: int = 1,
 ) -> list[dict[str, Any]]:
-    """Native logs of consecutive trials; refuses obstacles that cannot meet the vehicle in one of them."""
+    """Fly consecutive trials; their native logs.
+
+    Args:
+        scenario: all parameters.
+        walls: static obstacles.
+        first: number of the first trial.
+        count: number of trials.
+        keeps_ticks: the logs have a row per tick.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+
+    Raises:
+        UsageError: an obstacle cannot meet the vehicle in one of them.
+    """
+    spec = native_encounter(scenario, keeps_path=walls is not None, keeps_ticks=keeps_ticks)
     try:
-        return _core.fly_encounters(
+        return _core.simulate(
             spec,
-            native,
+            [native_task(scenario)] * count,
+            [native_filter(scenario, walls)],
             seed=scenario.trials.seed,
-            first=first,
-            count=count,
-            keeps_path=keeps_path,
-            jobs=1,
+            first_trial=first,
+            jobs=jobs,
         )
     except ValueError as error:
         raise UsageError(f"`$.obstacles`: {error}") from error
 
 
-def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult:
+def _trial(
+    scenario: Encounters, walls: _core.PolytopeSet | None, index: int, log: dict[str, Any]
+) -> TrialResult:
     """Judge one trial; the verdict has no measured time."""
-    encounter = scenario.encounter
+    encounter, radius_m = scenario.encounter, scenario.vehicle.radius_m
     goal = encounter.start_m if encounter.hovers else encounter.goal_m
-    obstacles = []
-    for row, hit in zip(log["obstacle"], log["collided"], strict=True):
-        figures: dict[str, Any] = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
-        del figures["command_s"]
-        obstacles.append(ObstacleResult(**figures, collision=bool(hit)))
-    clearance = log["wall_clearance_m"] if math.isfinite(log["wall_clearance_m"]) else None
+    obstacles = obstacle_results(log, [radius_m + obstacle.radius_m for obstacle in scenario.obstacles])
+    clearance = None if walls is None else sphere_clearance(log["path"], walls, radius_m, jobs=1)
     return TrialResult(
         index=index,
         start_m=list(encounter.start_m),
         goal_m=list(goal),
-        outcome=log["outcome"],
+        outcome="passed" if log["end"] == "passed" else "timeout",
         collision=any(obstacle.collision for obstacle in obstacles) or is_collision(clearance),
         steps=log["ticks"],
         duration_s=log["ticks"] * scenario.run.dt_s,
@@ -251,13 +260,9 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
         obstacles=obstacles,
         active_steps=log["active_ticks"],
         refused_steps=log["refused_ticks"],
-        iterations=log["iterations"],
+        iterations=log["total_iterations"],
         worst_violation_m_s2=log["worst_violation"],
         # Other filters have no rows with a risk.
         risk_spent=log["risk_spent"] if scenario.filter.name.startswith("dr-acbf") else None,
         mission_risk=log["mission_risk"],
     )
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

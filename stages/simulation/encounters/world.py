@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,8 +13,10 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.encounter_filter import native_options
 from alula.schemas.encounters import Encounters, WallTable
 from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.compression.hulls import Hulls
 from alula.stages.simulation.moving import moving_spec
+from alula.stages.vehicles.bodies import quadrotor
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 # Fraction of the maximum acceleration that braking before a wall counts on. Below 1 / sqrt(3), so that the
@@ -59,62 +62,97 @@ def _box(wall: WallTable) -> Hulls:
     )
 
 
-def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _core.EncounterSpec:
-    """Make the native encounter, all but the filter.
+def native_encounter(scenario: Encounters, *, keeps_path: bool, keeps_ticks: bool) -> _core.SimulationSpec:
+    """Make the native simulation, all but the task and the filter.
+
+    Args:
+        scenario: all parameters.
+        keeps_path: the path is kept, for a judge of the walls.
+        keeps_ticks: a row per tick is kept, for the log.
+
+    Raises:
+        UsageError: values are inconsistent; the message has the path of their key.
+    """
+    body, run = scenario.vehicle, scenario.run
+    moving = moving_spec(
+        scenario.obstacles, scenario.sensor, scenario.tracker, yaw_rate_rad_s=body.yaw_rate_rad_s
+    )
+    try:
+        vehicle = _core.VehicleSpec(
+            quadrotor(FASTBRIDGE),  # a point has no rotors: any body
+            model="double-integrator",
+            interface="acceleration",
+            max_speed_m_s=body.v_max_m_s,
+            max_acceleration_m_s2=body.a_max_m_s2,
+            max_jerk_m_s3=body.j_max_m_s3,
+            actuation_delay_s=body.actuation_delay_s,
+            radius_m=body.radius_m,
+        )
+        return _core.SimulationSpec(
+            vehicle,
+            options=_core.FlightOptions(dt_s=run.dt_s),
+            rules=_core.SimulationRules(
+                plant_steps=run.plant_steps,
+                receded_s=scenario.encounter.receded_s,
+                ends_when_refused=False,
+                ends_at_goal=False,
+                risk_window_s=scenario.filter.parameters.h_max_s,
+                keeps_path=keeps_path,
+                keeps_ticks=keeps_ticks,
+            ),
+            moving=moving,
+        )
+    except ValueError as error:
+        raise UsageError(f"`$.encounter`: {error}") from error
+
+
+def native_task(scenario: Encounters) -> _core.Task:
+    """Make the task of every trial: start at the speed along the course, fly to the goal or hold the start.
+
+    Args:
+        scenario: all parameters.
+    """
+    encounter = scenario.encounter
+    start = np.array(encounter.start_m, np.float64)
+    way = np.array(encounter.goal_m, np.float64) - start
+    course = np.array([1.0, 0.0, 0.0]) if encounter.hovers else 1 / math.sqrt(sum(way * way)) * way
+    resting = 0.0 if encounter.hovers else encounter.cruise_m_s
+    velocity = (resting if encounter.start_speed_m_s is None else encounter.start_speed_m_s) * course
+    return _core.Task(
+        np.concatenate([start, np.zeros(3), velocity, np.zeros(3)]),
+        _core.Mission.to(
+            encounter.start_m if encounter.hovers else encounter.goal_m,
+            gain_per_s=encounter.gain_per_s,
+            speed_m_s=encounter.cruise_m_s,
+            hovers=encounter.hovers,
+        ),
+        max_time_s=scenario.run.max_time_s,
+        expected_velocity_m_s=velocity.tolist(),
+    )
+
+
+def native_filter(scenario: Encounters, walls: _core.PolytopeSet | None = None) -> _core.MovingSafety:
+    """Make the native filter.
 
     Args:
         scenario: all parameters.
         walls: static obstacles.
 
     Raises:
-        UsageError: values are inconsistent; the message has the path of their key.
-    """
-    encounter, body, run = scenario.encounter, scenario.vehicle, scenario.run
-    resting = 0.0 if encounter.hovers else encounter.cruise_m_s
-    try:
-        return _core.EncounterSpec(
-            vehicle=_core.EncounterVehicle(
-                start=encounter.start_m,
-                goal=encounter.goal_m,
-                start_speed_m_s=resting if encounter.start_speed_m_s is None else encounter.start_speed_m_s,
-                cruise_m_s=encounter.cruise_m_s,
-                gain=encounter.gain_per_s,
-                radius_m=body.radius_m,
-                max_speed_m_s=body.v_max_m_s,
-                max_acceleration_m_s2=body.a_max_m_s2,
-                max_jerk_m_s3=body.j_max_m_s3,
-                actuation_delay_s=body.actuation_delay_s,
-                hovers=encounter.hovers,
-            ),
-            rules=_core.EncounterRules(
-                dt_s=run.dt_s,
-                plant_steps=run.plant_steps,
-                max_time_s=run.max_time_s,
-                receded_s=encounter.receded_s,
-                risk_window_s=scenario.filter.parameters.h_max_s,
-            ),
-            moving=moving_spec(
-                scenario.obstacles, scenario.sensor, scenario.tracker, yaw_rate_rad_s=body.yaw_rate_rad_s
-            ),
-            walls=walls,
-        )
-    except ValueError as error:
-        raise UsageError(f"`$.encounter`: {error}") from error
-
-
-def native_filter(scenario: Encounters) -> _core.MovingFilter:
-    """Make the native filter.
-
-    Args:
-        scenario: all parameters.
-
-    Raises:
         UsageError: its parameters are inconsistent.
     """
+    body = scenario.vehicle
     try:
-        return _core.moving_filter(scenario.filter.name.replace("-", "_"), filter_options(scenario))
+        native = _core.moving_filter(scenario.filter.name.replace("-", "_"), filter_options(scenario))
     except ValueError as error:
         raise UsageError(f"`$.filter.parameters`: {error}") from error
+    return _core.MovingSafety(
+        native,
+        None if walls is None else _core.HullMap(walls),
+        max_speed_m_s=body.v_max_m_s,
+        max_acceleration_m_s2=body.a_max_m_s2,
+        radius_m=body.radius_m,
+    )
 
 
 def filter_options(scenario: Encounters) -> dict[str, float]:

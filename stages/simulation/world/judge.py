@@ -11,10 +11,11 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.run import FilterResult, ObstacleResult, Outcome, TrialResult
+from alula.schemas.run import FilterResult, Outcome, TrialResult
 from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
+from alula.stages.simulation.moving import obstacle_results
 from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
 
@@ -87,7 +88,7 @@ class WorldJudge:
         fence = None
         if len(self.world.faces):
             fence = float(self.world.inside(path).min()) - self.world.radius_m
-        met = self._met(flown)
+        met = obstacle_results(flown, [radius + self.world.radius_m for radius in self.obstacle_radii_m])
         moving = minimum(
             one.closest_m - radius - self.world.radius_m
             for one, radius in zip(met, self.obstacle_radii_m, strict=True)
@@ -140,23 +141,6 @@ class WorldJudge:
             certified_moving_steps=None if last is None else last.certified_moving,
             filters=each or None,
         )
-
-    def _met(self, flown: dict[str, Any]) -> list[ObstacleResult]:
-        return [
-            ObstacleResult(
-                closest_m=float(closest),
-                separation_m=None,
-                closing_m_s=None,
-                detected_s=float(seen) if math.isfinite(seen) else None,
-                warned_s=None,
-                reaction_s=None,
-                avoid_s=None,
-                collision=bool(closest <= radius + self.world.radius_m),
-            )
-            for closest, seen, radius in zip(
-                flown["closest_m"], flown["detected_s"], self.obstacle_radii_m, strict=True
-            )
-        ]
 
     def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterResult:
         status, flags, margin = flown["status"][:, i], flown["flags"][:, i], flown["margin"][:, i]

@@ -261,7 +261,7 @@ def prepare(
             plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
-            receded_s=mission.receded_s or 0.0,
+            receded_s=math.inf if mission.receded_s is None else mission.receded_s,
             lower=lower,
             upper=upper,
             ends_when_refused=not full.world.moving and not has_losses and mission.kind != "pilot",

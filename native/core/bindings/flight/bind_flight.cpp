@@ -93,10 +93,14 @@ struct Fields<flight::SimulationRules> {
             "reached when slower than this, with the reference at its end [m/s]"},
       Field{"stuck_speed_m_s", &Rules::stuck_speed, "stuck below this speed, away from the reference [m/s],"},
       Field{"stuck_ticks", &Rules::stuck_ticks, "for this many ticks"},
-      Field{"receded_s", &Rules::receded_s, "ends when all obstacles have receded for so long; 0: does not [s]"},
+      Field{"receded_s", &Rules::receded_s, "ends when all obstacles have receded for so long [s]"},
       Field{"lower", &Rules::lower, "lower corner of the box that must not be left [m]"},
       Field{"upper", &Rules::upper, "upper corner of that box [m]"},
-      Field{"ends_when_refused", &Rules::ends_when_refused, "a refused command ends the flight"}};
+      Field{"ends_when_refused", &Rules::ends_when_refused, "a refused command ends the flight"},
+      Field{"ends_at_goal", &Rules::ends_at_goal, "a goal that is reached ends the flight, and being stuck"},
+      Field{"risk_window_s", &Rules::risk_window_s, "window of the risk of encounters [s]"},
+      Field{"keeps_path", &Rules::keeps_path, "the path is kept"},
+      Field{"keeps_ticks", &Rules::keeps_ticks, "a row per tick is kept"}};
 };
 
 namespace flight {
@@ -189,14 +193,44 @@ FilterReport PythonFilter::filter(const FlightState& state, const Nominal& nomin
 
 std::vector<const SafetyFilter*> borrowed(const Filters& filters) { return {filters.begin(), filters.end()}; }
 
+// A vector per figure of the obstacles, and one number per figure of the filter.
+void add_metrics(LogDict& d, EncounterLog&& log) {
+  using M = EncounterMetrics;
+  using L = EncounterLog;
+  static constexpr std::pair<const char*, double M::*> kOfObstacles[] = {
+      {"closest_m", &M::closest_m},     {"separation_m", &M::separation_m},
+      {"closing_m_s", &M::closing_m_s}, {"detected_s", &M::detected_s},
+      {"warned_s", &M::warned_s},       {"command_s", &M::command_s},
+      {"reaction_s", &M::reaction_s},   {"avoid_s", &M::avoid_s}};
+  static constexpr std::pair<const char*, std::int64_t L::*> kCounts[] = {
+      {"active_ticks", &L::active_ticks},         {"filtered_ticks", &L::filtered_ticks},
+      {"infeasible_ticks", &L::infeasible_ticks}, {"recovering_ticks", &L::recovering_ticks},
+      {"refused_ticks", &L::refused_ticks},       {"total_iterations", &L::iterations}};
+  static constexpr std::pair<const char*, double L::*> kFigures[] = {
+      {"worst_violation", &L::worst_violation}, {"risk_spent", &L::risk_spent}, {"mission_risk", &L::mission_risk}};
+  for (const auto& [name, figure] : kOfObstacles) {
+    std::vector<double> each;
+    for (const M& one : log.obstacle) each.push_back(one.*figure);
+    d[name] = to_numpy(std::move(each), {log.obstacle.size()});
+  }
+  for (const auto& [name, count] : kCounts) d[name] = log.*count;
+  for (const auto& [name, figure] : kFigures) d[name] = log.*figure;
+  const std::size_t active = log.active_tick_s.size();
+  d["active_tick_s"] = to_numpy(std::move(log.active_tick_s), {active});
+}
+
 LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   static constexpr const char* kEnds[] = {"flying", "reached", "stuck", "timeout", "refused", "passed", "ended"};
-  const auto ticks = static_cast<std::size_t>(f.ticks);
-  const std::size_t points = f.path.size() / 3, n = f.closest_m.size(), tracks = f.tracks.size();
+  const std::size_t ticks = f.tick_s.size(), points = f.path.size() / 3, tracks = f.tracks.size();
+  const std::size_t n = f.encounters.obstacle.size(), states = f.state.size() / 12, starts = f.track_start.size();
   LogDict d;
+  add_metrics(d, std::move(f.encounters));
   d["end"] = kEnds[static_cast<std::size_t>(f.end)];
+  d["ticks"] = f.ticks;
+  d["path_length_m"] = f.path_length_m, d["max_speed_m_s"] = f.max_speed_m_s;
+  d["mean_jerk_m_s3"] = f.mean_jerk_m_s3, d["max_jerk_m_s3"] = f.max_jerk_m_s3;
   d["path"] = to_numpy(std::move(f.path), {points, 3});
-  d["state"] = to_numpy(std::move(f.state), {ticks + 1, 12});
+  d["state"] = to_numpy(std::move(f.state), {states, 12});
   d["estimate"] = to_numpy(std::move(f.estimate), {ticks, 12});
   d["measured"] = to_numpy(std::move(f.measured), {ticks, 12});
   d["nominal"] = to_numpy(std::move(f.nominal), {ticks, 3});
@@ -213,9 +247,7 @@ LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   d["filter_s"] = to_numpy(std::move(f.filter_s), {ticks, filters});
   d["tick_s"] = to_numpy(std::move(f.tick_s), {ticks});
   d["mark"] = to_numpy(std::move(f.mark), {ticks});
-  d["closest_m"] = to_numpy(std::move(f.closest_m), {n});
-  d["detected_s"] = to_numpy(std::move(f.detected_s), {n});
-  d["track_start"] = to_numpy(std::move(f.track_start), {ticks + 1});
+  d["track_start"] = to_numpy(std::move(f.track_start), {starts});
   d["tracks"] = nb::bytes(reinterpret_cast<const char*>(f.tracks.data()), tracks * sizeof(alula_track));
   return d;
 }
@@ -372,12 +404,17 @@ void bind_specs(nb::module_& m) {
       .def(
           "__init__",
           [](Task* self, const InState& start, const Mission& mission, const std::optional<Pilot>& pilot,
-             double max_time_s, double stop_distance_m) {
+             double max_time_s, double stop_distance_m, const std::optional<Triple>& expected_velocity) {
             if (pilot) check(*pilot);
-            new (self) Task{state_at(start.data()), mission, pilot, max_time_s, stop_distance_m};
+            Task task{state_at(start.data()), mission, pilot, max_time_s, stop_distance_m, {}};
+            if (expected_velocity) task.expected_velocity = vector_of(*expected_velocity);
+            new (self) Task(std::move(task));
           },
           "start"_a, "mission"_a, nb::kw_only(), "pilot"_a = nb::none(), "max_time_s"_a = 60.0,
-          "stop_distance_m"_a = 0.05, "start: position, attitude (MRP), velocity, body rates.");
+          "stop_distance_m"_a = 0.05, "expected_velocity_m_s"_a = nb::none(),
+          "start: position, attitude (MRP), velocity, body rates; expected_velocity_m_s: by which obstacles are "
+          "drawn "
+          "to meet the vehicle, else the mean velocity of the mission.");
   nb::class_<SimulationSpec>(m, "SimulationSpec", "All parts of simulated flights but the tasks and the filters.")
       .def(
           "__init__",

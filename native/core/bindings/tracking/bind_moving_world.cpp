@@ -1,4 +1,4 @@
-// Bindings of alula/flight/obstacle_motion.hpp and alula/tracking/radar.hpp.
+// Bindings of alula/flight/{obstacle_motion,moving_world,encounter_watch}.hpp and alula/tracking/radar.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 
+#include "alula/flight/encounter_watch.hpp"
 #include "alula/flight/meeting.hpp"
 #include "alula/flight/moving_world.hpp"
 #include "alula/tracking/radar.hpp"
@@ -265,6 +266,29 @@ void bind_moving(nb::module_& m) {
           nb::kw_only(), "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{},
           "tracker"_a = TrackerOptions{}, "yaw_rate_rad_s"_a = MovingSpec{}.yaw_rate_rad_s,
           "yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course.");
+  m.def(
+      "collision_risk",
+      [](const Triple& position, const Triple& velocity, const std::array<double, 21>& covariance,
+         const Triple& command, double radius, double window) {
+        const alula_vehicle_state vehicle{};
+        alula_track track{};
+        for (std::size_t k = 0; k < 3; ++k) {
+          track.position[k] = static_cast<float>(position[k]);
+          track.velocity[k] = static_cast<float>(velocity[k]);
+        }
+        for (std::size_t k = 0; k < 21; ++k) track.covariance[k] = static_cast<float>(covariance[k]);
+        return risk_of(track, vehicle, vector_of(command), radius, window);
+      },
+      "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
+      "Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: "
+      "bound on the probability that it is within the radius when it comes closest in the window.");
+  m.def(
+      "closest_approach",
+      [](const Triple& r0, const Triple& r1, const Triple& a, double h) {
+        return closest_approach(vector_of(r0), vector_of(r1), vector_of(a), h);
+      },
+      "r0"_a, "r1"_a, "a"_a, "h"_a,
+      "Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
 }
 
 }  // namespace

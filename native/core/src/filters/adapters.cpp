@@ -71,7 +71,7 @@ FilterReport VelocityFilter::filter(const FlightState& state, const Nominal& nom
   return report;
 }
 
-FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nominal) {
+alula_vehicle_state vehicle_state_of(const FlightState& state) {
   alula_vehicle_state own{};
   for (int i = 0; i < 3; ++i) {
     own.position[i] = static_cast<float>(state.x.p[i]);
@@ -80,8 +80,12 @@ FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nomin
   own.covariance[0] = static_cast<float>(state.position_variance.x);
   own.covariance[3] = static_cast<float>(state.position_variance.y);
   own.covariance[5] = static_cast<float>(state.position_variance.z);
+  return own;
+}
+
+FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nominal) {
   const MovingReport found =
-      filter_->filter(own, state.tracks, walls_.at(state.x.p, state.x.v), nominal.acceleration);
+      filter_->filter(vehicle_state_of(state), state.tracks, walls_.at(state.x.p, state.x.v), nominal.acceleration);
   FilterReport report;
   report.status = static_cast<SafetyStatus>(found.status);
   report.acceleration = found.acceleration;
@@ -90,6 +94,7 @@ FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nomin
   report.rows = found.rows;
   report.iterations = found.iterations;
   report.infeasible = found.status != MovingStatus::refused && !found.feasible;
+  report.moving = found;
   return report;
 }
 

@@ -7,11 +7,11 @@ namespace alula::flight {
 
 using geometry::Vec3;
 
-EncounterPlant::EncounterPlant(const EncounterVehicle& vehicle, const EncounterRules& rules)
-    : h_(rules.dt_s / rules.plant_steps),
-      max_speed_(vehicle.max_speed_m_s),
-      most_(vehicle.max_jerk_m_s3 * h_),
-      delay_(static_cast<std::int64_t>(std::ceil(vehicle.actuation_delay_s / h_ - 1e-6))),
+EncounterPlant::EncounterPlant(const PointLimits& limits, double h)
+    : h_(h),
+      max_speed_(limits.max_speed_m_s),
+      most_(limits.max_jerk_m_s3 * h_),
+      delay_(static_cast<std::int64_t>(std::ceil(limits.actuation_delay_s / h_ - 1e-6))),
       queue_(4) {}
 
 void EncounterPlant::reset(const Kinematics& start) {

@@ -16,14 +16,6 @@ PlantOptions without_sensor(PlantOptions options) {
   return options;
 }
 
-EncounterVehicle limits_of(const VehicleSpec& spec) {
-  EncounterVehicle vehicle;
-  vehicle.max_speed_m_s = spec.max_speed;
-  vehicle.max_jerk_m_s3 = spec.max_jerk;
-  vehicle.actuation_delay_s = spec.actuation_delay_s;
-  return vehicle;
-}
-
 Quadrotor scaled(const Quadrotor& body, double scale) {
   if (scale == 1) return body;
   return {scale * body.mass(), scale * body.inertia(), body.rotors(), body.gravity()};
@@ -88,7 +80,7 @@ SimulatedVehicle::SimulatedVehicle(const VehicleSpec& spec, double dt_s, int pla
       h_(dt_s / plant_steps),
       body_(scaled(spec.body, spec.mass_scale), without_sensor(spec.plant), random),
       point_(spec.max_acceleration),
-      limited_(limits_of(spec), {.dt_s = dt_s, .plant_steps = plant_steps}),
+      limited_({spec.max_speed, spec.max_jerk, spec.actuation_delay_s}, h_),
       racer_(spec.racer, spec.racer_options, random),
       sensor_(spec.plant.sensor, random),
       is_limited_(std::isfinite(spec.max_jerk) || std::isfinite(spec.max_speed) || spec.actuation_delay_s > 0) {}

@@ -45,16 +45,18 @@ class Trial {
         random_(random),
         vehicle_(spec.vehicle, spec.options.dt_s, spec.rules.plant_steps, random),
         world_(spec.moving, spec.options.dt_s, spec.rules.plant_steps),
-        flight_(spec.vehicle, spec.options, task.mission, filters) {
+        flight_(spec.vehicle, spec.options, task.mission, filters),
+        encounters_(spec.vehicle.radius_m, spec.rules.risk_window_s, spec.options.dt_s) {
     if (task.pilot) hand_.emplace(*task.pilot, spec.vehicle.racer, random, task.start.p.z);
   }
 
   SimulatedFlight fly();
 
  private:
-  Vec3 course() const;
+  Vec3 mean_velocity() const;
   Observation see(double now);
   void note(const Observation& seen, const Decision& decision, float seconds);
+  void watch(const Decision& decision, double now);
   void step(std::int64_t index);
   bool have_receded(double now);
   Vec3 goal() const;
@@ -66,6 +68,7 @@ class Trial {
   SimulatedVehicle vehicle_;
   MovingWorld world_;
   Flight flight_;
+  EncounterRecorder encounters_;
   std::optional<PilotHand> hand_;
   double receded_s_ = 0;
   std::int64_t still_ = 0;
@@ -77,8 +80,8 @@ Vec3 Trial::goal() const {
   return m.kind == MissionKind::curve ? m.curve->at(m.curve->end()).p : m.goal;
 }
 
-// The horizontal direction of the flight, and its mean velocity, by which obstacles are drawn.
-Vec3 Trial::course() const {
+// Of the mission.
+Vec3 Trial::mean_velocity() const {
   const Mission& m = task_.mission;
   if (m.kind == MissionKind::pilot) return task_.start.v;
   const Vec3 way = goal() - task_.start.p;
@@ -96,8 +99,13 @@ Observation Trial::see(double now) {
                        (s.losses.share > 0 && log_.ticks > 0 &&
                         random_.uniforms(static_cast<std::uint64_t>(log_.ticks), kLoss)[0] < s.losses.share);
   if (!is_lost) seen.measured = vehicle_.measured();
-  const double sigma = s.vehicle.plant.sensor.position_noise_m;
-  seen.position_variance = {sigma * sigma, sigma * sigma, sigma * sigma};
+  const double sigma = s.vehicle.plant.sensor.position_noise_m, own_sigma = s.moving.radar.own_position_sigma_m;
+  const double variance = sigma * sigma + own_sigma * own_sigma;
+  seen.position_variance = {variance, variance, variance};
+  if (seen.measured) {
+    const Kinematics own = world_.own_state({seen.measured->p, seen.measured->v, {}}, step);
+    seen.measured->p = own.p, seen.measured->v = own.v;
+  }
   if (world_.size() > 0) {
     world_.sense(step, vehicle_.kinematics());
     const Kinematics own = world_.own_state(vehicle_.kinematics(), step);
@@ -107,11 +115,7 @@ Observation Trial::see(double now) {
       at.velocity[i] = static_cast<float>(own.v[i]);
     }
     seen.tracks = world_.tracks(now, at);
-    for (const alula_track& track : seen.tracks) {
-      const std::int64_t of = world_.obstacle_near(track.position);
-      if (of >= 0 && std::isnan(log_.detected_s[static_cast<std::size_t>(of)]))
-        log_.detected_s[static_cast<std::size_t>(of)] = now;
-    }
+    encounters_.track(now, world_);
   }
   if (hand_) {
     seen.sticks = (*hand_)(now, to_racer(vehicle_.state()));
@@ -149,7 +153,8 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
     log_.iterations.push_back(report.iterations);
     log_.status.push_back(static_cast<std::uint8_t>(report.status));
     log_.flags.push_back(static_cast<std::uint8_t>((report.capped ? 1 : 0) | (report.infeasible ? 2 : 0) |
-                                                   (report.certified ? 4 : 0) | (report.certified_moving ? 8 : 0)));
+                                                   (report.certified ? 4 : 0) | (report.certified_moving ? 8 : 0) |
+                                                   (report.moving ? 16 * report.moving->mode : 0)));
     log_.filter_s.push_back(r.seconds);
   }
   log_.tick_s.push_back(seconds);
@@ -159,25 +164,35 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
   log_.track_start.push_back(static_cast<std::int64_t>(log_.tracks.size()));
 }
 
+// The last filter among moving obstacles, where it was called in this tick.
+void Trial::watch(const Decision& decision, double now) {
+  if (log_.ticks % spec_.options.filter_ticks != 0) return;
+  const std::span<const FilterRecord> records = flight_.records();
+  const auto last = std::find_if(records.rbegin(), records.rend(), [](const auto& r) { return r.report.moving; });
+  if (last == records.rend()) return;
+  const Command& c = decision.command;
+  const Vec3 flown = c.interface == Interface::acceleration ? c.acceleration : last->report.acceleration;
+  encounters_.answer(*last->report.moving, flight_.estimate(), flown, flight_.nominal().acceleration, now,
+                     static_cast<double>(last->seconds), world_, vehicle_.kinematics());
+}
+
 void Trial::step(std::int64_t index) {
   const double h = spec_.options.dt_s / spec_.rules.plant_steps;
   if (world_.size() > 0 && index % spec_.rules.plant_steps > 0) world_.sense(index, vehicle_.kinematics());
   const Kinematics before = vehicle_.kinematics();
   vehicle_.step();
-  append(log_.path, vehicle_.state().p);
+  const State& x = vehicle_.state();
+  log_.path_length_m += norm(x.p - before.p);
+  log_.max_speed_m_s = std::max(log_.max_speed_m_s, norm(x.v));
+  if (spec_.rules.keeps_path) append(log_.path, x.p);
   if (world_.size() == 0) return;
-  const Kinematics after = vehicle_.kinematics();
   world_.advance(h, before);
-  for (std::size_t i = 0; i < world_.size(); ++i) {
-    const Kinematics &was = world_.before()[i], &is = world_.truth()[i];
-    const Vec3 a = 1 / h * ((is.v - after.v) - (was.v - before.v));
-    log_.closest_m[i] = std::min(log_.closest_m[i], closest_approach(was.p - before.p, is.p - after.p, a, h));
-  }
+  encounters_.advance(before, vehicle_.kinematics(), h, world_);
 }
 
 bool Trial::have_receded(double now) {
   const std::vector<Kinematics>& truth = world_.truth();
-  if (truth.empty() || !(spec_.rules.receded_s > 0)) return false;
+  if (truth.empty()) return false;
   const State& x = vehicle_.state();
   for (std::size_t i = 0; i < truth.size(); ++i) {
     if (now >= spec_.moving.obstacles[i].start_s && dot(truth[i].p - x.p, truth[i].v - x.v) > 0) continue;
@@ -197,10 +212,11 @@ End Trial::judged(const Decision& decision) {
   const double speed = norm(x.v);
   if (!(speed < kFastest))
     throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
-  if (have_receded(now)) return End::passed;
   const bool is_over =
       log_.ticks >= static_cast<std::int64_t>(std::ceil(task_.max_time_s / spec_.options.dt_s * (1 - 1e-7)));
+  if (!is_over && have_receded(now)) return End::passed;
   if (m.kind == MissionKind::pilot || m.hovers) return is_over ? End::ended : End::flying;
+  if (!rules.ends_at_goal) return is_over ? End::timeout : End::flying;
   const Vec3 target = m.kind == MissionKind::curve ? m.curve->at(m.curve->start() + now).p : m.goal;
   const bool has_arrived = now >= m.duration() - kSameTime;
   const double still = spec_.vehicle.model == VehicleModel::single_integrator ? 1e300 : rules.stop_speed;
@@ -215,29 +231,42 @@ End Trial::judged(const Decision& decision) {
 SimulatedFlight Trial::fly() {
   const int steps = spec_.rules.plant_steps;
   vehicle_.reset(task_.start);
-  const Vec3 mean = course();
-  const double length = std::hypot(mean.x, mean.y);
-  world_.begin(random_, {task_.start.p, mean, {}}, length > 0 ? 1 / norm(mean) * mean : Vec3{1, 0, 0});
-  log_.closest_m.assign(world_.size(), std::numeric_limits<double>::infinity());
-  log_.detected_s.assign(world_.size(), kNaN);
-  append(log_.path, task_.start.p);
-  append(log_.state, task_.start);
-  log_.track_start.push_back(0);
+  const Vec3 mean = task_.expected_velocity.value_or(mean_velocity());
+  const Vec3 way = task_.mission.kind == MissionKind::goal ? goal() - task_.start.p : mean;
+  const double length = std::hypot(way.x, way.y), dt = spec_.options.dt_s;
+  world_.begin(random_, {task_.start.p, mean, {}}, length > 0 ? 1 / norm(way) * way : Vec3{1, 0, 0});
+  encounters_.begin(world_.size());
+  const bool keeps_ticks = spec_.rules.keeps_ticks;
+  if (spec_.rules.keeps_path) append(log_.path, task_.start.p);
+  if (keeps_ticks) append(log_.state, task_.start), log_.track_start.push_back(0);
+  Vec3 last_v = task_.start.v, older_v = last_v;
+  double jerk = 0;
   while (log_.end == End::flying) {
-    const Observation seen = see(static_cast<double>(log_.ticks) * spec_.options.dt_s);
+    const double now = static_cast<double>(log_.ticks) * dt;
+    const Observation seen = see(now);
     const auto begin = Clock::now();
     flight_.observe(seen);
     const Decision& decision = flight_.decide();
     const float seconds = std::chrono::duration<float>(Clock::now() - begin).count();
-    note(seen, decision, seconds);
+    if (keeps_ticks) note(seen, decision, seconds);
+    watch(decision, now);
     flight_.sent();
     vehicle_.command(decision.command);
     for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
     vehicle_.end_tick();
+    const Vec3 v = vehicle_.state().v;
+    if (log_.ticks > 0) {
+      const double change = norm(v - 2 * last_v + older_v) / (dt * dt);
+      log_.max_jerk_m_s3 = std::max(log_.max_jerk_m_s3, change);
+      jerk += change;
+    }
+    older_v = last_v, last_v = v;
     ++log_.ticks;
-    append(log_.state, vehicle_.state());
+    if (keeps_ticks) append(log_.state, vehicle_.state());
     log_.end = judged(decision);
   }
+  log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
+  log_.encounters = encounters_.finish();
   return std::move(log_);
 }
 
@@ -249,8 +278,8 @@ void check(const SimulationSpec& spec) {
   const FlightOptions& o = spec.options;
   const bool good = o.dt_s >= 1e-4 && o.dt_s <= 1 && r.plant_steps >= 1 && r.plant_steps <= 1000 &&
                     r.stop_speed > 0 && r.stuck_speed >= 0 && r.stuck_ticks > 0 && r.receded_s >= 0 &&
-                    spec.losses.share >= 0 && spec.losses.share <= 1 && spec.losses.for_s >= 0 &&
-                    spec.losses.radio_for_s >= 0;
+                    r.risk_window_s > 0 && spec.losses.share >= 0 && spec.losses.share <= 1 &&
+                    spec.losses.for_s >= 0 && spec.losses.radio_for_s >= 0;
   if (!good) throw std::invalid_argument("the rules of a simulation are out of range");
 }
 

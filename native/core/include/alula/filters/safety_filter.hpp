@@ -8,6 +8,7 @@
 
 #include "alula/dynamics/quadrotor.hpp"
 #include "alula/dynamics/racer.hpp"
+#include "alula/filters/moving_filter.hpp"
 #include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
 #include "alula_avoidance.h"
@@ -36,6 +37,9 @@ struct FlightState {
   Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
   bool is_known = true;    // false: there is no navigation, and the state means nothing
 };
+
+// The state as filters among moving obstacles read it.
+alula_vehicle_state vehicle_state_of(const FlightState& state);
 
 // Nominal input of the tracking controller, and its tracking errors. A filter reads the command of its kind.
 struct Nominal {
@@ -71,6 +75,7 @@ struct FilterReport {
   bool infeasible = false;        // the program has no solution
   bool certified = false;         // the returned input was checked to leave a safe backup manoeuvre
   bool certified_moving = false;  // that manoeuvre is also clear of the tubes of all tracks, as far as they reach
+  std::optional<MovingReport> moving;  // of a filter among moving obstacles
 };
 
 // One per thread. `filter` returns only inputs that it has checked and that are finite.

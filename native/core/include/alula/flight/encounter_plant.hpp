@@ -1,19 +1,25 @@
-// Vehicle of an encounter: a double integrator whose acceleration follows the command late and at a bounded rate.
+// A double integrator whose acceleration follows the command late and at a bounded rate.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <vector>
 
-#include "alula/flight/encounter.hpp"
+#include "alula/tracking/radar.hpp"
 
 namespace alula::flight {
 
-// Within a step of h = dt / plant_steps the acceleration is constant, so the motion is exact. The acceleration moves
+struct PointLimits {
+  double max_speed_m_s = 12;     // limit of the executed |v|
+  double max_jerk_m_s3 = 60;     // limit of the executed |da/dt|_inf, except where the speed limit acts
+  double actuation_delay_s = 0;  // time from a command until it begins to act
+};
+
+// Within a step of h the acceleration is constant, so the motion is exact. The acceleration moves
 // towards the command that is in effect by at most j_max h per axis; a speed beyond the limit is scaled down to it.
 class EncounterPlant {
  public:
-  EncounterPlant(const EncounterVehicle& vehicle, const EncounterRules& rules);
+  EncounterPlant(const PointLimits& limits, double h);
 
   void reset(const Kinematics& start);
   void command(geometry::Vec3 acceleration);  // takes effect after the delay

@@ -4,6 +4,8 @@
 // steps, while obstacles move. The encounters with them are measured from the truth at every step, in continuous
 // time. Clearance to static obstacles is judged after the flight from the path. A flight is a function of
 // (seed, trial) and of its parts, except for measured times.
+//
+// Figures over the whole flight are always kept, its path and a row per tick where the rules say so.
 #pragma once
 
 #include <cstdint>
@@ -13,6 +15,7 @@
 #include <vector>
 
 #include "alula/base/control.hpp"
+#include "alula/flight/encounter_metrics.hpp"
 #include "alula/flight/flight.hpp"
 #include "alula/flight/geofence_pilot.hpp"
 #include "alula/flight/moving_world.hpp"
@@ -32,10 +35,13 @@ struct SimulationRules {
                                    // moved by velocities
   double stuck_speed = 0.02;       // stuck: slower than this and away from the reference,
   std::int64_t stuck_ticks = 200;  // for this many ticks
-  double receded_s = 0;            // above 0: the flight ends when all obstacles have receded for this time
-  Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
+  double receded_s = std::numeric_limits<double>::infinity();  // ends when all obstacles have receded for this time
+  Vec3 lower{-1e9, -1e9, -1e9};                                // a flight that leaves this box is refused
   Vec3 upper{1e9, 1e9, 1e9};
   bool ends_when_refused = true;  // otherwise it flies on with what stands in for refused commands
+  bool ends_at_goal = true;       // otherwise neither a goal that is reached nor being stuck ends it
+  double risk_window_s = 0.4;     // window of the risk of encounters: assumed duration of a command
+  bool keeps_path = true, keeps_ticks = true;
 };
 
 struct SimulationSpec {
@@ -52,7 +58,8 @@ struct Task {
   Mission mission;
   std::optional<Pilot> pilot;
   double max_time_s = 60;
-  double stop_distance_m = 0.05;  // of the goal, where it counts as reached
+  double stop_distance_m = 0.05;          // of the goal, where it counts as reached
+  std::optional<Vec3> expected_velocity;  // by which obstacles are drawn to meet the vehicle; else the mission's mean
 };
 
 enum class End : std::uint8_t { flying, reached, stuck, timeout, refused, passed, ended };
@@ -61,6 +68,9 @@ enum class End : std::uint8_t { flying, reached, stuck, timeout, refused, passed
 struct SimulatedFlight {
   End end = End::flying;
   std::int64_t ticks = 0;
+  double path_length_m = 0, max_speed_m_s = 0;   // over the steps of the plant
+  double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity from tick to tick
+  EncounterLog encounters;
   std::vector<double> path;      // (ticks * plant_steps + 1, 3) [m]
   std::vector<double> state;     // (ticks + 1, 12): p, sigma, v, omega
   std::vector<double> estimate;  // (ticks, 12)
@@ -71,7 +81,8 @@ struct SimulatedFlight {
   std::vector<double> sticks;    // (ticks, 4) of the pilot, NaN when silent
   std::vector<double> obstacle;  // (ticks, n, 3)
   std::vector<double> track;     // (ticks, n, 3), NaN without one
-  // (ticks, filters); flags: 1 capped, 2 infeasible, 4 certified, 8 certified against tubes
+  // (ticks, filters); flags: 1 capped, 2 infeasible, 4 certified, 8 certified against tubes,
+  // and 16 times the mode of a filter among moving obstacles
   std::vector<double> margin;
   std::vector<std::int64_t> active;
   std::vector<std::uint32_t> rows, iterations;
@@ -81,9 +92,6 @@ struct SimulatedFlight {
   std::vector<std::uint8_t> mark;         // (ticks): 1 refused, 2 stale, 4 beyond the rotors' limits
   std::vector<alula_track> tracks;        // as the flight saw them, of all ticks
   std::vector<std::int64_t> track_start;  // (ticks + 1): first row of a tick
-  // Per obstacle.
-  std::vector<double> closest_m;   // minimum distance of the centres
-  std::vector<double> detected_s;  // first time with a confirmed track near it, or NaN
 };
 
 // Throws std::invalid_argument for an invalid specification.
