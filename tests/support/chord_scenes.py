@@ -1,4 +1,4 @@
-"""Random hulls with a small filter of velocities in double precision, for the chord of a vehicle that lags."""
+"""Random hulls with a small filter of velocities in double precision, for the chord of a lagging vehicle."""
 
 import numpy as np
 
