@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -33,7 +34,9 @@ _STARTS = ("goal", "waypoints", "hover", "pilot")
 _WAYS = ("pairs", "goal", "waypoints")
 # The missions that use a key; all use the others.
 _USED: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("start_m", "start_velocity_m_s", "start_speed_m_s", "start_yaw_deg"), _STARTS),
+    **dict.fromkeys(("start_m", "start_velocity_m_s"), _STARTS),
+    "start_speed_m_s": ("goal", "waypoints", "pilot"),
+    "start_yaw_deg": ("hover", "pilot"),
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
     **dict.fromkeys(("start_box_m", "start_tilt_deg", "pilot"), ("pilot",)),
@@ -60,6 +63,11 @@ def require(good: bool, where: str, words: str) -> None:
         raise UsageError(f"`$.{where}` {words}")
 
 
+@cache  # msgspec evaluates the annotations in each call
+def _fields(kind: type[msgspec.Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    return msgspec.structs.fields(kind)
+
+
 def check_finite(table: msgspec.Struct, path: str = "") -> None:
     """Refuse numbers that are not finite, but infinity where it stands for no limit.
 
@@ -70,7 +78,7 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
     Raises:
         UsageError: a number is not finite; the message has its path.
     """
-    for item in msgspec.structs.fields(table):
+    for item in _fields(type(table)):
         value, where = getattr(table, item.name), path + item.encode_name
         if isinstance(value, msgspec.Struct):
             check_finite(value, f"{where}.")
@@ -161,6 +169,8 @@ def check_mission_table(table: MissionTable) -> None:
     for key in ("start_velocity_m_s", "start_yaw_deg") if boxed else ("start_tilt_deg",):
         unset = getattr(table, key) == getattr(default, key)
         require(unset, f"mission.{key}", f"goes with {'start_m' if boxed else 'start_box_m'}")
+    drawn = table.kind != "pilot" or boxed or table.start_speed_m_s == default.start_speed_m_s
+    require(drawn, "mission.start_speed_m_s", "of a pilot goes with start_box_m; give start_velocity_m_s")
     both = table.start_velocity_m_s is not None and table.start_speed_m_s != default.start_speed_m_s
     require(not both, "mission.start_speed_m_s", "and start_velocity_m_s: give one of the two")
     _check_box("mission.start_box_m", table.start_box_m, FARTHEST_M)

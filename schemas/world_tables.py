@@ -234,7 +234,9 @@ class MissionTable(Table, frozen=True, kw_only=True):
             le=200,
         ),
     ] = 0.0
-    start_yaw_deg: Annotated[float, about("yaw at start_m [deg]")] = 0.0
+    start_yaw_deg: Annotated[float, about("yaw at start_m (hover, pilot); others look at the goal [deg]")] = (
+        0.0
+    )
     start_box_m: Annotated[
         Box | None, about("box of random safe starts, in place of start_m (pilot) [m]")
     ] = None

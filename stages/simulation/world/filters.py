@@ -10,7 +10,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.encounter_filter import native_options
-from alula.schemas.errors import UsageError
+from alula.schemas.errors import InputError, UsageError
 from alula.schemas.filter_options import GeofenceParameters, MovingFilterParameters
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
@@ -226,6 +226,10 @@ class Bridge:
         Args:
             state: fields of `FlightState` by name.
             nominal: fields of `Nominal` by name.
+
+        Raises:
+            InputError: the filter returned something that cannot be flown.
+            RuntimeError: it raised an error.
         """
         seen = FlightState(
             position=np.array(state["position"]),
@@ -245,9 +249,17 @@ class Bridge:
             velocity_error=np.array(nominal["velocity_error"]),
             reference_acceleration=np.array(nominal["reference_acceleration"]),
         )
-        result = self._made(seen, wanted)
+        try:
+            result = self._made(seen, wanted)
+        except (
+            Exception
+        ) as error:  # a ValueError or an OverflowError would be taken for one of the simulation
+            raise RuntimeError(f"the filter {type(self._made).__name__} failed: {error}") from error
         refused = FilterStatus(result.status) is FilterStatus.REFUSED
         size = 3 if self._made.kind == "acceleration" else 4
+        if not refused and not (np.shape(result.u) == (size,) and np.isfinite(result.u).all()):
+            where = ", ".join(f"{value:.3f}" for value in seen.position)
+            raise InputError(f"the filter returned {result.u!r}, which is no {self._made.kind}, at ({where})")
         return {
             "status": int(result.status),
             "u": [0.0] * size if refused else np.asarray(result.u, np.float64).tolist(),

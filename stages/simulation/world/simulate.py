@@ -205,10 +205,11 @@ def prepare(
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
-    filters = safety_filters(full, vehicle, world, speed_m_s=peak, max_speed_m_s=most, extent_m=extent)
+    fastest = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # command of a filter of velocities
+    filters = safety_filters(full, vehicle, world, speed_m_s=peak, max_speed_m_s=fastest, extent_m=extent)
     psi = None
     if "polytope-cbf" in names:
-        bare = NativeFilter(velocity_world(full, world, most, extent), {}, enabled=False).native
+        bare = NativeFilter(velocity_world(full, world, fastest, extent), {}, enabled=False).native
 
         def psi(points: FloatArray) -> FloatArray:
             return np.asarray(bare.psi(points)[1])

@@ -184,7 +184,11 @@ FilterReport PythonFilter::filter(const FlightState& state, const Nominal& nomin
   return report;
 }
 
-std::vector<const SafetyFilter*> borrowed(const Filters& filters) { return {filters.begin(), filters.end()}; }
+std::vector<const SafetyFilter*> borrowed(const Filters& filters) {
+  for (const SafetyFilter* filter : filters)
+    if (filter == nullptr) throw std::invalid_argument("a filter is None; leave it out of the list");
+  return {filters.begin(), filters.end()};
+}
 
 LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   static constexpr const char* kEnds[] = {"flying", "reached", "stuck", "timeout", "refused", "passed", "ended"};

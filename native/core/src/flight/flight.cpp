@@ -70,8 +70,8 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
   if (outer > innermost(vehicle.interface))
     throw std::invalid_argument("a filter's command is beyond what the vehicle takes");
   records_.resize(filters_.size());
-  past_.resize(
-      static_cast<std::size_t>(std::ceil((vehicle.assumed.delay_s + options.stale_s) / options.dt_s - 1e-9)) + 1);
+  const double kept_s = remembered(vehicle, options).delay_s;
+  past_.resize(static_cast<std::size_t>(std::ceil(kept_s / options.dt_s - 1e-9)) + 1);
   seen_.thrust = vehicle.body.hover_thrust();
   flown_ = vehicle.body.limited({vehicle.body.hover_thrust(), {}});
 }
@@ -81,7 +81,7 @@ void Flight::observe(const Observation& seen) {
   if (seen.measured && is_finite(*seen.measured)) last_ = *seen.measured, arrived_ = now_, has_state_ = true;
   seen_.tracks = seen.tracks;
   seen_.position_variance = seen.position_variance;
-  nominal_.sticks = seen.sticks;
+  sticks_ = seen.sticks;
   predict();
 }
 
@@ -104,7 +104,7 @@ void Flight::predict() {
   const bool is_velocity = vehicle_.interface == Interface::velocity;
   const auto ticks = static_cast<std::size_t>(std::ceil(age / options_.dt_s - 1e-9));
   for (std::size_t k = std::min(ticks, past_.size()); k > 0 && left > 1e-12; --k) {
-    const Vec3 command = past_[past_.size() - k];
+    const Vec3 command = past_[(oldest_ + past_.size() - k) % past_.size()];
     double held = left - static_cast<double>(k - 1) * options_.dt_s;
     if (k == 1) held = left;
     if (!(held > 0)) continue;
@@ -121,10 +121,9 @@ void Flight::predict() {
 
 // The nominal command of the mission, as far in as it goes; `level_` is the outermost kind.
 void Flight::make_nominal() {
-  const std::optional<RacerCommand> sticks = nominal_.sticks;
   if (mission_.kind == MissionKind::pilot) {
     nominal_ = {};
-    nominal_.sticks = sticks;
+    nominal_.sticks = sticks_;
     level_ = CommandKind::sticks;
     return;
   }
@@ -172,7 +171,7 @@ void Flight::make_nominal() {
     nominal_.velocity = velocity;
     level_ = CommandKind::acceleration;  // the wrench belongs to it
   }
-  nominal_.sticks = sticks;
+  nominal_.sticks = sticks_;
 }
 
 // From the command that `nominal_` holds at one level to that of another, inwards.
@@ -230,19 +229,22 @@ void Flight::stand_in(CommandKind kind) {
 }
 
 const Decision& Flight::decide() {
-  decision_.is_refused = decision_.is_stale = false;
-  const bool is_controlled = is_turn(options_.controller_ticks), is_filtered = is_turn(options_.filter_ticks);
-  if (!seen_.is_known && mission_.kind != MissionKind::pilot) {
-    decision_.is_refused = decision_.is_stale = true;
-    level_ = innermost(vehicle_.interface);
-    stand_in(vehicle_.interface == Interface::body_rates ? CommandKind::wrench : level_);
+  decision_.is_stale = !seen_.is_known && mission_.kind != MissionKind::pilot;
+  if (decision_.is_stale) {
+    decision_.is_refused = begins_ = true;
+    level_ = std::min(innermost(vehicle_.interface),
+                      vehicle_.interface == Interface::sticks ? CommandKind::sticks : CommandKind::wrench);
+    stand_in(level_);
     for (FilterRecord& record : records_) record = {};
     finish();
     return decision_;
   }
-  if (is_controlled) make_nominal(), first_ = nominal_;
+  const bool is_controlled = begins_ || is_turn(options_.controller_ticks);
+  const bool is_filtered = begins_ || is_turn(options_.filter_ticks);
+  if (is_controlled) make_nominal(), first_ = nominal_, first_level_ = level_;
   if (is_filtered || is_controlled) {
-    if (!is_controlled) nominal_ = first_;
+    decision_.is_refused = false;
+    nominal_ = first_, level_ = first_level_;
     for (std::size_t i = 0; i < filters_.size(); ++i) {
       SafetyFilter& filter = *filters_[i];
       FilterRecord& record = records_[i];
@@ -264,6 +266,7 @@ const Decision& Flight::decide() {
     }
   }
   finish();
+  begins_ = false;
   return decision_;
 }
 
@@ -296,13 +299,15 @@ void Flight::finish() {
         flown_ = {vehicle_.body.mass() * vehicle_.racer.acceleration(u.throttle), {}};
         c.wrench = flown_, c.rates = u.rates;
       } else {
-        if (is_turn(held_ticks) || decision_.is_stale) {
+        if (is_turn(held_ticks) || begins_) {
           const Wrench wanted = nominal_.wrench;
           flown_ = vehicle_.body.limited(wanted);
           decision_.is_limited = flown_.thrust != wanted.thrust || flown_.torque.x != wanted.torque.x ||
                                  flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
           const double held = options_.dt_s * static_cast<double>(held_ticks);
-          if (vehicle_.interface == Interface::body_rates)
+          if (decision_.is_stale)
+            c.rates = {};
+          else if (vehicle_.interface == Interface::body_rates)
             c.rates = body_rates(vehicle_.body, seen_.x, flown_, held, vehicle_.max_rate);
         }
         c.wrench = predictor_.lead(flown_);
@@ -315,11 +320,12 @@ void Flight::finish() {
       break;
     }
     case Interface::sticks:
+      if (level_ < CommandKind::sticks) lower(level_, CommandKind::sticks);
       c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
       break;
   }
-  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
-  past_.back() = remembered;
+  past_[oldest_] = remembered;
+  oldest_ = (oldest_ + 1) % past_.size();
   ++tick_;
 }
 
