@@ -85,6 +85,12 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
         elif isinstance(value, tuple) and value and isinstance(value[0], msgspec.Struct):
             for i, row in enumerate(value):
                 check_finite(row, f"{where}[{i}].")
+        elif (
+            value is None
+            or isinstance(value, str | int)
+            or (isinstance(value, float) and math.isfinite(value))
+        ):
+            continue
         elif value != math.inf or not (where in _UNLIMITED or item.default == math.inf):
             wrong = first_beyond(msgspec.to_builtins(value), f"$.{where}", math.inf)
             if wrong:
