@@ -280,7 +280,7 @@ def _set(tree: Any, key: str, value: Any) -> None:
         value = [value]
     *parents, last = key.split(".")
     at = tree
-    for part, following in zip(parents, [*parents[1:], last], strict=True):
+    for part, following in zip(parents, [*parents[1:], last][: len(parents)], strict=True):
         if isinstance(at, list) and part.isdecimal() and int(part) <= len(at):
             if int(part) == len(at):
                 at.append({})

@@ -40,6 +40,7 @@ _INTERFACES = {
 }
 _ROTORS = ("mass_scale", "thrust_scale", "rate_gain_scale")
 _NOISES = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s")
+_LONGEST_S = 9.0  # commands are kept so long, besides the delay of measurements, to predict with
 _LIMITS = {
     "max_speed_m_s": ("single-integrator", "double-integrator"),
     **dict.fromkeys(("max_acceleration_m_s2", "max_jerk_m_s3", "actuation_delay_s"), ("double-integrator",)),
@@ -62,7 +63,7 @@ def refusal(scenario: WorldScenario, vehicle: Vehicle, others: Mapping[str, str]
     checks: tuple[Callable[[], str | None], ...] = (
         lambda: _wrong_interface(full, vehicle),
         lambda: _wrong_deviation(scenario, full, vehicle),
-        lambda: _wrong_noise(scenario, full),
+        lambda: _wrong_estimation(scenario, full),
         lambda: _wrong_mission(full, vehicle),
         lambda: _wrong_filters(full, vehicle, commands),
         lambda: _wrong_world(full, vehicle),
@@ -122,8 +123,15 @@ def _wrong_deviation(given: WorldScenario, full: WorldScenario, vehicle: Vehicle
     return None
 
 
-def _wrong_noise(given: WorldScenario, full: WorldScenario) -> str | None:
+def _wrong_estimation(given: WorldScenario, full: WorldScenario) -> str | None:
+    known = full.estimation
     if full.vehicle.interface != "sticks":
+        loses = known.lost_share > 0 or known.lost_from_s is not None
+        if loses and known.stale_s > _LONGEST_S:
+            return (
+                f"`$.estimation.stale_s`: lost measurements are predicted for at most {_LONGEST_S:g} s, not "
+                f"{known.stale_s:g} s; set estimation.stale_s={_LONGEST_S:g}"
+            )
         return None
     for key in _NOISES:
         if getattr(given.estimation, key):

@@ -372,7 +372,7 @@ class SafetyTable(
 class RulesTable(Table, frozen=True, kw_only=True):
     """Time steps, trials and log."""
 
-    dt_s: Annotated[float, about("time step of the loop [s]", ge=1e-5, le=1)] = 0.01
+    dt_s: Annotated[float, about("time step of the loop [s]", ge=1e-4, le=1)] = 0.01
     plant_steps: Annotated[
         Ticks | None, about("steps of the plant in a time step; default: as many as keep them within 1 ms")
     ] = None

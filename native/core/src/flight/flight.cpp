@@ -39,9 +39,18 @@ CommandKind innermost(Interface interface) {
   return CommandKind::sticks;
 }
 
+bool is_rigid_body(const VehicleSpec& vehicle) {
+  return vehicle.model == VehicleModel::quadrotor && vehicle.interface >= Interface::wrench;
+}
+
+// Largest age of a measurement that is predicted; not of sticks, whose filters predict themselves [s].
+double oldest_s(const VehicleSpec& vehicle, const FlightOptions& options) {
+  return vehicle.assumed.delay_s + (options.has_losses ? options.stale_s : 0);
+}
+
 ActuatorModel remembered(const VehicleSpec& vehicle, const FlightOptions& options) {
   ActuatorModel model = vehicle.assumed;
-  if (options.has_losses) model.delay_s += options.stale_s;
+  if (is_rigid_body(vehicle)) model.delay_s = oldest_s(vehicle, options);
   return model;
 }
 
@@ -70,7 +79,8 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
   if (outer > innermost(vehicle.interface))
     throw std::invalid_argument("a filter's command is beyond what the vehicle takes");
   records_.resize(filters_.size());
-  const double kept_s = remembered(vehicle, options).delay_s;
+  const bool is_point = !is_rigid_body(vehicle) && vehicle.interface != Interface::sticks;
+  const double kept_s = is_point ? oldest_s(vehicle, options) : 0;
   past_.resize(static_cast<std::size_t>(std::ceil(kept_s / options.dt_s - 1e-9)) + 1);
   seen_.thrust = vehicle.body.hover_thrust();
   flown_ = vehicle.body.limited({vehicle.body.hover_thrust(), {}});
@@ -94,7 +104,7 @@ void Flight::predict() {
   seen_.x = last_;
   if (!seen_.is_known || by_sticks) return;
   const double age = std::min(now_, vehicle_.assumed.delay_s) + waited;
-  if (is_rigid() && vehicle_.interface >= Interface::wrench) {
+  if (is_rigid_body(vehicle_)) {
     seen_.x = predictor_.now(last_, age);
     seen_.rotors = predictor_.rotors();
     return;
