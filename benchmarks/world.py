@@ -165,6 +165,7 @@ def replay_mismatches(made: Artifact) -> int:
                 position_variance=[sigma**2] * 3,
             )
             wrong += not np.array_equal(flight.decide()["command"], log["command"][tick], equal_nan=True)
+            flight.sent()
     return wrong
 
 

@@ -39,6 +39,8 @@ _INTERFACES = {
     "quadrotor": tuple(_TAKEN),
 }
 _ROTORS = ("mass_scale", "thrust_scale", "rate_gain_scale")
+_NOISES = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s")
+_LONGEST_S = 9.0  # commands are kept so long, besides the delay of measurements, to predict with
 _LIMITS = {
     "max_speed_m_s": ("single-integrator", "double-integrator"),
     **dict.fromkeys(("max_acceleration_m_s2", "max_jerk_m_s3", "actuation_delay_s"), ("double-integrator",)),
@@ -61,6 +63,7 @@ def refusal(scenario: WorldScenario, vehicle: Vehicle, others: Mapping[str, str]
     checks: tuple[Callable[[], str | None], ...] = (
         lambda: _wrong_interface(full, vehicle),
         lambda: _wrong_deviation(scenario, full, vehicle),
+        lambda: _wrong_estimation(scenario, full),
         lambda: _wrong_mission(full, vehicle),
         lambda: _wrong_filters(full, vehicle, commands),
         lambda: _wrong_world(full, vehicle),
@@ -117,6 +120,25 @@ def _wrong_deviation(given: WorldScenario, full: WorldScenario, vehicle: Vehicle
             "`$.vehicle.disturbance`: wind and gusts act through drag, but the drag is zero; set "
             "vehicle.disturbance.quadratic_drag_n_s2_m2 too"
         )
+    return None
+
+
+def _wrong_estimation(given: WorldScenario, full: WorldScenario) -> str | None:
+    known = full.estimation
+    if full.vehicle.interface != "sticks":
+        loses = known.lost_share > 0 or known.lost_from_s is not None
+        if loses and known.stale_s > _LONGEST_S:
+            return (
+                f"`$.estimation.stale_s`: lost measurements are predicted for at most {_LONGEST_S:g} s, not "
+                f"{known.stale_s:g} s; set estimation.stale_s={_LONGEST_S:g}"
+            )
+        return None
+    for key in _NOISES:
+        if getattr(given.estimation, key):
+            return (
+                f"`$.estimation.{key}`: a vehicle by sticks is simulated with exact measurements; leave it "
+                "out, or set vehicle.interface=body-rates"
+            )
     return None
 
 
@@ -312,9 +334,8 @@ def is_random(scenario: WorldScenario, vehicle: Vehicle) -> bool:
     """
     full = completed(scenario, vehicle)
     mission, known = full.mission, full.estimation
-    noise = [known.position_noise_m, known.velocity_noise_m_s]
-    if vehicle.model == "quadrotor":
-        noise += [known.attitude_noise_rad, known.rate_noise_rad_s]
+    count = 0 if full.vehicle.interface == "sticks" else 4 if vehicle.model == "quadrotor" else 2
+    noise = [getattr(known, key) for key in _NOISES[:count]]
     sees = any(name in TRACKING or name not in FILTER_COMMANDS for name in full.safety.filters)
     return (
         mission.kind == "pairs"

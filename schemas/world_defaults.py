@@ -68,9 +68,7 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
     if vehicle.model == "double-integrator":
         values["actuation_delay_s"] = 0.0
     if vehicle.model == "quadrotor":
-        disturbed = {
-            item.name: getattr(own, item.name, None) for item in msgspec.structs.fields(table.disturbance)
-        }
+        disturbed = {key: getattr(own, key, None) for key in table.disturbance.__struct_fields__}
         if vehicle.throttle is not None:
             disturbed |= {key: getattr(vehicle.throttle, key) for key in ("sag_share", "sag_time_s")}
         values["disturbance"] = _filled(table.disturbance, disturbed)

@@ -32,8 +32,11 @@ _UNLIMITED = (
 
 _STARTS = ("goal", "waypoints", "hover", "pilot")
 _WAYS = ("pairs", "goal", "waypoints")
+# The missions that use a key; all use the others.
 USED: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("start_m", "start_velocity_m_s", "start_speed_m_s", "start_yaw_deg"), _STARTS),
+    **dict.fromkeys(("start_m", "start_velocity_m_s"), _STARTS),
+    "start_speed_m_s": ("goal", "waypoints", "pilot"),
+    "start_yaw_deg": ("hover", "pilot"),
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
     **dict.fromkeys(("start_box_m", "start_tilt_deg", "pilot"), ("pilot",)),
@@ -84,6 +87,12 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
         elif isinstance(value, tuple) and value and isinstance(value[0], msgspec.Struct):
             for i, row in enumerate(value):
                 check_finite(row, f"{where}[{i}].")
+        elif (
+            value is None
+            or isinstance(value, str | int)
+            or (isinstance(value, float) and math.isfinite(value))
+        ):
+            continue
         elif value != math.inf or not (where in _UNLIMITED or item.default == math.inf):
             wrong = first_beyond(msgspec.to_builtins(value), f"$.{where}", math.inf)
             if wrong:
@@ -168,6 +177,8 @@ def check_mission_table(table: MissionTable) -> None:
     for key in ("start_velocity_m_s", "start_yaw_deg") if boxed else ("start_tilt_deg",):
         unset = getattr(table, key) == getattr(default, key)
         require(unset, f"mission.{key}", f"goes with {'start_m' if boxed else 'start_box_m'}")
+    drawn = table.kind != "pilot" or boxed or table.start_speed_m_s == default.start_speed_m_s
+    require(drawn, "mission.start_speed_m_s", "of a pilot goes with start_box_m; give start_velocity_m_s")
     both = table.start_velocity_m_s is not None and table.start_speed_m_s != default.start_speed_m_s
     require(not both, "mission.start_speed_m_s", "and start_velocity_m_s: give one of the two")
     _check_box("mission.start_box_m", table.start_box_m, FARTHEST_M)

@@ -239,7 +239,9 @@ class MissionTable(Table, frozen=True, kw_only=True):
             le=200,
         ),
     ] = 0.0
-    start_yaw_deg: Annotated[float, about("yaw at start_m [deg]")] = 0.0
+    start_yaw_deg: Annotated[float, about("yaw at start_m (hover, pilot); others look at the goal [deg]")] = (
+        0.0
+    )
     start_box_m: Annotated[
         Box | None, about("box of random safe starts, in place of start_m (pilot) [m]")
     ] = None
@@ -375,7 +377,7 @@ class SafetyTable(
 class RulesTable(Table, frozen=True, kw_only=True):
     """Time steps, trials and log."""
 
-    dt_s: Annotated[float, about("time step of the loop [s]", ge=1e-5, le=1)] = 0.01
+    dt_s: Annotated[float, about("time step of the loop [s]", ge=1e-4, le=1)] = 0.01
     plant_steps: Annotated[
         Ticks | None, about("steps of the plant in a time step; default: as many as keep them within 1 ms")
     ] = None

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.errors import InputError
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus
 from alula.stages.filtering.splat_filters import NativeSplatFilter
@@ -62,8 +64,9 @@ class _VelocityBridge:
             state: fields of `FlightState` by name.
             nominal: its `velocity`.
         """
-        result = self._made(np.array(state["position"]), np.array(nominal["velocity"]))
-        return _answer(result, np.asarray(result.u, np.float64).tolist())
+        position = np.array(state["position"])
+        result = _called(self._made, position, np.array(nominal["velocity"]))
+        return _answer(result, _command(result, "velocity", position))
 
 
 class _Bridge:
@@ -101,15 +104,34 @@ class _Bridge:
             velocity_error=np.array(nominal["velocity_error"]),
             reference_acceleration=np.array(nominal["reference_acceleration"]),
         )
-        result = self._made(seen, wanted)
-        refused = FilterStatus(result.status) is FilterStatus.REFUSED
-        size = 3 if self._made.kind == "acceleration" else 4
-        u = [0.0] * size if refused else np.asarray(result.u, np.float64).tolist()
+        result = _called(self._made, seen, wanted)
+        u = _command(result, self._made.kind, seen.position)
         return _answer(result, u) | {
             "thrust_rate": float(result.thrust_rate),
             "infeasible": bool(result.infeasible),
             "certified": bool(result.certified),
         }
+
+
+def _called(made: Any, *arguments: Any) -> Any:
+    """Result of a filter; its error as one that the native loop passes on unchanged."""
+    try:
+        return made(*arguments)
+    except Exception as error:
+        raise RuntimeError(f"the filter {type(made).__name__} failed: {error}") from error
+
+
+def _command(result: Any, kind: str, position: FloatArray) -> list[float]:
+    """The command of a result, checked; zero where the filter refused."""
+    size = 4 if kind in ("wrench", "sticks") else 3
+    if FilterStatus(result.status) is FilterStatus.REFUSED:
+        return [0.0] * size
+    u = np.asarray(result.u, np.float64)
+    if u.shape != (size,) or not np.isfinite(u).all():
+        where = ", ".join(f"{value:.3f}" for value in position)
+        raise InputError(f"the filter returned {result.u!r}, which is no {kind}, at ({where})")
+    commanded: list[float] = u.tolist()
+    return commanded
 
 
 def _answer(result: Any, u: list[float]) -> dict[str, Any]:

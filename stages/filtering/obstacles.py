@@ -59,7 +59,7 @@ def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _c
     """
     if scene is None:
         rows3, rows4 = np.empty((0, 3), np.float32), np.empty((0, 4), np.float32)
-        return _core.EllipsoidIndex(rows3, rows3, rows4, sigma=sigma, radius=radius_m)
+        return _core.EllipsoidIndex(rows3, rows3, rows4, sigma=sigma, radius=radius_m or 1.0)
     rows = rows_of(scene, retained(scene, 0.0))
     try:
         return _core.EllipsoidIndex(

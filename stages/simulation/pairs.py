@@ -104,6 +104,8 @@ def sample_pairs(
     clearance: Callable[[FloatArray], FloatArray],
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
     is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
+    *,
+    keys: str = "--bounds or lower --separation, --margin or --radius",
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 
@@ -120,6 +122,7 @@ def sample_pairs(
         is_clear: which of the points, given with their psi, may be a start or a goal; shape (M,).
         is_wanted: which of the pairs, starts and goals of shape (P, 3), may be flown; shape (P,). All by
             default.
+        keys: what to widen or lower where there is no pair, for the message.
 
     Raises:
         InfeasibleError: no pair was found for a trial among 16384 points.
@@ -148,7 +151,7 @@ def sample_pairs(
             raise InfeasibleError(
                 f"trial {i}: no start and goal at least {min_distance_m:.3g} m apart and clear of the map "
                 f"{'' if is_wanted is None else 'with a blocked line between them '}"
-                f"among {_BLOCK * _BLOCKS} points; widen --bounds or lower --separation, --margin or --radius"
+                f"among {_BLOCK * _BLOCKS} points; widen {keys}"
             )
     return Pairs(start, goal, sampled, inside, candidates)
 

@@ -76,7 +76,7 @@ def chain_of(
     """
     assert config.radius_m is not None
     level: Any = cover.manifest
-    outside, missing = left_out(vehicle), _not_covered(level)
+    outside, missing = left_out(vehicle), not_covered(level)
     added = hull_radius_m - config.radius_m
     delay, lag = vehicle.assumed.delay_s, vehicle.assumed.motor_time_constant_s
     assumptions = [
@@ -115,8 +115,12 @@ def chain_of(
     }
 
 
-def _not_covered(level: Any) -> list[str]:
-    """What a cover leaves out of the scene by its own parameters, in words."""
+def not_covered(level: Any) -> list[str]:
+    """What a cover leaves out of the scene by its own parameters, in words.
+
+    Args:
+        level: manifest of the cover.
+    """
     found = {
         f"voxels that fewer than {level.min_overlap} ellipsoids touch": level.min_overlap > 1,
         f"Gaussians of opacity below {exact(level.min_opacity)}": level.min_opacity > 0,

@@ -76,8 +76,10 @@ def safety_filters(
                 made.append(_in_fence(name, scenario, vehicle, world, given))
             else:
                 made.append(_among_obstacles(name, scenario, vehicle, world, _plain(given)))
-        except (ValueError, TypeError, OverflowError) as error:
-            raise UsageError(f"`$.safety.{name}`: {error}") from error
+        except (ValueError, TypeError, OverflowError, UsageError) as error:
+            if "`$." in str(error):
+                raise
+            raise UsageError(f"`$.safety.{name}`: {str(error).removeprefix(f'{name}: ')}") from error
     return made
 
 

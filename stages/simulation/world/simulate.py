@@ -229,6 +229,7 @@ def prepare(
         full,
         world,
         count=_count(full, pairs),
+        is_point=vehicle.model == "single-integrator",
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,

@@ -12,6 +12,7 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
+from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.simulate import WorldRun
@@ -178,12 +179,18 @@ def left_out(scenario: WorldScenario) -> list[str]:
     found = {
         "drag": any(own.linear_drag_n_s_m or ()) or any(own.quadratic_drag_n_s2_m2 or ()),
         "wind": any(own.wind_m_s or ()) or any(own.gust_m_s or ()),
-        "noise": any((known.position_noise_m, known.velocity_noise_m_s, known.attitude_noise_rad)),
+        "noise": any(
+            (
+                *(known.position_noise_m, known.velocity_noise_m_s),
+                *(known.attitude_noise_rad, known.rate_noise_rad_s),
+            )
+        ),
         "lost measurements": known.lost_share > 0 or known.lost_from_s is not None,
         "a mass or thrust other than the model's": table.mass_scale != 1 or table.thrust_scale != 1,
         "a motor lag other than assumed": (own.motor_time_constant_s or 0.0)
         != (assumed.motor_time_constant_s or 0.0),
         "a delay other than assumed": (known.delay_s or 0.0) != (assumed.delay_s or 0.0),
+        "a rate loop": table.interface == "body-rates",
         "the vehicle's own cascade": table.interface in ("velocity", "acceleration"),
     }
     return [words for words, has in found.items() if has]
@@ -200,12 +207,15 @@ def _chain(
             "assumptions": [],
         }
     level: Any = cover.manifest
-    table = run.scenario.vehicle.assumed
+    table, rules = run.scenario.vehicle.assumed, run.scenario.rules
+    missing = not_covered(level)
+    beyond = f" The cover leaves out {', '.join(missing)}." if missing else ""
     assumptions = [
         "Cover: alula verify proves that its hulls contain the ellipsoids of the scene at its level, grown "
-        f"by {exact(level.inflation_m)} m; the run does not check this.",
-        "Model: a rigid body with the limits of its rotors, commands held for a tick, a motor time constant "
-        f"of {exact(table.motor_time_constant_s or 0.0)} s.",
+        f"by {exact(level.inflation_m)} m; the run does not check this.{beyond}",
+        "Model: a rigid body with the limits of its rotors, commands held for "
+        f"{exact(rules.dt_s * rules.filter_ticks)} s, a motor time constant of "
+        f"{exact(table.motor_time_constant_s or 0.0)} s.",
         f"Estimation: the state has no error but an age of {exact(table.delay_s or 0.0)} s, which the "
         "model predicts.",
         f"Inflation: {exact(run.world.hull_keep_m - run.world.radius_m)} m beyond the radius.",
@@ -217,6 +227,7 @@ def _chain(
         if complete
         else "Not every step was certified against the hulls of the cover, so the chain is broken."
     )
+    words += beyond
     if left:
         words += f" These flights had {', '.join(left)}, which the model leaves out."
-    return {"statement": words, "holds": complete and not left, "assumptions": assumptions}
+    return {"statement": words, "holds": complete and not left and not missing, "assumptions": assumptions}

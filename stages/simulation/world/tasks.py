@@ -57,6 +57,7 @@ def missions_of(
     world: StaticWorld,
     *,
     count: int,
+    is_point: bool,
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
@@ -73,6 +74,7 @@ def missions_of(
         scenario: completed.
         world: static obstacles.
         count: number of trials.
+        is_point: whether the vehicle is a single integrator, which flies straight at its goal.
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
@@ -110,7 +112,7 @@ def missions_of(
                 pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
             )
             counts |= count_planned(plans)
-    return _along(scenario, world, pairs, plans, count, speed_m_s, max_speed_m_s, counts)
+    return _along(scenario, world, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point)
 
 
 def _along(
@@ -122,13 +124,12 @@ def _along(
     speed_m_s: float,
     max_speed_m_s: float,
     counts: dict[str, int],
+    is_point: bool,
 ) -> Missions:
     """Tasks from starts to goals: along plans, through waypoints, or straight."""
     mission, rules = scenario.mission, scenario.rules
     by_velocity = scenario.vehicle.interface == "velocity"
-    is_point = by_velocity and scenario.vehicle.type == "single-integrator"
     gain = mission.controller.gain_per_s
-    diagonal = _diagonal(scenario, world)
     tasks, curves, missions = [], [], []
     many = len(pairs.start) == 1 and count > 1  # the same mission, with other noise
     pick = [0] * count if many else list(range(len(pairs.start)))
@@ -144,7 +145,7 @@ def _along(
             curve = _core.ReferenceCurve(*rest_to_rest(start, goal, speed_m_s, yaw_rad=yaw))
         if curve is None:
             flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=max_speed_m_s)
-            allowed = 5 * diagonal / max_speed_m_s + _EXTRA_TIME_S
+            allowed = 5 * _diagonal(scenario, world, pairs) / max_speed_m_s + _EXTRA_TIME_S
         else:
             flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=max_speed_m_s)
             slow = curve.duration_s + _EXTRA_TIME_S if by_velocity else _TIME_FACTOR * curve.duration_s
@@ -152,8 +153,11 @@ def _along(
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
         state = _at_rest(start, yaw)
-        if mission.kind == "goal" and mission.start_velocity_m_s is not None:
+        if mission.start_velocity_m_s is not None:
             state[6:9] = mission.start_velocity_m_s
+        elif mission.kind in ("goal", "waypoints"):
+            way = np.array(mission.waypoints_m[0] if mission.kind == "waypoints" else mission.goal_m) - start
+            state[6:9] = mission.start_speed_m_s / np.linalg.norm(way) * way
         tasks.append(
             _core.Task(
                 state, flown, max_time_s=max(rules.max_time_s or allowed, rules.dt_s), stop_distance_m=stop
@@ -173,12 +177,13 @@ def _along(
     )
 
 
-def _diagonal(scenario: WorldScenario, world: StaticWorld) -> float:
+def _diagonal(scenario: WorldScenario, world: StaticWorld, pairs: Pairs) -> float:
     """Diagonal of the box of starts and goals [m]."""
     mission = scenario.mission
     if mission.start_m is not None and mission.goal_m is not None:
         return max(1.0, math.dist(mission.start_m, mission.goal_m))
-    lower, upper = central_box(world.centres, mission.bounds_m, "obstacles")
+    points = world.centres if len(world.centres) else np.concatenate([pairs.start, pairs.goal])
+    lower, upper = central_box(points, mission.bounds_m, "obstacles")
     return float(np.linalg.norm(upper - lower))
 
 
@@ -226,6 +231,7 @@ def _pairs(
             distance,
             is_clear,
             is_blocked if mission.which == "blocked" else None,
+            keys="mission.bounds_m or lower mission.separation, mission.margin_m or vehicle.radius_m",
         )
     counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}
     if given is None:
@@ -248,7 +254,10 @@ def _hovering(
     curve = _core.ReferenceCurve(np.array([0.0, 1.0]), rest)
     gain = scenario.mission.controller.gain_per_s
     flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
-    task = _core.Task(_at_rest(start, yaw), flown, max_time_s=scenario.rules.max_time_s or _HOLD_S)
+    state = _at_rest(start, yaw)
+    if scenario.mission.start_velocity_m_s is not None:
+        state[6:9] = scenario.mission.start_velocity_m_s
+    task = _core.Task(state, flown, max_time_s=scenario.rules.max_time_s or _HOLD_S)
     many = np.tile(start, (count, 1))
     return Missions([task] * count, [flown] * count, many, many, [curve] * count, [None] * count, {})
 

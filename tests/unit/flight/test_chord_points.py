@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from alula.schemas.errors import InputError
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from support.velocity_worlds import ZERO, commander_around, seen, target_at, world
 
@@ -78,5 +79,5 @@ def test_nothing_is_sent_whichever_point_of_the_chord_the_filter_fails_at(name, 
             assert found.setpoint is None, at
             assert found.status is FilterStatus.REFUSED
         else:
-            with pytest.raises((RuntimeError, ValueError)):
+            with pytest.raises((RuntimeError, ValueError, InputError)):
                 decided(Failing(safety, how, at))

@@ -191,7 +191,11 @@ FilterReport PythonFilter::filter(const FlightState& state, const Nominal& nomin
   return report;
 }
 
-std::vector<const SafetyFilter*> borrowed(const Filters& filters) { return {filters.begin(), filters.end()}; }
+std::vector<const SafetyFilter*> borrowed(const Filters& filters) {
+  for (const SafetyFilter* filter : filters)
+    if (filter == nullptr) throw std::invalid_argument("a filter is None; leave it out of the list");
+  return {filters.begin(), filters.end()};
+}
 
 // A vector per figure of the obstacles, and one number per figure of the filter.
 void add_metrics(LogDict& d, EncounterLog&& log) {

@@ -39,10 +39,19 @@ CommandKind innermost(Interface interface) {
   return CommandKind::sticks;
 }
 
+bool is_rigid_body(const VehicleSpec& vehicle) {
+  return vehicle.model == VehicleModel::quadrotor && vehicle.interface >= Interface::wrench;
+}
+
+// Largest age of a measurement that is predicted; not of sticks, whose filters predict themselves [s].
+double oldest_s(const VehicleSpec& vehicle, const FlightOptions& options) {
+  return vehicle.assumed.delay_s + (options.has_losses ? options.stale_s : 0);
+}
+
 ActuatorModel remembered(const VehicleSpec& vehicle, const FlightOptions& options) {
   ActuatorModel model = vehicle.assumed;
   if (vehicle.interface == Interface::body_rates) model.rate_time_constant_s = vehicle.rate_time_constant_s;
-  if (options.has_losses) model.delay_s += options.stale_s;
+  if (is_rigid_body(vehicle)) model.delay_s = oldest_s(vehicle, options);
   return model;
 }
 
@@ -70,8 +79,9 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
   if (outer > innermost(vehicle.interface))
     throw std::invalid_argument("a filter's command is beyond what the vehicle takes");
   records_.resize(filters_.size());
-  past_.resize(
-      static_cast<std::size_t>(std::ceil((vehicle.assumed.delay_s + options.stale_s) / options.dt_s - 1e-9)) + 1);
+  const bool is_point = !is_rigid_body(vehicle) && vehicle.interface != Interface::sticks;
+  const double kept_s = is_point ? oldest_s(vehicle, options) : 0;
+  past_.resize(static_cast<std::size_t>(std::ceil(kept_s / options.dt_s - 1e-9)) + 1);
   reset();
 }
 
@@ -88,7 +98,8 @@ void Flight::reset() {
   last_ = {};
   now_ = 0, arrived_ = -1, age_.reset();
   has_state_ = has_target_ = is_other_ = false;
-  tick_ = 0;
+  begins_ = true;
+  tick_ = 0, oldest_ = 0;
   decision_ = {};
 }
 
@@ -101,7 +112,7 @@ void Flight::observe(const Observation& seen) {
   if (seen.target) target_ = *seen.target, has_target_ = true;
   seen_.tracks = seen.tracks;
   seen_.position_variance = seen.position_variance;
-  nominal_.sticks = seen.sticks;
+  sticks_ = seen.sticks;
   predict();
 }
 
@@ -116,7 +127,7 @@ void Flight::predict() {
                                             : waited <= options_.stale_s);
   seen_.x = last_;
   if (!seen_.is_known || by_sticks) return;
-  if (is_rigid() && vehicle_.interface >= Interface::wrench) {
+  if (is_rigid_body(vehicle_)) {
     seen_.x = predictor_.now(last_, age);
     seen_.rotors = predictor_.rotors();
     return;
@@ -129,7 +140,7 @@ void Flight::predict() {
     const double later = static_cast<double>(k - 1) * options_.dt_s;  // the oldest one is held for less than a tick
     const double held = left - later;
     if (!(held > 0)) continue;
-    const std::optional<Vec3>& command = past_[past_.size() - k];
+    const std::optional<Vec3>& command = past_[(oldest_ + past_.size() - k) % past_.size()];
     if (command)
       follow(*command, held);
     else
@@ -158,10 +169,9 @@ void Flight::follow(Vec3 command, double held) {
 
 // The nominal command of the mission, as far in as it goes; `level_` is the outermost kind.
 void Flight::make_nominal() {
-  const std::optional<RacerCommand> sticks = nominal_.sticks;
   if (mission_.kind == MissionKind::pilot) {
     nominal_ = {};
-    nominal_.sticks = sticks;
+    nominal_.sticks = sticks_;
     level_ = CommandKind::sticks;
     return;
   }
@@ -209,7 +219,7 @@ void Flight::make_nominal() {
     nominal_.velocity = velocity;
     level_ = CommandKind::acceleration;  // the wrench belongs to it
   }
-  nominal_.sticks = sticks;
+  nominal_.sticks = sticks_;
 }
 
 // From the command that `nominal_` holds at one level to that of another, inwards.
@@ -268,20 +278,23 @@ void Flight::stand_in(CommandKind kind) {
 }
 
 const Decision& Flight::decide() {
-  decision_.is_refused = decision_.is_stale = false;
-  const bool is_controlled = is_turn(options_.controller_ticks), is_filtered = is_turn(options_.filter_ticks);
   const bool is_aimless = mission_.kind == MissionKind::given && !has_target_;
-  if (is_aimless || (!seen_.is_known && mission_.kind != MissionKind::pilot)) {
-    decision_.is_refused = decision_.is_stale = true;
-    level_ = innermost(vehicle_.interface);
-    stand_in(vehicle_.interface == Interface::body_rates ? CommandKind::wrench : level_);
+  decision_.is_stale = is_aimless || (!seen_.is_known && mission_.kind != MissionKind::pilot);
+  if (decision_.is_stale) {
+    decision_.is_refused = begins_ = true;
+    level_ = std::min(innermost(vehicle_.interface),
+                      vehicle_.interface == Interface::sticks ? CommandKind::sticks : CommandKind::wrench);
+    stand_in(level_);
     for (FilterRecord& record : records_) record = {};
     finish();
     return decision_;
   }
-  if (is_controlled) make_nominal(), first_ = nominal_;
+  const bool is_controlled = begins_ || is_turn(options_.controller_ticks);
+  const bool is_filtered = begins_ || is_turn(options_.filter_ticks);
+  if (is_controlled) make_nominal(), first_ = nominal_, first_level_ = level_;
   if (is_filtered || is_controlled) {
-    if (!is_controlled) nominal_ = first_;
+    decision_.is_refused = false;
+    nominal_ = first_, level_ = first_level_;
     for (std::size_t i = 0; i < filters_.size(); ++i) {
       SafetyFilter& filter = *filters_[i];
       FilterRecord& record = records_[i];
@@ -303,6 +316,7 @@ const Decision& Flight::decide() {
     }
   }
   finish();
+  begins_ = false;
   return decision_;
 }
 
@@ -332,13 +346,15 @@ void Flight::finish() {
         flown_ = {vehicle_.body.mass() * vehicle_.racer.acceleration(u.throttle), {}};
         c.wrench = flown_, c.rates = u.rates;
       } else {
-        if (is_turn(held_ticks) || decision_.is_stale) {
+        if (is_turn(held_ticks) || begins_) {
           const Wrench wanted = nominal_.wrench;
           flown_ = vehicle_.body.limited(wanted);
           decision_.is_limited = flown_.thrust != wanted.thrust || flown_.torque.x != wanted.torque.x ||
                                  flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
           const double held = options_.dt_s * static_cast<double>(held_ticks);
-          if (vehicle_.interface == Interface::body_rates)
+          if (decision_.is_stale)
+            c.rates = {};
+          else if (vehicle_.interface == Interface::body_rates)
             c.rates = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held),
                                  vehicle_.max_rate);
         }
@@ -350,6 +366,7 @@ void Flight::finish() {
       break;
     }
     case Interface::sticks:
+      if (level_ < CommandKind::sticks) lower(level_, CommandKind::sticks);
       c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
       break;
   }
@@ -383,10 +400,10 @@ void Flight::sent(const Command& other) {
     case Interface::wrench:
     case Interface::body_rates:  // the torque that its loop makes of other rates is not known
       if (other.interface < Interface::wrench || other.interface == Interface::sticks) return;
-      predictor_.fly({other.wrench.thrust, is_same && vehicle_.interface == Interface::wrench
-                                               ? other.wrench.torque
-                                               : decision_.command.wrench.torque},
-                     other.rates, seen_.x);
+      predictor_.fly(
+          {other.wrench.thrust, is_same && vehicle_.interface == Interface::wrench ? other.wrench.torque
+                                                                                   : decision_.command.wrench.torque},
+          other.rates, seen_.x);
       seen_.thrust = other.wrench.thrust;
       return;
     case Interface::sticks:
@@ -395,8 +412,8 @@ void Flight::sent(const Command& other) {
 }
 
 void Flight::remember(const std::optional<Vec3>& command) {
-  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
-  past_.back() = command;
+  past_[oldest_] = command;
+  oldest_ = (oldest_ + 1) % past_.size();
 }
 
 }  // namespace alula::flight

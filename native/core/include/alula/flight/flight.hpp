@@ -124,18 +124,22 @@ class Flight {
   StatePredictor predictor_;
   FlightState seen_;
   Nominal first_, nominal_;
-  CommandKind level_ = CommandKind::acceleration;  // of `nominal_`
-  ReferencePoint target_, reference_;              // of the mission; of the cascade in this tick,
-  TrackingGains gains_;                            // with its gains
-  State last_;                                     // newest measurement
+  std::optional<RacerCommand> sticks_;  // of the pilot in this tick
+  // The outermost command that `nominal_` has, and `first_`.
+  CommandKind level_ = CommandKind::acceleration, first_level_ = CommandKind::acceleration;
+  ReferencePoint target_, reference_;  // of the mission; of the cascade in this tick,
+  TrackingGains gains_;                // with its gains
+  State last_;                         // newest measurement
   double now_ = 0, arrived_ = -1;
   std::optional<double> age_;  // of that measurement, if it is known
   bool has_state_ = false, has_target_ = false;
+  bool begins_ = true;  // neither controller nor filters have run since the state became known
   std::int64_t tick_ = 0;
   Wrench flown_;
   bool is_other_ = false;  // the applied thrust differs from the controller's
-  // Velocities or accelerations that were sent in the last ticks, newest last; none where others were sent.
+  // Velocities or accelerations that were sent in the last ticks, a ring; none where others were sent.
   std::vector<std::optional<Vec3>> past_;
+  std::size_t oldest_ = 0;  // of them
   std::vector<FilterRecord> records_;
   Decision decision_;
 };

@@ -75,8 +75,7 @@ struct SimulatedFlight {
   std::vector<double> state;     // (ticks + 1, 12): p, sigma, v, omega
   std::vector<double> estimate;  // (ticks, 12)
   std::vector<double> measured;  // (ticks, 12), NaN where it was lost
-  std::vector<double>
-      nominal;  // (ticks, 3): velocity or acceleration of the mission; throttle and two rates of sticks
+  std::vector<double> nominal;   // (ticks, 3): velocity or acceleration of the mission; 0 of a pilot
   std::vector<double> command;   // (ticks, 11): velocity or acceleration or rates (3), wrench (4), sticks (4)
   std::vector<double> sticks;    // (ticks, 4) of the pilot, NaN when silent
   std::vector<double> obstacle;  // (ticks, n, 3)
