@@ -104,7 +104,7 @@ void Flight::predict() {
   const bool is_velocity = vehicle_.interface == Interface::velocity;
   const auto ticks = static_cast<std::size_t>(std::ceil(age / options_.dt_s - 1e-9));
   for (std::size_t k = std::min(ticks, past_.size()); k > 0 && left > 1e-12; --k) {
-    const Vec3 command = past_[past_.size() - k];
+    const Vec3 command = past_[(static_cast<std::size_t>(tick_) + past_.size() - k) % past_.size()];
     double held = left - static_cast<double>(k - 1) * options_.dt_s;
     if (k == 1) held = left;
     if (!(held > 0)) continue;
@@ -318,8 +318,7 @@ void Flight::finish() {
       c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
       break;
   }
-  std::rotate(past_.begin(), past_.begin() + 1, past_.end());
-  past_.back() = remembered;
+  past_[static_cast<std::size_t>(tick_) % past_.size()] = remembered;
   ++tick_;
 }
 

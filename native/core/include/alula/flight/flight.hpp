@@ -120,7 +120,7 @@ class Flight {
   std::int64_t tick_ = 0;
   Wrench flown_;
   bool is_other_ = false;   // the applied thrust differs from the controller's
-  std::vector<Vec3> past_;  // commanded velocities or accelerations of the last ticks, newest last
+  std::vector<Vec3> past_;  // commanded velocities or accelerations of the last ticks, a ring
   std::vector<FilterRecord> records_;
   Decision decision_;
 };
