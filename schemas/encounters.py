@@ -43,8 +43,9 @@
     [run]
     max_time_s = 14.0
 
-Every key has a default. The headers native/core/include/alula/{flight/encounter,flight/obstacle_motion,
-tracking/radar,tracking/tracker}.hpp explain the keys; schemas/filters explains the filter's parameters.
+Every key has a default. The headers native/core/include/alula/{flight/simulated_vehicle,
+flight/obstacle_motion,tracking/radar,tracking/tracker}.hpp explain the keys; schemas/filters explains the
+filter's parameters.
 Source: Mandaokar, Rinner 2025 (arXiv 2512.00462).
 """
 
@@ -427,6 +428,13 @@ def _check(path: Path, scenario: Encounters) -> None:
         "encounter.goal_m",
         "is the start; a vehicle that stays there hovers",
     )
+    for where, value, low, high in (
+        ("vehicle.radius_m", vehicle.radius_m, 0, 1e3),
+        ("vehicle.v_max_m_s", vehicle.v_max_m_s, 1e-3, 1e3),
+        ("vehicle.a_max_m_s2", vehicle.a_max_m_s2, 1e-3, 1e4),
+        ("vehicle.j_max_m_s3", vehicle.j_max_m_s3, 1e-3, 1e9),
+    ):
+        require(low <= value <= high, where, f"must be between {low:g} and {high:g}")
     require(table.cruise_m_s <= vehicle.v_max_m_s, "encounter.cruise_m_s", "is above vehicle.v_max_m_s")
     start_speed = table.start_speed_m_s or 0.0
     require(start_speed <= vehicle.v_max_m_s, "encounter.start_speed_m_s", "is above vehicle.v_max_m_s")

@@ -15,6 +15,8 @@ from alula.schemas.errors import InputError
 from alula.stages.compression.hulls import Hulls
 
 COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
+_COARSE = 16  # one point of a path in so many bounds the minimum along it
+_ROUNDING_M = 1e-6
 
 
 def is_collision(*clearances_m: float | None) -> bool:
@@ -143,7 +145,13 @@ def sphere_clearance(
     Returns:
         The minimum of `path_clearance` less the radius [m]; None without obstacles.
     """
-    found = float(path_clearance(points, obstacles, jobs=jobs).min()) - radius_m
+    path = np.asarray(points, np.float64)
+    # What is farther than one of the points does not matter, and is passed over quickly.
+    few = path[::_COARSE] if path.ndim == 2 else path[:0]
+    cap_m = (
+        float(segment_clearance(few, few, obstacles, jobs).min()) + _ROUNDING_M if len(few) > 1 else math.inf
+    )
+    found = float(path_clearance(path, obstacles, jobs=jobs, cap_m=cap_m).min()) - radius_m
     return found if math.isfinite(found) else None
 
 

@@ -360,6 +360,21 @@ def test_the_clearance_of_a_sphere_is_that_of_its_path_less_the_radius():
     assert sphere_clearance(path, hull_obstacles(NO_HULLS), 0.2) is None
 
 
+@pytest.mark.parametrize("reach", [8.0, 3.0, 0.2])  # far from all, among them, and inside one
+def test_the_clearance_of_a_sphere_is_that_of_every_segment_bit_by_bit(reach):
+    rng = np.random.default_rng(7)
+    clouds = [rng.uniform(0, 1, (12, 3)) + rng.uniform(-3, 3, 3) for _ in range(30)] + [
+        rng.normal(size=(30, 3))
+    ]
+    mean, scale, quat = rng.uniform(-3, 3, (40, 3)), rng.uniform(0.01, 0.4, (40, 3)), rng.normal(size=(40, 4))
+    scene = scene_obstacles(scene_of(mean, scale, quat), 1.5)
+    for obstacles in (hull_obstacles(hulls_of(clouds)), scene):
+        for _ in range(20):
+            start = reach * rng.normal(size=3) / 2
+            path = start + np.cumsum(rng.normal(scale=0.02, size=(int(rng.integers(1, 400)), 3)), axis=0)
+            assert sphere_clearance(path, obstacles, 0.2) == path_clearance(path, obstacles).min() - 0.2
+
+
 def test_a_touch_and_a_missing_obstacle_are_no_collision():
     assert not is_collision()
     assert not is_collision(None, 0.0, -1e-7)

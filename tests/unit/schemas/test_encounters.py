@@ -79,6 +79,11 @@ def test_keys_set_and_changes_replace(tmp_path):
         ("[encounter]\n[tracker]\nconfirm_hits = 7", r"`\$\.tracker\.confirm_hits` is above"),
         ("[encounter]\n[trials]\ncount = 0", r"at `\$\.trials\.count`"),
         ("[encounter]\n[run]\ndt_s = 3", r"`\$\.run\.dt_s` must be between"),
+        (
+            "[encounter]\n[vehicle]\nv_max_m_s = 1e6",
+            r"`\$\.vehicle\.v_max_m_s` must be between 0.001 and 1000",
+        ),
+        ("[encounter]\n[vehicle]\nradius_m = 1e5", r"`\$\.vehicle\.radius_m` must be between 0 and 1000"),
         ("[encounter]\ncruise_m_s = 20", r"`\$\.encounter\.cruise_m_s` is above vehicle\.v_max_m_s"),
         ("[encounter]\ngoal_m = [0, 0, 10]", r"`\$\.encounter\.goal_m` is the start"),
         ("[encounter]\n[[walls]]\nlower_m=[0,0,0]\nupper_m=[1,0,1]", r"`\$\.walls\[0\]\.upper_m` must be"),

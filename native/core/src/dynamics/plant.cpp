@@ -47,6 +47,10 @@ void Sensor::reset(const State& x) {
 }
 
 void Sensor::record(double time, const State& x) {
+  if (options_.delay_s == 0) {  // only the newest is measured
+    at(0) = {time, x};
+    return;
+  }
   if (count_ == ring_.size()) {
     std::rotate(ring_.begin(), ring_.begin() + static_cast<std::ptrdiff_t>(oldest_), ring_.end());
     oldest_ = 0;

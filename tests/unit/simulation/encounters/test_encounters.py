@@ -137,6 +137,16 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
         TrialJournal(FlownChunk, b"\x01\x02")
 
 
+def test_the_filter_sees_its_own_state_with_the_noise_of_the_sensor():
+    noisy = {"own_position_sigma_m": 0.05, "own_velocity_sigma_m_s": 0.1}
+    (log,) = flown(made(sensor=noisy, filter={"name": "none"}))
+    error = log["estimate"][:, [0, 1, 2, 6, 7, 8]] - log["state"][:-1][:, [0, 1, 2, 6, 7, 8]]
+    np.testing.assert_allclose(error.std(axis=0), [0.05] * 3 + [0.1] * 3, rtol=0.15)
+    np.testing.assert_allclose(error.mean(axis=0), 0, atol=0.02)
+    (exact,) = flown(made(filter={"name": "none"}))
+    np.testing.assert_array_equal(exact["estimate"], exact["state"][:-1])
+
+
 def test_a_trial_is_a_function_of_seed_and_number():
     first, other = fly_encounters(made()).trials, fly_encounters(made(trials={"count": 40, "seed": 4})).trials
     assert msgspec.json.encode(first) != msgspec.json.encode(other)
