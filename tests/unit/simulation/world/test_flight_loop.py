@@ -36,7 +36,7 @@ NOISY = _core.PlantOptions(
     sensor=_core.SensorOptions(position_noise_m=0.003, delay_s=0.02),
 )
 LAGGING = _core.ActuatorModel(motor_time_constant_s=0.03, delay_s=0.02)
-TIMES = ("filter_s", "tick_s", "active_tick_s")  # measured
+TIMES = ("filter_s", "tick_s", "active_tick_s", "command_s")  # measured
 REFUSED, STALE = 1, 2
 
 
