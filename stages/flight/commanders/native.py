@@ -32,9 +32,8 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 class FlightCommander:
     """Set-points of a `_core.Flight` by given reference points.
 
-    Prediction, nominal command, filter, and the way from its command to the set-point are native:
-    `native/core/include/alula/flight/flight.hpp`, and for velocities `alula/filters/chord_filter.hpp`. A torque
-    is sent as a body rate.
+    Prediction, nominal command, filter, and the way from its command to the set-point are native: see
+    `native/core/include/alula/flight/flight.hpp`, and for velocities `filters/chord_filter.hpp` beside it.
 
     Attributes:
         flight: vehicle, mission `given`, and filters.
@@ -129,12 +128,14 @@ class FlightCommander:
         if self.setpoint is VelocitySetpoint:
             return VelocitySetpoint(command[:3].copy(), yaw_rad)
         if self.setpoint is AccelerationSetpoint:
-            return AccelerationSetpoint(command[:3].copy(), estimate[6:9].copy(), estimate[:3].copy(), yaw_rad)
+            return AccelerationSetpoint(
+                command[:3].copy(), estimate[6:9].copy(), estimate[:3].copy(), yaw_rad
+            )
         return RatesSetpoint(float(command[3]) / self.body.mass, command[:3].copy())
 
     def _safe(self, report: dict[str, Any], estimate: FloatArray) -> FloatArray:
         """Velocity or acceleration of the filter, shape (3,); of a wrench along the estimated body z axis."""
-        if self.command != "wrench":
+        if self.command is not None and self.command != "wrench":
             return np.array(report[self.command])
         up = -_core.rotation_of(estimate[None, 3:6])[0].T @ _DOWN
         acceleration: FloatArray = report["thrust"] / self.body.mass * up + self.body.gravity * _DOWN

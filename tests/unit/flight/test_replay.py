@@ -50,7 +50,9 @@ def test_the_native_flight_repeats_a_flight_through_an_autopilot_bit_by_bit(tmp_
     ticks = ticks_of(log)
     assert len(ticks) > 300
     assert {tick["decided"] for tick in ticks} == {kind}
-    assert all(tick["is_own"] for tick in ticks) == (kind != "rates")  # the geofence always changes rates a little
+    assert all(tick["is_own"] for tick in ticks) == (
+        kind != "rates"
+    )  # the geofence always changes rates a little
     found = replay(log, commander_of(made, accepts))
     assert found.ticks == len(ticks)
     assert found.differing == []
