@@ -44,7 +44,7 @@ class Replayed:
 
     Attributes:
         ticks: number of ticks that were compared.
-        differing: times of the ticks with another set-point than the logged one, since the flight began [s].
+        differing: times of the ticks whose set-point differs, since the start of the flight [s].
     """
 
     ticks: int
@@ -67,9 +67,7 @@ def replay(log: Path, commander: FlightCommander) -> Replayed:
         if tick.number == 0:
             commander.reset()
         elif tick.number != next_number:
-            raise InputError(
-                f"{log}: ticks before {tick.time_s:.2f} s are missing; the flight cannot be replayed"
-            )
+            raise InputError(f"{log}: ticks before {tick.time_s:.2f} s are missing; it cannot be replayed")
         elif sent is not None:
             for _ in range(tick.repeats):
                 commander.sent(sent)

@@ -174,11 +174,11 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 sent=_TEXT,
                 sent_values=_array(_NUMBER),
             ),
-            "description": "Inputs and set-points of each tick of a real flight, not rounded, so that the "
-            "native flight repeats it bit by bit: the number of the tick since set-points began and the "
-            "ticks left out before it; the measured state (position, attitude as MRP, velocity, body rates) "
-            "and its age; the reference (position to snap, yaw, its rates); the set-point decided, whether "
-            "it was sent as it is, and the one sent.",
+            "description": "Inputs and set-points of each tick of a real flight, not rounded: the native "
+            "flight repeats it bit by bit: the number of the tick since set-points began, the ticks left out "
+            "before it; the age of the measured state (position, attitude as MRP, velocity, body rates); the "
+            "reference (position to snap, yaw and its rates); the set-point decided, whether it was sent so, "
+            "and the one sent.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),

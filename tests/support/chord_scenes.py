@@ -1,4 +1,4 @@
-"""Random hulls with a small filter of velocities in double precision, and states of vehicles that lag."""
+"""Random hulls with a small filter of velocities in double precision, for the chord of a lagging vehicle."""
 
 import json
 from pathlib import Path

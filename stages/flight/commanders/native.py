@@ -32,8 +32,9 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 class FlightCommander:
     """Set-points of a `_core.Flight` by given reference points.
 
-    Prediction, nominal command, filter, and the way from its command to the set-point are native: see
-    `native/core/include/alula/flight/flight.hpp`, and for velocities `filters/chord_filter.hpp` beside it.
+    Prediction, nominal command, filter, and the way from its command to the set-point are native:
+    `native/core/include/alula/flight/flight.hpp`, for velocities `alula/filters/chord_filter.hpp`. A torque is
+    sent as a body rate.
 
     Attributes:
         flight: vehicle, mission `given`, and filters.
@@ -128,9 +129,8 @@ class FlightCommander:
         if self.setpoint is VelocitySetpoint:
             return VelocitySetpoint(command[:3].copy(), yaw_rad)
         if self.setpoint is AccelerationSetpoint:
-            return AccelerationSetpoint(
-                command[:3].copy(), estimate[6:9].copy(), estimate[:3].copy(), yaw_rad
-            )
+            velocity, position = estimate[6:9].copy(), estimate[:3].copy()
+            return AccelerationSetpoint(command[:3].copy(), velocity, position, yaw_rad)
         return RatesSetpoint(float(command[3]) / self.body.mass, command[:3].copy())
 
     def _safe(self, report: dict[str, Any], estimate: FloatArray) -> FloatArray:

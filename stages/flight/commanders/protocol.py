@@ -19,7 +19,7 @@ class TickInputs:
         age_s: age of these, with the latency of the link [s].
         target: reference, shape (18,), see `Commander.decide`.
         number: of the tick since the flight was reset; 0 right after that.
-        repeats: ticks left out before this one, in which the vehicle went on with the last set-point.
+        repeats: ticks before this one that were left out, in which the vehicle kept the last set-point.
     """
 
     measured: FloatArray
