@@ -1,14 +1,9 @@
 """Random hulls with a small filter of velocities in double precision, for the chord of a lagging vehicle."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 
-# Of the scenes of seed 7: status, active hull, calls of the filter, margin, velocity.
-VECTORS = json.loads((Path(__file__).parent / "vectors_chord.json").read_text())
 SPEED_M_S, BETA, RADIUS_M = 2.0, 4.0, 0.25
 
 

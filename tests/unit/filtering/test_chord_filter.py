@@ -1,5 +1,8 @@
 """Filters of velocities on the chord: recorded numbers of the Python version before it, lag 0, failures."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,9 +11,12 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.bridge import native_velocity_filter
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, World
-from support.chord_scenes import SPEED_M_S, VECTORS, scenes
+from support import chord_scenes
+from support.chord_scenes import SPEED_M_S, scenes
 from support.small_scenes import box_cover
 
+# Of the scenes of seed 7: status, active hull, calls of the filter, margin, velocity.
+VECTORS = json.loads(Path(chord_scenes.__file__).with_name("vectors_chord.json").read_text())
 BOX = Hulls.from_cover(box_cover([((0, 0, 0), (10, 10, 10))]))  # from 0 to 1 m
 WORLD = World(hulls=BOX, radius_m=0.1, speed_m_s=2.0, dt_s=0.01, extent_m=9.0)
 
