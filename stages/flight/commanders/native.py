@@ -33,8 +33,8 @@ class FlightCommander:
     """Set-points of a `_core.Flight` by given reference points.
 
     Prediction, nominal command, filter, and the way from its command to the set-point are native:
-    `native/core/include/alula/flight/flight.hpp`, for velocities `alula/filters/chord_filter.hpp`. A torque is
-    sent as a body rate.
+    `native/core/include/alula/flight/flight.hpp`, for velocities `alula/filters/chord_filter.hpp`. A
+    torque is sent as a body rate.
 
     Attributes:
         flight: vehicle, mission `given`, and filters.
