@@ -76,7 +76,8 @@ def replay(log: Path, commander: FlightCommander) -> Replayed:
         )
         decision = commander.step(inputs)
         ticks, next_number = ticks + 1, tick.number + 1
-        if numbers_of(decision.setpoint) != (tick.decided, tick.decided_values):
+        kind, values = numbers_of(decision.setpoint)
+        if kind != tick.decided or np.array(values).tobytes() != np.array(tick.decided_values).tobytes():
             differing.append(tick.time_s)
         sent = decision.setpoint if tick.is_own else _setpoint(tick.sent, tick.sent_values)
         if sent is not None:

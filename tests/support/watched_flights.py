@@ -50,13 +50,13 @@ class WatchedPx4(Watched):
 
 
 @contextmanager
-def flight(made, served, **keywords):
+def flight(made, served, recorder=None, **keywords):
     time = Time(served)
     link = open_link(
         f"udpout:127.0.0.1:{served.port}", LinkOptions(frame=FRAME, clock=time, sleep=time.sleep)
     )
     link.clock = time  # of the loop, too
-    recorder = Kept()
+    recorder = recorder or Kept()
     try:
         link.open(5.0)
         link.prepare()
@@ -76,9 +76,9 @@ def began(served, time, taken):
         served.flown = time()
 
 
-def fly(made, *faults, kind=Watched, **keywords):
+def fly(made, *faults, kind=Watched, recorder=None, **keywords):
     served = kind(*faults, **keywords)
-    with flight(made, served) as loop:
+    with flight(made, served, recorder) as loop:
         return loop, served
 
 

@@ -256,7 +256,11 @@ def _three(vector: FloatArray) -> Three:
 
 
 def numbers_of(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
-    """Kind and numbers of a set-point, for the log."""
+    """Kind and numbers of a set-point, for the log; without a set-point empty.
+
+    Args:
+        setpoint: thrust per mass and body rates; or acceleration, or velocity, each with the yaw.
+    """
     if setpoint is None:
         return "", ()
     if isinstance(setpoint, RatesSetpoint):
