@@ -130,7 +130,7 @@ class VehicleTable(Table, frozen=True, kw_only=True):
     velocity_lag_s: Annotated[
         Delay | None,
         about(
-            "lag with which velocities are followed; filters of velocities also keep the way to a stop clear; "
+            "lag with which velocities are followed; filters of velocities keep the way to a stop clear too; "
             "default: 1 / velocity_gain_per_s plus 0.15 s for the attitude loop; single integrator: 0 [s]"
         ),
     ] = None
