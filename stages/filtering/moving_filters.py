@@ -18,8 +18,8 @@ from alula.stages.filtering.protocol import FilterWorld
 WALL_FRACTION = 0.56
 """Fraction of the maximum acceleration that braking before a wall counts on.
 
-Below 1 / sqrt(3), so that the box of accelerations contains what three walls at right angles require together,
-in any orientation.
+Below 1 / sqrt(3), so that the box of accelerations contains what three walls at right angles require
+together, in any orientation.
 """
 
 

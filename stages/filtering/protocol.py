@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from alula.stages.compression.hulls import Hulls
 CommandKind = Literal["velocity", "acceleration", "wrench", "sticks"]
 SIZES: dict[str, int] = {"velocity": 3, "acceleration": 3, "wrench": 4, "sticks": 4}
 """How many numbers a command has: m/s; m/s^2; N and N m; throttle and rad/s."""
+_three, _four, _no_tracks, _no_faces = (partial(np.zeros, shape) for shape in (3, 4, (0, 32), (0, 4)))
 
 
 class FilterStatus(IntEnum):
@@ -33,10 +35,6 @@ class FilterStatus(IntEnum):
     """No safe input is known; `u` is not read."""
     BACKUP = 5
     """The backup policy is flown."""
-
-
-def _zeros(*shape: int) -> Any:
-    return field(default_factory=lambda: np.zeros(shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +56,14 @@ class FlightState:
     """
 
     position: FloatArray
-    sigma: FloatArray = _zeros(3)
-    velocity: FloatArray = _zeros(3)
-    omega: FloatArray = _zeros(3)
+    sigma: FloatArray = field(default_factory=_three)
+    velocity: FloatArray = field(default_factory=_three)
+    omega: FloatArray = field(default_factory=_three)
     thrust: float = 0.0
     thrust_rate: float = 0.0
     rotors: Sequence[float] | FloatArray | None = None
-    tracks: FloatArray = _zeros(0, 32)
-    position_variance: FloatArray = _zeros(3)
+    tracks: FloatArray = field(default_factory=_no_tracks)
+    position_variance: FloatArray = field(default_factory=_three)
     is_known: bool = True
 
 
@@ -85,14 +83,14 @@ class Nominal:
         sticks: throttle and body rates [rad/s], shape (4,); None: the pilot is silent.
     """
 
-    velocity: FloatArray = _zeros(3)
-    acceleration: FloatArray = _zeros(3)
-    wrench: FloatArray = _zeros(4)
+    velocity: FloatArray = field(default_factory=_three)
+    acceleration: FloatArray = field(default_factory=_three)
+    wrench: FloatArray = field(default_factory=_four)
     thrust_rate: float = 0.0
     thrust_acceleration: float = 0.0
-    position_error: FloatArray = _zeros(3)
-    velocity_error: FloatArray = _zeros(3)
-    reference_acceleration: FloatArray = _zeros(3)
+    position_error: FloatArray = field(default_factory=_three)
+    velocity_error: FloatArray = field(default_factory=_three)
+    reference_acceleration: FloatArray = field(default_factory=_three)
     sticks: FloatArray | None = None
 
 
@@ -129,7 +127,7 @@ class FilterWorld:
     """Obstacles, vehicle and rate that a filter is built for; what a run does not have has its default.
 
     Attributes:
-        radius_m: radius that is kept from ellipsoids: that of the vehicle's sphere, plus the alignment error of
+        radius_m: radius that is kept from ellipsoids: of the vehicle's sphere, plus the alignment error of
             the scene [m].
         dt_s: time for which a command is held [s].
         hulls: the hulls of a cover.
@@ -167,7 +165,7 @@ class FilterWorld:
     parts: Mapping[str, _core.ObstacleMap] = field(default_factory=dict)
     parts_radius_m: float | None = None
     fence_box: tuple[Sequence[float], Sequence[float]] | None = None
-    fence_faces: FloatArray = _zeros(0, 4)
+    fence_faces: FloatArray = field(default_factory=_no_faces)
     fence_radius_m: float | None = None
     extent_m: float = 1e3
     speed_m_s: float = 1.0

@@ -16,7 +16,7 @@ from alula.schemas.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.flights import read_flights
 from alula.schemas.kinds import PLAN, SCENE
 from alula.schemas.run import RunRecord, read_run, record_path
-from alula.stages.filtering.registry import ELLIPSOID_FILTERS
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES

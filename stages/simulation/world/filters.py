@@ -8,7 +8,7 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import Options
+from alula.schemas.filters.values import Options
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS

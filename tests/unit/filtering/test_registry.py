@@ -1,4 +1,4 @@
-"""One protocol and one registry for all filters: each is built by its name, and behind Python answers the same."""
+"""One protocol and one registry for all filters: each is built by name and answers the same behind Python."""
 
 import dataclasses
 
@@ -112,7 +112,7 @@ def test_every_filter_is_built_by_its_name_and_answers_the_same_from_python(name
 def test_none_is_no_filter_and_reports_the_margin_of_polytope_cbf():
     assert registry.make_filter("none", WORLD, {}) is None
     bare, whole = without_filter(WORLD, {}), registry.make_filter("polytope-cbf", WORLD, {})
-    for x in ((0.0, 0.0, 0.5), (1.85, 0.5, 0.5)):
+    for x in ((0.0, 0.0, 0.5), (1.7, 0.5, 0.5)):
         state, nominal = FlightState(np.array(x)), Nominal(np.array([5.0, 0, 0]))
         passed = bare(state, nominal)
         assert (passed.status, passed.u.tolist()) == (FilterStatus.OK, [5.0, 0, 0])

@@ -8,7 +8,7 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
-from alula.stages.filtering.ellipsoid_filters import GUIDES, parameters_of
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, GUIDES, parameters_of
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
@@ -180,7 +180,7 @@ def test_the_solver_is_a_parameter():
     assert parameters_of("cone-ecbf", {})["lambda_"] == 14
     with pytest.raises(UsageError, match="solver must be active-set or clarabel, not 'interpolation'"):
         parameters_of("cone-di", {"solver": "interpolation"})
-    for name in registry.ELLIPSOID_FILTERS:
+    for name in ELLIPSOID_FILTERS:
         with pytest.raises(UsageError, match="unknown parameter 'qp_backend'"):
             parameters_of(name, {"qp_backend": "clarabel"})
 

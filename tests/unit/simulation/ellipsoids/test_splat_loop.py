@@ -7,6 +7,7 @@ from alula import _core
 from alula.schemas.errors import InputError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
@@ -17,7 +18,7 @@ from support.quadrotor_model import derivative, rk4
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
-NATIVE = list(registry.ELLIPSOID_FILTERS)
+NATIVE = list(ELLIPSOID_FILTERS)
 
 
 def curve(start=(0, 0, 1), goal=(3, 1, 1.5), speed=1.5, yaw=0.4):

@@ -14,14 +14,14 @@ from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
 from alula.schemas.world_check import FILTER_COMMANDS
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
-from alula.stages.filtering.ellipsoid_filters import parameters_of
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from support.fabricate import make_scene
 from support.foreign_filters import Broken, Limiting
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
-NATIVE = list(registry.ELLIPSOID_FILTERS)
+NATIVE = list(ELLIPSOID_FILTERS)
 
 
 def ellipsoid_scene(mean, scale):
