@@ -17,9 +17,9 @@ from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
-from alula.stages.filtering.registry import make_splat_filter
-from alula.stages.filtering.splat_filters import NativeSplatFilter
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.bridge import NativeFilter
+from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown, fly
 from alula.stages.simulation.pairs import central_box, sample_pairs
@@ -58,18 +58,18 @@ class Arena:
     splats: int
     scene_s: float
     index_s: float
-    world: SplatWorld
+    world: FilterWorld
     vehicle: _core.FlightVehicle
     rules: _core.FlightRules
     references: list[_core.ReferenceCurve]
 
-    def filter(self, name: str, parameters: Mapping[str, Any]) -> NativeSplatFilter:
+    def filter(self, name: str, parameters: Mapping[str, Any]) -> NativeFilter:
         """Make a filter for this room."""
-        made = make_splat_filter(name, self.world, parameters)
-        assert isinstance(made, NativeSplatFilter)
+        made = make_filter(name, self.world, parameters)
+        assert isinstance(made, NativeFilter)
         return made
 
-    def fly(self, safety_filter: NativeSplatFilter, pairs: int | None = None) -> list[SplatFlown]:
+    def fly(self, safety_filter: NativeFilter, pairs: int | None = None) -> list[SplatFlown]:
         """Fly all pairs, or the first `pairs`, on one thread."""
         return fly(safety_filter, self.vehicle, self.references[:pairs], self.rules, jobs=1)
 
@@ -104,7 +104,7 @@ def arena(gaussians: int, pairs: int, seed: int) -> Arena:
         splats=len(mean),
         scene_s=made - start,
         index_s=built - before,
-        world=SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=DT_S),
+        world=FilterWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=DT_S),
         vehicle=_core.FlightVehicle(body, gains, plant_options(FASTBRIDGE)),
         rules=_core.FlightRules(
             dt_s=DT_S,

@@ -194,9 +194,15 @@ from alula import _core
 from alula.schemas.artifact import read_artifact
 from alula.schemas.kinds import COVER, SCENE
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.stages.filtering.registry import make_filter, make_splat_filter
-from alula.stages.filtering.splat_protocol import SplatWorld
-from alula.stages.filtering.protocol import World
+try:
+    from alula.stages.filtering.polytope_cbf import barrier
+    from alula.stages.filtering.protocol import FilterWorld as SplatWorld, FilterWorld as World
+    from alula.stages.filtering.registry import make_filter as make_splat_filter
+except ImportError:  # a commit that has a protocol for each kind of filters
+    from alula.stages.filtering.protocol import World
+    from alula.stages.filtering.registry import make_filter, make_splat_filter
+    from alula.stages.filtering.splat_protocol import SplatWorld
+    barrier = lambda world: make_filter("polytope-cbf", world, {}).native
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.compression.hulls import Hulls
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
@@ -213,7 +219,7 @@ world = SplatWorld(index=ellipsoid_index(scene, 1.0, 0.15), body=body, gains=gai
 hulls = World(hulls=Hulls.from_cover(cover), radius_m=0.1, speed_m_s=1.0, dt_s=0.01, extent_m=20.0)
 made = {name: make_splat_filter(name, world, {}).native for name in
         ("safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")}
-polytope = make_filter("polytope-cbf", hulls, {}).native
+polytope = barrier(hulls)
 moving = {name: _core.moving_filter(name.replace("-", "_"), {}) for name in
           ("dr-acbf", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")}
 tracks = np.zeros((2, 29))

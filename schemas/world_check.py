@@ -10,10 +10,8 @@ from alula.schemas.filter_options import ConeBackupParameters, ConeEcbfParameter
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_defaults import completed
-from alula.schemas.world_tables import NO_FILTER
+from alula.schemas.world_tables import COMMANDS, NO_FILTER
 
-# What commands there are, from the outer to the inner loop; body rates with a throttle are sticks.
-COMMANDS = ("velocity", "acceleration", "wrench", "sticks")
 FILTER_COMMANDS = {
     "polytope-cbf": "velocity",
     **dict.fromkeys(("cone-di", "safer-splat"), "acceleration"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from alula.schemas.artifact import read_manifest
 from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
 from alula.schemas.encounters import Encounters, is_encounters, read_encounters
 from alula.schemas.errors import UsageError
+from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.geofence import FenceScenario, RacerTable, is_fence_scenario, read_fence_scenario
 from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_SCHEMA, Scenario, read_scenario
 from alula.schemas.toml_file import read_tree
@@ -132,8 +132,9 @@ def _of_pairs(path: Path, scenario: Scenario) -> Tree:
 
 def _is_among_ellipsoids(name: str, cover: str | None) -> bool:
     """Whether `simulate` of version 1 flew a scenario among ellipsoids, and not among hulls."""
-    others = {point.name for point in entry_points(group="alula.splat_filters")}
-    return name in _AMONG_ELLIPSOIDS or name in others or cover is None
+    if cover is None or name in _AMONG_ELLIPSOIDS:
+        return True
+    return name in foreign_names() and kind_of(name, foreign_filter(name)) != "velocity"
 
 
 def _point(path: Path, scenario: Scenario) -> tuple[Tree, Tree]:

@@ -290,28 +290,24 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     Raises:
         UsageError: there is no such filter, or its map is missing.
     """
-    from alula.stages.filtering.registry import (
-        FLIES_AMONG_HULLS,
-        NO_FILTER,
-        filter_names,
-        splat_filter_names,
-    )
+    from alula.schemas.world_check import TRACKING
+    from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
+    from alula.stages.filtering.registry import FLIES_AMONG_HULLS, NO_FILTER, filter_kind
 
-    hulls, ellipsoids = filter_names(), splat_filter_names()
-    if name not in hulls and name not in ellipsoids:
-        known = list(dict.fromkeys([*hulls, *ellipsoids]))
-        raise UsageError(f"no filter is called {name!r}; known: {', '.join(known)}")
     if name == NO_FILTER:
         return "cover" not in paths
-    if name in ellipsoids:
+    kind = filter_kind(name)
+    if name in TRACKING or kind == "sticks":
+        raise UsageError(
+            f"{name} flies in a scenario of version 2.0, as its `safety.filters`; see alula scenario"
+        )
+    if kind != "velocity":
         if "scene" not in paths and not (name in FLIES_AMONG_HULLS and "cover" in paths):
             raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")
         return True
     if "cover" not in paths:
-        others = [other for other in ellipsoids if other != NO_FILTER]
-        raise UsageError(
-            f"{name} needs a cover, for its hulls; in a scene --filter is {', '.join(others)} or none"
-        )
+        others = ", ".join(ELLIPSOID_FILTERS)
+        raise UsageError(f"{name} needs a cover, for its hulls; in a scene --filter is {others} or none")
     return False
 
 

@@ -25,8 +25,8 @@ from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.measure import half_spaces
-from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import World
+from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.plan_samples import NO_REFERENCE
 from alula.stages.reporting.papers.polymerge_flights import COACD, OURS, RULE, SAFER, Flights
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
@@ -109,7 +109,7 @@ class Scene:
     ) -> Flights:
         """Fly all pairs through a map of hulls, as a single integrator behind polytope-cbf."""
         ends = np.concatenate([self.pairs.start, self.pairs.goal])
-        world = World(
+        world = FilterWorld(
             hulls=hulls,
             radius_m=RADIUS_M,
             speed_m_s=speed_m_s,
@@ -117,8 +117,8 @@ class Scene:
             extent_m=2 * float(max(np.abs(ends).max(), np.abs(hulls.vertices_world).max())) + 2,
             image=b"",
         )
-        safety_filter = NativeFilter(world, {"beta": BETA, "kappa_per_m": KAPPA})
-        psi = NativeFilter(world, {}, enabled=False).native.psi(ends, jobs=1)[1]
+        safety_filter = polytope_cbf(world, {"beta": BETA, "kappa_per_m": KAPPA})
+        psi = barrier(world).psi(ends, jobs=1)[1]
         rules = _core.TrialRules(
             dt_s=1 / rate_hz,
             gain=GAIN,

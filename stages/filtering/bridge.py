@@ -1,7 +1,8 @@
-"""Filters of the Python protocols as native filters, for the native flight."""
+"""Native filters behind the Python protocol, and filters in Python as native ones, for the native flight."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,137 +11,121 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import Filter, FilterStatus
-from alula.stages.filtering.splat_filters import NativeSplatFilter
-from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter
+from alula.stages.filtering.protocol import (
+    SIZES,
+    CommandKind,
+    FilterResult,
+    FilterStatus,
+    FlightState,
+    Nominal,
+    SafetyFilter,
+)
 
 
-def native_filter(made: SplatFilter) -> _core.SafetyFilter:
-    """A filter of accelerations or wrenches as a native one.
+class NativeFilter:
+    """A native filter behind the protocol; flights take `native` itself.
+
+    Attributes:
+        native: the filter.
+        parameters: all of its parameters, defaults included.
+    """
+
+    def __init__(self, native: _core.SafetyFilter, parameters: Mapping[str, Any]) -> None:
+        self.native = native
+        self.parameters = dict(parameters)
+
+    @property
+    def kind(self) -> CommandKind:
+        """The kind of command that the filter returns."""
+        return self.native.kind  # type: ignore[return-value]
+
+    def __call__(self, state: FlightState, nominal: Nominal) -> FilterResult:
+        """Filter one tick; see `SafetyFilter`."""
+        report = self.native.filter(
+            np.concatenate([state.position, state.sigma, state.velocity, state.omega]).tolist(),
+            nominal.acceleration.tolist(),
+            velocity=nominal.velocity.tolist(),
+            wrench=nominal.wrench.tolist(),
+            sticks=None if nominal.sticks is None else nominal.sticks.tolist(),
+            thrust=state.thrust,
+            thrust_rate=state.thrust_rate,
+            nominal_thrust_rate=nominal.thrust_rate,
+            nominal_thrust_acceleration=nominal.thrust_acceleration,
+            position_error=nominal.position_error.tolist(),
+            velocity_error=nominal.velocity_error.tolist(),
+            reference_acceleration=nominal.reference_acceleration.tolist(),
+            rotors=None if state.rotors is None else [float(thrust) for thrust in state.rotors],
+            tracks=np.ascontiguousarray(state.tracks, np.float64),
+            position_variance=state.position_variance.tolist(),
+            is_known=state.is_known,
+        )
+        return FilterResult(
+            u=np.array(report[self.kind]),
+            status=FilterStatus(report["status"]),
+            margin=report["margin"],
+            active=report["active"],
+            thrust_rate=report["thrust_rate"],
+            infeasible=report["infeasible"],
+            certified=report["certified"],
+            certified_moving=report["certified_moving"],
+        )
+
+    def reset(self) -> None:
+        """Forget the flight before; see `SafetyFilter`."""
+        self.native.reset()
+
+
+def native_filter(made: SafetyFilter) -> _core.SafetyFilter:
+    """A filter as a native one.
 
     Args:
-        made: of this package or another one.
+        made: of this package or another one. What it returns is checked in each tick: a command that is not
+            finite or of another shape raises InputError.
     """
-    if isinstance(made, NativeSplatFilter):
-        return made.native
-    return _core.PythonFilter(made.kind, _Bridge(made))
+    return made.native if isinstance(made, NativeFilter) else _core.PythonFilter(made.kind, _Ticks(made))
 
 
-def native_velocity_filter(
-    made: Filter, *, lag_s: float = 0.0, max_speed_m_s: float = 0.0
-) -> _core.SafetyFilter:
-    """A filter of velocities as a native one, on the chord of a vehicle that follows them with a lag.
+class _Ticks:
+    """A filter in Python as the native flight calls it: plain values in and out."""
 
-    Args:
-        made: of this package or another one.
-        lag_s: time constant of the vehicle; 0: the filter is evaluated at its position alone [s].
-        max_speed_m_s: a velocity of the filter above it is an error [m/s].
-
-    Raises:
-        ValueError: the lag or the speed is out of range.
-    """
-    native: _core.SafetyFilter
-    if isinstance(made, NativeFilter):
-        native = _core.VelocityFilter(made.native, is_bare=not made.enabled)
-    else:
-        native = _core.PythonFilter("velocity", _VelocityBridge(made))
-    return _core.ChordFilter(native, lag_s=lag_s, max_speed_m_s=max_speed_m_s)
-
-
-class _VelocityBridge:
-    """A filter of velocities in Python as the native flight calls it: plain values in and out."""
-
-    def __init__(self, made: Filter) -> None:
+    def __init__(self, made: SafetyFilter) -> None:
         self._made = made
 
     def reset(self) -> None:
-        """Nothing to forget: the answer depends on the arguments alone."""
-
-    def tick(self, state: Mapping[str, Any], nominal: Mapping[str, Any]) -> dict[str, Any]:
-        """Filter one tick.
-
-        Args:
-            state: fields of `FlightState` by name.
-            nominal: its `velocity`.
-        """
-        position = np.array(state["position"])
-        result = _called(self._made, position, np.array(nominal["velocity"]))
-        return _answer(result, _command(result, "velocity", position))
-
-
-class _Bridge:
-    """A filter of accelerations or wrenches in Python as the native flight calls it."""
-
-    def __init__(self, made: SplatFilter) -> None:
-        self._made = made
-
-    def reset(self) -> None:
-        """Discard the state of the flight before."""
         self._made.reset()
 
     def tick(self, state: Mapping[str, Any], nominal: Mapping[str, Any]) -> dict[str, Any]:
-        """Filter one tick.
-
-        Args:
-            state: fields of `FlightState` by name.
-            nominal: fields of `Nominal` by name.
-        """
-        seen = FlightState(
-            position=np.array(state["position"]),
-            sigma=np.array(state["sigma"]),
-            velocity=np.array(state["velocity"]),
-            omega=np.array(state["omega"]),
-            thrust=state["thrust"],
-            thrust_rate=state["thrust_rate"],
-            rotors=state["rotors"],
-        )
-        wanted = Nominal(
-            acceleration=np.array(nominal["acceleration"]),
-            wrench=np.array(nominal["wrench"]),
-            thrust_rate=nominal["thrust_rate"],
-            thrust_acceleration=nominal["thrust_acceleration"],
-            position_error=np.array(nominal["position_error"]),
-            velocity_error=np.array(nominal["velocity_error"]),
-            reference_acceleration=np.array(nominal["reference_acceleration"]),
-        )
-        result = _called(self._made, seen, wanted)
-        u = _command(result, self._made.kind, seen.position)
-        return _answer(result, u) | {
+        """Filter one tick, given the fields of `FlightState` and `Nominal` by name."""
+        seen = FlightState(**_arrays(state))
+        wanted = Nominal(**_arrays(nominal))
+        try:
+            result = self._made(seen, wanted)
+        except Exception as error:  # another type of error would be taken for one of the native loop
+            raise RuntimeError(f"the filter {type(self._made).__name__} failed: {error}") from error
+        status = FilterStatus(result.status)
+        return {
+            "status": int(status),
+            "u": [0.0] * SIZES[self._made.kind]
+            if status is FilterStatus.REFUSED
+            else _checked(result.u, self._made.kind, seen.position),
+            "margin": float(result.margin),
+            "active": int(result.active),
             "thrust_rate": float(result.thrust_rate),
             "infeasible": bool(result.infeasible),
             "certified": bool(result.certified),
+            "certified_moving": bool(result.certified_moving),
+            "solve_time_s": float(result.solve_time) if math.isfinite(result.solve_time) else None,
         }
 
 
-def _called(made: Any, *arguments: Any) -> Any:
-    """Result of a filter; its error as one that the native loop passes on unchanged."""
-    try:
-        return made(*arguments)
-    except Exception as error:
-        raise RuntimeError(f"the filter {type(made).__name__} failed: {error}") from error
+def _arrays(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: np.array(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
-def _command(result: Any, kind: str, position: FloatArray) -> list[float]:
-    """The command of a result, checked; zero where the filter refused."""
-    size = 4 if kind in ("wrench", "sticks") else 3
-    if FilterStatus(result.status) is FilterStatus.REFUSED:
-        return [0.0] * size
-    u = np.asarray(result.u, np.float64)
-    if u.shape != (size,) or not np.isfinite(u).all():
-        where = ", ".join(f"{value:.3f}" for value in position)
-        raise InputError(f"the filter returned {result.u!r}, which is no {kind}, at ({where})")
-    commanded: list[float] = u.tolist()
-    return commanded
-
-
-def _answer(result: Any, u: list[float]) -> dict[str, Any]:
-    return {
-        "status": int(result.status),
-        "u": u,
-        "margin": float(result.margin),
-        "active": int(result.active),
-        "thrust_rate": 0.0,
-        "infeasible": False,
-        "certified": False,
-    }
+def _checked(u: Any, kind: CommandKind, position: FloatArray) -> list[float]:
+    array = np.asarray(u, np.float64)
+    if array.shape != (SIZES[kind],) or not np.isfinite(array).all():
+        where = np.round(position, 3).tolist()
+        raise InputError(f"the filter returned {u!r}, which is no {kind}, at {where}")
+    found: list[float] = array.tolist()
+    return found

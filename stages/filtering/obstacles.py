@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from alula import _core
@@ -47,6 +49,17 @@ def beyond_hulls(inflation_m: float | None, cover: Artifact | None, suggested_m:
     if inflation_m is not None or cover is None:
         return inflation_m or 0.0
     return max(0.0, suggested_m - float(cover.manifest.inflation_m))  # type: ignore[attr-defined]
+
+
+def union_of(parts: Mapping[str, _core.ObstacleMap], *names: str) -> _core.ObstacleMap | None:
+    """The union of some native maps; None without any.
+
+    Args:
+        parts: maps by name.
+        names: of those to join; a name without a map is left out.
+    """
+    found = [parts[name] for name in names if name in parts]
+    return None if not found else found[0] if len(found) == 1 else _core.MapUnion(found)
 
 
 def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _core.EllipsoidIndex:

@@ -3,73 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 from alula.schemas.errors import UsageError
-from alula.stages.filtering.polytope_cbf import no_filter, polytope_cbf
-from alula.stages.filtering.protocol import Filter, FilterFactory, World
-from alula.stages.filtering.splat_filters import (
+from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
+from alula.schemas.world_check import FILTER_COMMANDS
+from alula.stages.filtering.ellipsoid_filters import (
+    ELLIPSOID_FILTERS,
     HULLS,
     SHIELD,
     SHIELD_MAP,
-    SPLAT_FILTERS,
     STEERS_AMONG_HULLS,
     certified_against,
     parameters_of,
 )
-from alula.stages.filtering.splat_protocol import SplatFilter, SplatFilterFactory, SplatWorld
+from alula.stages.filtering.fence_filters import FENCE_FILTERS
+from alula.stages.filtering.moving_filters import MOVING_FILTERS
+from alula.stages.filtering.polytope_cbf import polytope_cbf
+from alula.stages.filtering.protocol import FilterFactory, FilterWorld, SafetyFilter
 
-ENTRY_POINTS = "alula.filters"
-SPLAT_ENTRY_POINTS = "alula.splat_filters"
 NO_FILTER = "none"
 FLIES_AMONG_HULLS = (SHIELD, *STEERS_AMONG_HULLS)  # of the filters among ellipsoids, those that need none
-_BUILT_IN: dict[str, FilterFactory] = {NO_FILTER: no_filter, "polytope-cbf": polytope_cbf}
+_BUILT_IN: dict[str, FilterFactory] = {"polytope-cbf": polytope_cbf}
+_BUILT_IN |= ELLIPSOID_FILTERS | MOVING_FILTERS | FENCE_FILTERS
 
 
 def filter_names() -> list[str]:
-    """All filters among the hulls of a cover; the built-in ones first."""
-    return _names(_BUILT_IN, ENTRY_POINTS)
+    """All filters; `none` and the built-in ones first."""
+    own = [NO_FILTER, *_BUILT_IN]
+    return [*own, *(name for name in foreign_names() if name not in own)]
 
 
-def splat_filter_names() -> list[str]:
-    """All filters among the ellipsoids of a scene; the built-in ones first."""
-    return _names({NO_FILTER: None, **SPLAT_FILTERS}, SPLAT_ENTRY_POINTS)
+def filter_kind(name: str) -> str:
+    """The kind of command that a filter takes and gives; a package that provides one is imported only now.
 
-
-def _names(built_in: Mapping[str, Any], group: str) -> list[str]:
-    others = {point.name for point in entry_points(group=group)} - built_in.keys()
-    return [*built_in, *sorted(others)]
-
-
-def make_filter(name: str, world: World, parameters: Mapping[str, Any]) -> Filter:
-    """Build a filter; a package that provides one is imported only now.
-
-    Its entry point in the group `alula.filters` names a callable (world, parameters) -> Filter.
+    Args:
+        name: not `none`.
 
     Raises:
-        UsageError: there is no such filter, its package cannot be imported, or a parameter is wrong.
+        UsageError: there is no such filter, its package cannot be imported, or it does not say its kind.
     """
-    factory = _BUILT_IN.get(name) or _load(name, ENTRY_POINTS, filter_names())
-    made: Filter = factory(world, parameters)
-    return made
+    return FILTER_COMMANDS[name] if name in FILTER_COMMANDS else kind_of(name, _factory(name))
 
 
-def make_splat_filter(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> SplatFilter | None:
-    """Build a filter among ellipsoids; None for `none`.
+def make_filter(name: str, world: FilterWorld, parameters: Mapping[str, Any]) -> SafetyFilter | None:
+    """Build a filter; None for `none`. A package that provides one is imported only now.
 
-    The entry point of another package in the group `alula.splat_filters` names a callable
-    (world, parameters) -> SplatFilter.
+    Its entry point in the group `alula.filters` names a callable (world, parameters) -> SafetyFilter with an
+    attribute `kind`, such as a class.
 
     Raises:
-        UsageError: there is no such filter, its package cannot be imported, or a parameter is wrong.
+        UsageError: there is no such filter, its package cannot be imported, the world lacks what it needs, or
+            a parameter is wrong.
     """
     if name == NO_FILTER:
         return None
-    factory: SplatFilterFactory = SPLAT_FILTERS.get(name) or _load(
-        name, SPLAT_ENTRY_POINTS, splat_filter_names()
-    )
-    return factory(world, parameters)
+    return _factory(name)(world, parameters)
+
+
+def _factory(name: str) -> FilterFactory:
+    found: FilterFactory = _BUILT_IN.get(name) or foreign_filter(name, filter_names())
+    return found
 
 
 def complete_parameters(
@@ -101,14 +95,4 @@ def complete_parameters(
         return found
     if name == NO_FILTER and given:
         raise UsageError("the filter none has no parameters")
-    return parameters_of(name, given) if name in SPLAT_FILTERS else dict(given)
-
-
-def _load(name: str, group: str, known: list[str]) -> Any:
-    points = [point for point in entry_points(group=group) if point.name == name]
-    if not points:
-        raise UsageError(f"no filter is called {name!r}; known: {', '.join(known)}")
-    try:
-        return points[0].load()
-    except (ImportError, AttributeError) as error:
-        raise UsageError(f"filter {name!r} cannot be loaded from {points[0].value}: {error}") from error
+    return parameters_of(name, given) if name in ELLIPSOID_FILTERS else dict(given)

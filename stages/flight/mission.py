@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
-from alula.stages.filtering.bridge import native_filter, native_velocity_filter
+from alula.stages.filtering.bridge import native_filter
+from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
-from alula.stages.filtering.protocol import Filter, World
-from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
-from alula.stages.filtering.splat_filters import keeps_from_hulls
-from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.filtering.polytope_cbf import without_filter
+from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
+from alula.stages.filtering.registry import complete_parameters, make_filter
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
@@ -248,7 +248,7 @@ def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
     return 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
 
 
-def make_safety(mission: Mission) -> Filter | SplatFilter | None:
+def make_safety(mission: Mission) -> SafetyFilter | None:
     """Build the safety filter, with the parameters of `simulate`; None sends the nominal command.
 
     Args:
@@ -263,7 +263,7 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
     if mission.is_splat:
         hulls_of_cover = dict(mission.obstacles).get("a hull")
         assert hulls_of_cover is None or isinstance(hulls_of_cover, _core.PolytopeSet)
-        world = SplatWorld(
+        world = FilterWorld(
             index=ellipsoid_index(mission.scene, config.sigma, keep),
             body=quadrotor(vehicle),
             gains=tracking_gains(vehicle, config.catch_up_m_s),
@@ -272,10 +272,10 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
             rate_time_constant_s=vehicle.rates.time_constant_s,
             max_rate_rad_s=vehicle.rates.max_rad_s,
-            hulls=hulls_of_cover,
+            polytopes=hulls_of_cover,
             hull_radius_m=mission.hull_keep_m,
         )
-        return make_splat_filter(config.filter, world, config.filter_parameters)
+        return make_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None
     assert config.speed_m_s is not None
     assert config.velocity_lag_s is not None
@@ -286,17 +286,17 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
     if config.filter == "polytope-cbf":
         parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
     lead = (1 + config.velocity_lag_s) * config.speed_m_s
-    hull_world = World(
+    hull_world = FilterWorld(
         hulls=hulls,
         radius_m=keep,
         speed_m_s=config.speed_m_s,
         dt_s=dt,
         extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + lead,
     )
-    return make_filter(config.filter, hull_world, parameters)
+    return make_filter(config.filter, hull_world, parameters) or without_filter(hull_world, parameters)
 
 
-def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> tuple[type[Setpoint], ...]:
+def wanted_setpoints(mission: Mission, safety: SafetyFilter | None) -> tuple[type[Setpoint], ...]:
     """Kinds of set-points that can carry the filter's output, the best first.
 
     Args:
@@ -307,12 +307,11 @@ def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> t
         return (VelocitySetpoint,)
     if safety is None:
         return (RatesSetpoint, AccelerationSetpoint)
-    kind = cast(SplatFilter, safety).kind
-    return (AccelerationSetpoint, RatesSetpoint) if kind == "acceleration" else (RatesSetpoint,)
+    return (AccelerationSetpoint, RatesSetpoint) if safety.kind == "acceleration" else (RatesSetpoint,)
 
 
 def make_commander(
-    mission: Mission, safety: Filter | SplatFilter | None, accepts: frozenset[type[Setpoint]]
+    mission: Mission, safety: SafetyFilter | None, accepts: frozenset[type[Setpoint]]
 ) -> FlightCommander:
     """Build the commander: the flight of `simulate`, with the vehicle, the filter and the controller.
 
@@ -333,14 +332,9 @@ def make_commander(
     speed, lag, dt = config.speed_m_s, config.velocity_lag_s, 1 / config.rate_hz
     assert speed is not None
     assert lag is not None
-    command: str | None = None
-    filters: list[_core.SafetyFilter] = []
+    filters = [] if safety is None else [native_filter(safety)]
     if not mission.is_splat:
-        command = "velocity"
-        filters = [native_velocity_filter(cast(Filter, safety), lag_s=lag, max_speed_m_s=speed)]
-    elif safety is not None:
-        command = cast(SplatFilter, safety).kind
-        filters = [native_filter(cast(SplatFilter, safety))]
+        filters = [_core.ChordFilter(each, lag_s=lag, max_speed_m_s=speed) for each in filters]
     body = quadrotor(vehicle)
     flown = _core.VehicleSpec(
         body,
@@ -365,7 +359,7 @@ def make_commander(
         body=body,
         delay_s=vehicle.assumed.delay_s,
         dt_s=dt,
-        command=command,
+        command=None if safety is None else safety.kind,
     )
 
 

@@ -16,7 +16,7 @@ from alula.schemas.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.flights import read_flights
 from alula.schemas.kinds import PLAN, SCENE
 from alula.schemas.run import RunRecord, read_run, record_path
-from alula.stages.filtering.registry import SPLAT_FILTERS
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
@@ -49,7 +49,7 @@ def messages(path, topic):
         ]
 
 
-@pytest.mark.parametrize("name", ["none", *SPLAT_FILTERS])
+@pytest.mark.parametrize("name", ["none", *ELLIPSOID_FILTERS])
 def test_every_filter_flies_and_any_number_of_threads_writes_the_same_bytes(scene, tmp_path, name):
     a, b = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap"
     words = ["simulate", str(scene), *FAST, "--filter", name, "-q"]

@@ -19,7 +19,13 @@ class Hulls:
             self.normals.append(normals)
             self.offsets.append(normals @ centre + rng.uniform(0.1, 0.8, 8))
 
-    def __call__(self, x, u):
+    kind = "velocity"
+
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
+        x, u = state.position, nominal.velocity
         if np.abs(x).max() > 12:
             return FilterResult(np.zeros(3), FilterStatus.REFUSED, float("nan"))
         values = [n @ x - d for n, d in zip(self.normals, self.offsets, strict=True)]

@@ -101,12 +101,17 @@ def after(seconds, do):
 class Breaking:
     """A filter that breaks after a number of calls: raises, gives NaN, refuses, or falls back."""
 
+    kind = "velocity"
+
     def __init__(self, inner, how, at):
         self.inner, self.how, self.left = inner, how, at
 
-    def __call__(self, x, u):
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
         self.left -= 1
-        result = self.inner(x, u)
+        result = self.inner(state, nominal)
         if self.left > 0:
             return result
         if self.how == "raises":

@@ -1,9 +1,23 @@
-"""Filters among ellipsoids that are written in Python, as other packages would."""
+"""Filters that are written in Python, as other packages would."""
 
 import numpy as np
 
-from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.filtering.splat_protocol import SplatFilterResult, SplatWorld
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
+
+
+class OfVelocities:
+    """A filter of velocities: a function of position and nominal velocity."""
+
+    kind = "velocity"
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
+        return self.answer(state.position, nominal.velocity)
 
 
 class Passing:
@@ -12,7 +26,7 @@ class Passing:
     kind = "acceleration"
 
     def __init__(self, world=None, parameters=None):
-        assert world is None or isinstance(world, SplatWorld)
+        assert world is None or isinstance(world, FilterWorld)
         self.parameters = parameters or {}
         self.flights = 0
 
@@ -21,7 +35,7 @@ class Passing:
 
     def __call__(self, state, nominal):
         u = nominal.acceleration if self.kind == "acceleration" else nominal.wrench
-        return SplatFilterResult(u, FilterStatus.OK, margin=1.0, certified=True)
+        return FilterResult(u, FilterStatus.OK, margin=1.0, certified=True)
 
 
 class Limiting(Passing):
@@ -29,17 +43,17 @@ class Limiting(Passing):
 
     def __call__(self, state, nominal):
         if state.position[0] > self.parameters.get("stop_x", np.inf):
-            return SplatFilterResult(np.full(3, np.nan), FilterStatus.REFUSED)
-        return SplatFilterResult(np.clip(nominal.acceleration, -1, 1), FilterStatus.FILTERED, margin=0.5)
+            return FilterResult(np.full(3, np.nan), FilterStatus.REFUSED)
+        return FilterResult(np.clip(nominal.acceleration, -1, 1), FilterStatus.FILTERED, margin=0.5)
 
 
 class Broken(Passing):
     def __call__(self, state, nominal):
-        return SplatFilterResult(np.full(3, np.nan), FilterStatus.OK)
+        return FilterResult(np.full(3, np.nan), FilterStatus.OK)
 
 
 class Holding(Passing):
     """Hovers at the start."""
 
     def __call__(self, state, nominal):
-        return SplatFilterResult(-2 * state.velocity, FilterStatus.BACKUP)
+        return FilterResult(-2 * state.velocity, FilterStatus.BACKUP)

@@ -6,6 +6,7 @@
 #include <memory>
 #include <stdexcept>
 
+#include "alula/filters/adapters.hpp"
 #include "check.hpp"
 
 using namespace alula;
@@ -26,11 +27,11 @@ void test_threads_change_nothing() {
     start.push_back({-2.0, 0.1 * i, 0.5});
     goal.push_back({3.0, 1.3 - 0.1 * i, 0.4});
   }
-  const PolytopeCbf cbf = block();
+  const flight::VelocityFilter filter(block());
   const TrialRules rules{.max_steps = 2000};
   Control control;
-  const auto one = rollout(cbf, start, goal, rules, {}, true, 1, control);
-  const auto many = rollout(cbf, start, goal, rules, {}, true, 7, control);
+  const auto one = rollout(filter, start, goal, rules, {}, 1, control);
+  const auto many = rollout(filter, start, goal, rules, {}, 7, control);
   int reached = 0;
   for (std::size_t i = 0; i < one.size(); ++i) {
     CHECK(one[i].position == many[i].position && one[i].u == many[i].u && one[i].status == many[i].status);

@@ -318,9 +318,9 @@ class Trial:
     @property
     def position(self) -> list[float]: ...
 
-def rollout(cbf: PolytopeCbf, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], rules: TrialRules, reference_position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], reference_velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, use_filter: bool, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+def rollout(filter: SafetyFilter, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], rules: TrialRules, reference_position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], reference_velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
-    Fly all trials on threads; per trial a dict of position (steps + 1, 3), u_nom and u (steps, 3), margin, status and filter_s (steps), and the outcome.
+    Fly all trials on threads behind clones of a filter of velocities; per trial a dict of position (steps + 1, 3), u_nom and u (steps, 3), margin, status and filter_s (steps), and the outcome.
     """
 
 class PolytopeSet:
@@ -935,7 +935,7 @@ class Pruning:
 class SafetyFilter:
     """Safety filter of one kind of command; one per thread."""
 
-    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0], velocity: Sequence[float] = [0.0, 0.0, 0.0], wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0], tracks: numpy.typing.NDArray[numpy.float64] | None = None) -> dict[str, Any]:
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0], is_known: bool = True, velocity: Sequence[float] = [0.0, 0.0, 0.0], wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None, tracks: numpy.typing.NDArray[numpy.float64] | None = None) -> dict[str, Any]:
         """
         Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
 
@@ -944,6 +944,7 @@ class SafetyFilter:
             thrust_rate: its rate [N/s]
             rotors: thrust of each rotor now [N]; None: the rotors hover
             position_variance: of the state's position, per axis [m^2]
+            is_known: false: there is no navigation, and the state means nothing
             velocity: nominal velocity [m/s]
             wrench: nominal thrust and torque [N, N m]
             nominal_thrust_rate: rate of the nominal thrust [N/s]
@@ -951,7 +952,8 @@ class SafetyFilter:
             position_error: position minus that of the reference [m]
             velocity_error: velocity minus that of the reference [m/s]
             reference_acceleration: acceleration of the reference [m/s^2]
-            tracks: what moves, predicted to now, (N, 29): id, position, velocity, the lower triangle of their covariance row by row, radius
+            sticks: throttle and body rates [rad/s]; None: the pilot is silent
+            tracks: what moves, predicted to now, (N, 29): id, position, velocity, the lower triangle of their covariance row by row, radius; (N, 32): acceleration too
         """
 
     def reset(self) -> None:
@@ -963,6 +965,12 @@ class SafetyFilter:
     def kind(self) -> str:
         """
         Command that it changes and returns: velocity, acceleration, wrench or sticks.
+        """
+
+    @property
+    def shares_state(self) -> bool:
+        """
+        Whether its clones share its state, as those of a filter in Python: flights run in one thread.
         """
 
 class ConeDiOptions:
@@ -1499,7 +1507,7 @@ class Shield:
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """State one tick later."""
 
-    def see(self, rotors: Sequence[float] | None = None, tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
+    def see(self, rotors: Sequence[float] | None = None, tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
         """
         Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, and the variance of the position [m^2].
         """
@@ -2354,7 +2362,7 @@ class MovingReport:
 class MovingFilter:
     """A filter among moving obstacles; make one with `moving_filter`."""
 
-    def filter(self, position: Sequence[float], velocity: Sequence[float], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], nominal: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], repeats: int = 0) -> tuple[MovingReport, float]:
+    def filter(self, position: Sequence[float], velocity: Sequence[float], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], nominal: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], repeats: int = 0) -> tuple[MovingReport, float]:
         """
         Filter one tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,
         velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the
@@ -2390,7 +2398,7 @@ def half_space_projections(rows: Annotated[NDArray[numpy.float64], dict(shape=(N
     Exact projections of rows (k, n, 4): a (k, 3), feasible, violation and iterations (k).
     """
 
-def early_warning(position: Sequence[float], velocity: Sequence[float], track: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], relative_acceleration: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], options: Mapping[str, float] = {}) -> float:
+def early_warning(position: Sequence[float], velocity: Sequence[float], track: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], relative_acceleration: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], options: Mapping[str, float] = {}) -> float:
     """
     Maximum over five times of the CVaR of Z, rounded up, plus eps L_Z [m].
     """
@@ -2778,7 +2786,7 @@ class OnboardStack:
     def reset(self) -> None:
         """Reset to the state before the first tick."""
 
-    def filter(self, state: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)], nominal: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], yaw_rate_rad_s: float = 0.0) -> OnboardStackResult:
+    def filter(self, state: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)], nominal: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], yaw_rate_rad_s: float = 0.0) -> OnboardStackResult:
         """
         Filter one tick: `state` (13), nominal velocity or acceleration (3) or sticks (4), tracks (n, 29) and walls
         (m, 4) as of MovingFilter, covariance of the position, and the yaw rate of the cascade.

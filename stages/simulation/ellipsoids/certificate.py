@@ -9,7 +9,7 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.decimals import exact
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.level import level_words
-from alula.stages.filtering.splat_filters import BOTH, ELLIPSOIDS, HULLS, certified_against
+from alula.stages.filtering.ellipsoid_filters import BOTH, ELLIPSOIDS, HULLS, certified_against
 from alula.stages.vehicles.bodies import left_out
 
 _SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on

@@ -1,8 +1,7 @@
-"""Closed-loop flights among ellipsoids: native on threads, or in a Python loop for a Python filter."""
+"""Closed-loop flights among ellipsoids, native on threads."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,12 +11,10 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.errors import InputError
 from alula.schemas.progress import Progress
 from alula.schemas.run import Outcome
-from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.filtering.splat_filters import NativeSplatFilter
-from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
+from alula.stages.filtering.bridge import NativeFilter, native_filter
+from alula.stages.filtering.protocol import SafetyFilter
 from alula.stages.simulation.result import LOOP_OUTCOMES, SplatFlightLog, logged_ticks
 
 _LOGGED = (
@@ -77,12 +74,12 @@ class SplatFlown:
 
 
 def fly(
-    safety_filter: SplatFilter | None,
+    safety_filter: SafetyFilter | None,
     vehicle: _core.FlightVehicle,
     references: Sequence[_core.ReferenceCurve],
     rules: _core.FlightRules,
     *,
-    guide: NativeSplatFilter | None = None,
+    guide: NativeFilter | None = None,
     seed: int = 0,
     first_trial: int = 0,
     jobs: int = 0,
@@ -98,63 +95,26 @@ def fly(
         guide: filter of accelerations that changes the nominal command before `safety_filter` gets it.
         seed: of the plant's noise, together with the trial's number, which counts from `first_trial`.
         first_trial: number of the first flight.
-        jobs: threads, 0 for all processors; only measured times depend on it.
+        jobs: threads, 0 for all processors; only measured times depend on it. A filter in Python runs in one.
         progress: called with (flights done, flights).
 
     Raises:
         InputError: a Python filter returned something that cannot be flown.
         ValueError: the rules are inconsistent, or a double integrator cannot fly a wrench.
     """
-    bend = None if guide is None else guide.native
-    if safety_filter is None or isinstance(safety_filter, NativeSplatFilter):
-        native = None if safety_filter is None else safety_filter.native
-        logs = _core.fly(
-            vehicle,
-            rules,
-            list(references),
-            native,
-            guide=bend,
-            seed=seed,
-            first_trial=first_trial,
-            jobs=jobs,
-            progress=progress,
-        )
-        return [_flown(log) for log in logs]
-    flights = []
-    for i, reference in enumerate(references):
-        trial = _core.FlightTrial(vehicle, rules, reference, seed=seed, trial=first_trial + i, guide=bend)
-        flights.append(_fly_in_python(safety_filter, trial))
-        if progress is not None:
-            progress(i + 1, len(references))
-    return flights
-
-
-def _fly_in_python(safety_filter: SplatFilter, trial: _core.FlightTrial) -> SplatFlown:
-    kind = safety_filter.kind
-    safety_filter.reset()
-    outcome = 0
-    while outcome == 0:
-        state, nominal = FlightState(*trial.state()), Nominal(*trial.nominal())
-        before = time.perf_counter()
-        if trial.is_filtered():
-            result = safety_filter(state, nominal)
-        seconds = time.perf_counter() - before
-        status = FilterStatus(result.status)
-        u = np.zeros(3 if kind == "acceleration" else 4) if status is FilterStatus.REFUSED else result.u
-        if not is_input(u, kind):
-            where = np.round(state.position, 3).tolist()
-            raise InputError(f"the filter returned {result.u!r}, which is no {kind}, at {where}")
-        outcome = trial.advance(
-            np.ascontiguousarray(u, np.float64),
-            status=int(status),
-            margin=float(result.margin),
-            active=int(result.active),
-            thrust_rate=float(result.thrust_rate),
-            infeasible=bool(result.infeasible),
-            certified=bool(result.certified),
-            filter_s=seconds,
-        )
-    return _flown(trial.log())
+    native = None if safety_filter is None else native_filter(safety_filter)
+    logs = _core.fly(
+        vehicle,
+        rules,
+        list(references),
+        native,
+        guide=None if guide is None else guide.native,
+        seed=seed,
+        first_trial=first_trial,
+        jobs=1 if native is not None and native.shares_state else jobs,
+        progress=progress,
+    )
+    return [_flown(log) for log in logs]
 
 
 def _flown(log: dict[str, Any]) -> SplatFlown:

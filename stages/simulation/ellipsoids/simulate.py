@@ -24,21 +24,21 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
+from alula.stages.filtering.bridge import NativeFilter
+from alula.stages.filtering.ellipsoid_filters import (
+    ELLIPSOIDS,
+    GUIDES,
+    certified_against,
+    keeps_from_hulls,
+)
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
+from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import (
     FLIES_AMONG_HULLS,
     NO_FILTER,
     complete_parameters,
-    make_splat_filter,
+    make_filter,
 )
-from alula.stages.filtering.splat_filters import (
-    ELLIPSOIDS,
-    GUIDES,
-    NativeSplatFilter,
-    certified_against,
-    keeps_from_hulls,
-)
-from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.progress import share
 from alula.stages.simulation.ellipsoids.certificate import certified_words, chain_of, shield_of
@@ -200,7 +200,7 @@ def simulate_splat(
     # A point has no rotors: its controller and filters use only the translation, with any body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     assumed = actuator_model(vehicle)
-    world = SplatWorld(
+    world = FilterWorld(
         index=index,
         body=body,
         gains=gains,
@@ -209,12 +209,12 @@ def simulate_splat(
         motor_time_constant_s=assumed.motor_time_constant_s,
         rate_time_constant_s=vehicle.rates.time_constant_s if config.interface == "body-rates" else 0.0,
         max_rate_rad_s=vehicle.rates.max_rad_s,
-        hulls=hulls,
+        polytopes=hulls,
         hull_radius_m=hull_keep,
     )
-    safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
-    guide = make_splat_filter(config.guide, world, config.guide_parameters)
-    assert guide is None or isinstance(guide, NativeSplatFilter)
+    safety_filter = make_filter(config.filter, world, config.filter_parameters)
+    guide = make_filter(config.guide, world, config.guide_parameters)
+    assert guide is None or isinstance(guide, NativeFilter)
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     sees_hulls = keeps_from_hulls(config.filter, config.filter_parameters, has_ellipsoids=scene is not None)
@@ -347,9 +347,9 @@ def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
 
 
 def _summary(
-    trials: list[TrialResult], sampled: dict[str, int], safety_filter: SplatFilter | None
+    trials: list[TrialResult], sampled: dict[str, int], safety_filter: SafetyFilter | None
 ) -> dict[str, Any]:
-    native = safety_filter is None or isinstance(safety_filter, NativeSplatFilter)
+    native = safety_filter is None or isinstance(safety_filter, NativeFilter)
     return {
         **head(trials, outcomes_of(trials)),
         "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),

@@ -15,13 +15,11 @@ from alula.schemas.encounters import Encounters, WallTable
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.compression.hulls import Hulls
+from alula.stages.filtering.moving_filters import WALL_FRACTION
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.vehicles.bodies import quadrotor
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
-# Fraction of the maximum acceleration that braking before a wall counts on. Below 1 / sqrt(3), so that the
-# box of accelerations contains what three walls at right angles require together, in any orientation.
-WALL_FRACTION = 0.56
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 

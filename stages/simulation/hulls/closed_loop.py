@@ -1,8 +1,7 @@
-"""Closed-loop flights of the single integrator: native on threads, or in Python for a Python filter."""
+"""Closed-loop flights of the single integrator, native on threads."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +10,10 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.errors import InputError
 from alula.schemas.progress import Progress
 from alula.schemas.run import Outcome
-from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import Filter, FilterStatus
+from alula.stages.filtering.bridge import native_filter
+from alula.stages.filtering.protocol import SafetyFilter
 from alula.stages.planning.plan_samples import Reference
 from alula.stages.simulation.result import LOOP_OUTCOMES
 
@@ -44,7 +42,7 @@ class Flown:
 
 
 def fly(
-    safety_filter: Filter,
+    safety_filter: SafetyFilter,
     start: FloatArray,
     goal: FloatArray,
     rules: _core.TrialRules,
@@ -59,68 +57,30 @@ def fly(
     native/core/include/alula/flight/rollout.hpp for the nominal controller and the end of a flight.
 
     Args:
-        safety_filter: native or in Python.
+        safety_filter: of velocities.
         start: shape (N, 3), world frame [m].
         goal: shape (N, 3), world frame [m].
         rules: time step, controller and end of a flight.
         reference: plan to track; empty to fly to the goal.
-        jobs: threads, 0 for all processors; only measured times depend on it.
+        jobs: threads, 0 for all processors; only measured times depend on it. A filter in Python runs in one.
         progress: called with (flights done, flights).
 
     Raises:
         InputError: a Python filter returned something that is no velocity.
+        ValueError: the filter is one of other commands.
     """
-    position, velocity = reference.position_world, reference.velocity_world
-    if isinstance(safety_filter, NativeFilter):
-        logs = _core.rollout(
-            safety_filter.native,
-            start,
-            goal,
-            rules,
-            position,
-            velocity,
-            use_filter=safety_filter.enabled,
-            jobs=jobs,
-            progress=progress,
-        )
-        return [_flown(log) for log in logs]
-    flights = []
-    for i, (a, b) in enumerate(zip(start, goal, strict=True)):
-        trial = _core.Trial(a.tolist(), b.tolist(), rules, position, velocity)
-        flights.append(_fly_in_python(safety_filter, trial))
-        if progress is not None:
-            progress(i + 1, len(start))
-    return flights
-
-
-def _fly_in_python(safety_filter: Filter, trial: _core.Trial) -> Flown:
-    rows: dict[str, list[Any]] = {
-        name: [] for name in ("position", "u_nom", "u", "margin", "status", "filter_s")
-    }
-    rows["position"].append(trial.position)
-    outcome = 0
-    while outcome == 0:
-        x, u_nom = np.array(trial.position), np.array(trial.nominal())
-        before = time.perf_counter()
-        result = safety_filter(x, u_nom.copy())
-        seconds = time.perf_counter() - before
-        if np.isfinite(result.solve_time):
-            seconds = result.solve_time
-        status = FilterStatus(result.status)
-        u = np.zeros(3) if status is FilterStatus.REFUSED else np.asarray(result.u, np.float64)
-        if u.shape != (3,) or not np.isfinite(u).all():
-            raise InputError(f"the filter returned {result.u!r}, which is no velocity, at {x.tolist()}")
-        outcome = trial.advance(u.tolist(), status is FilterStatus.REFUSED)
-        for name, value in (
-            ("position", trial.position),
-            ("u_nom", u_nom),
-            ("u", u),
-            ("margin", result.margin),
-            ("status", status),
-            ("filter_s", seconds),
-        ):
-            rows[name].append(value)
-    return _flown({**rows, "outcome": outcome})
+    native = native_filter(safety_filter)
+    logs = _core.rollout(
+        native,
+        start,
+        goal,
+        rules,
+        reference.position_world,
+        reference.velocity_world,
+        jobs=1 if native.shares_state else jobs,
+        progress=progress,
+    )
+    return [_flown(log) for log in logs]
 
 
 def _flown(log: dict[str, Any]) -> Flown:

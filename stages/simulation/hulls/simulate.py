@@ -30,9 +30,10 @@ from alula.stages.clearance import (
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.obstacles import require_metric
-from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import Filter, FilterStatus, World
+from alula.stages.filtering.polytope_cbf import barrier, without_filter
+from alula.stages.filtering.protocol import FilterStatus, FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan, require_room, via_tolerance
 from alula.stages.planning.plan_samples import NO_REFERENCE, Reference, sample_plan
@@ -152,7 +153,7 @@ def simulate(
     if given is not None and len(corners) == 0:
         corners = np.concatenate([given.start, given.goal])
     bounds = None if plan is not None else central_box(corners, config.bounds, "hulls")
-    world = World(
+    world = FilterWorld(
         hulls=hulls,
         radius_m=config.radius_m,
         speed_m_s=config.speed_m_s,
@@ -162,8 +163,13 @@ def simulate(
         + config.speed_m_s,
         image=encode_map(cover, indexed=True, jobs=jobs) if config.onboard else b"",
     )
-    safety_filter = make_filter(config.filter, world, _filter_parameters(config))
-    psi = NativeFilter(world, {}, enabled=False).native.psi
+    parameters = _filter_parameters(config)
+    safety_filter = make_filter(config.filter, world, parameters) or without_filter(world, parameters)
+    if safety_filter.kind != "velocity":
+        raise UsageError(
+            f"{config.filter} gives {safety_filter.kind} commands; a point is moved by velocities"
+        )
+    psi = barrier(world).psi
     if flown_plan is not None and config.filter == "polytope-cbf":
         lowest = float(psi(reference.position_world, jobs=jobs)[0].min(initial=math.inf))
         if lowest < config.radius_m and not notes:
@@ -238,7 +244,7 @@ def simulate(
         f"{exact(config.speed_m_s)} m/s",
         trials=trials,
         summary=_summary(trials, pairs, safety_filter, notes) | count_planned(plans),
-        guarantee=_guarantee(config, cover, trials, safety_filter),
+        guarantee=_guarantee(config, cover, trials),
         flights=flights,
         map=cover,
         filter_s=np.concatenate(seconds),
@@ -383,7 +389,7 @@ def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
 
 
 def _summary(
-    trials: list[TrialResult], pairs: Pairs, safety_filter: Filter, notes: list[str]
+    trials: list[TrialResult], pairs: Pairs, safety_filter: SafetyFilter, notes: list[str]
 ) -> dict[str, Any]:
     unsafe = _unsafe_starts(trials)
     summary = {
@@ -408,13 +414,11 @@ def _summary(
     return summary | ({"notes": notes} if notes else {})
 
 
-def _guarantee(
-    config: SimulateConfig, cover: Artifact, trials: list[TrialResult], safety_filter: Filter
-) -> Guarantee:
+def _guarantee(config: SimulateConfig, cover: Artifact, trials: list[TrialResult]) -> Guarantee:
     """State what the run shows and, for the sound filter, what is proven; both relative to the cover."""
     hits = sum(is_collision(t.map_clearance_m) for t in trials)
     unsafe = _unsafe_starts(trials)
-    proven = isinstance(safety_filter, NativeFilter) and safety_filter.enabled and config.smoothing == "sound"
+    proven = config.filter == "polytope-cbf" and config.smoothing == "sound"
     if proven:
         beforehand = (
             "From every start with psi >= radius, the filter keeps psi >= radius at every sample and, by "

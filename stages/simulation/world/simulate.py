@@ -16,19 +16,21 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, refusal
 from alula.schemas.world_defaults import completed
-from alula.stages.filtering.polytope_cbf import NativeFilter
+from alula.stages.filtering.polytope_cbf import barrier
+from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.filters import safety_filters, velocity_world
+from alula.stages.simulation.world.filters import filter_world, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
@@ -130,7 +132,6 @@ class PreparedRun:
             UsageError: an obstacle cannot meet the vehicle.
             InputError: the motion diverges, or a filter in Python returned no command.
         """
-        in_python = any(isinstance(one, _core.PythonFilter) for one in self.filters)
         try:
             return _core.simulate(
                 self.spec,
@@ -138,7 +139,7 @@ class PreparedRun:
                 self.filters,
                 seed=self.scenario.rules.seed,
                 first_trial=first,
-                jobs=1 if in_python else jobs,
+                jobs=1 if any(one.shares_state for one in self.filters) else jobs,
                 progress=progress,
             )
         except ValueError as error:
@@ -197,7 +198,8 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
-    if words := refusal(scenario, vehicle):
+    foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
+    if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
     full = completed(scenario, vehicle)
     rules, mission, table = full.rules, full.mission, full.vehicle
@@ -217,10 +219,11 @@ def prepare(
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
     told = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
-    filters = safety_filters(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
+    of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
+    filters = safety_filters(full, of_what)
     psi = None
     if "polytope-cbf" in names:
-        bare = NativeFilter(velocity_world(full, world, told, extent), {}, enabled=False).native
+        bare = barrier(of_what)
 
         def psi(points: FloatArray) -> FloatArray:
             return np.asarray(bare.psi(points)[1])

@@ -17,7 +17,13 @@ from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clea
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.voxelize import sigma_of_confidence
-from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric, require_obstacles
+from alula.stages.filtering.obstacles import (
+    beyond_hulls,
+    ellipsoid_index,
+    require_metric,
+    require_obstacles,
+    union_of,
+)
 from alula.stages.simulation.encounters.world import static_walls
 from alula.stages.vehicles.fence import fence_faces
 
@@ -73,8 +79,7 @@ class StaticWorld:
         Args:
             names: of the parts.
         """
-        found = [self.parts[name] for name in names if name in self.parts]
-        return None if not found else found[0] if len(found) == 1 else _core.MapUnion(found)
+        return union_of(self.parts, *names)
 
     def clearance(self, start: FloatArray, end: FloatArray, cap_m: float, jobs: int) -> FloatArray:
         """Signed distance of segments to the nearest static obstacle, fence included.

@@ -9,9 +9,10 @@ import pytest
 from alula import _core
 from alula.schemas.errors import InputError
 from alula.stages.compression.hulls import Hulls
-from alula.stages.filtering.bridge import native_velocity_filter
-from alula.stages.filtering.polytope_cbf import NativeFilter
-from alula.stages.filtering.protocol import FilterResult, FilterStatus, World
+from alula.stages.filtering.bridge import native_filter
+from alula.stages.filtering.polytope_cbf import without_filter
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
+from alula.stages.filtering.registry import make_filter
 from support import chord_scenes
 from support.chord_scenes import SPEED_M_S, scenes
 from support.small_scenes import box_cover
@@ -19,7 +20,26 @@ from support.small_scenes import box_cover
 # Of the scenes of seed 7: status, active hull, calls of the filter, margin, velocity.
 VECTORS = json.loads(Path(chord_scenes.__file__).with_name("vectors_chord.json").read_text())
 BOX = Hulls.from_cover(box_cover([((0, 0, 0), (10, 10, 10))]))  # from 0 to 1 m
-WORLD = World(hulls=BOX, radius_m=0.1, speed_m_s=2.0, dt_s=0.01, extent_m=9.0)
+WORLD = FilterWorld(hulls=BOX, radius_m=0.1, speed_m_s=2.0, dt_s=0.01, extent_m=9.0)
+
+
+class Calling:
+    """A filter of velocities that calls a function."""
+
+    kind = "velocity"
+
+    def __init__(self, call):
+        self.call = call
+
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
+        return self.call(state, nominal)
+
+
+def chord_of(made, lag_s, max_speed_m_s):
+    return _core.ChordFilter(native_filter(made), lag_s=lag_s, max_speed_m_s=max_speed_m_s)
 
 
 def filtered(native, p, v, u):
@@ -33,11 +53,11 @@ def test_the_numbers_are_those_of_the_python_version():
         status, active, calls, margin, *velocity = recorded
         asked = []
 
-        def counted(x, w, hulls=hulls, asked=asked):
-            asked.append(x)
-            return hulls(x, w)
+        def counted(state, nominal, hulls=hulls, asked=asked):
+            asked.append(state.position)
+            return hulls(state, nominal)
 
-        found = filtered(native_velocity_filter(counted, lag_s=lag, max_speed_m_s=SPEED_M_S), p, v, u)
+        found = filtered(chord_of(Calling(counted), lag, SPEED_M_S), p, v, u)
         assert (found["status"], found["active"], len(asked)) == (status, active, calls)
         np.testing.assert_allclose(found["velocity"], velocity, rtol=0, atol=1e-9)
         assert margin is None or found["margin"] == pytest.approx(margin, abs=1e-9)
@@ -46,8 +66,8 @@ def test_the_numbers_are_those_of_the_python_version():
 
 
 def test_without_a_lag_it_is_the_filter_itself_bit_by_bit():
-    made = NativeFilter(WORLD, {})
-    chord, bare = native_velocity_filter(made, max_speed_m_s=2.0), _core.VelocityFilter(made.native)
+    made = make_filter("polytope-cbf", WORLD, {})
+    chord, bare = chord_of(made, 0.0, 2.0), made.native
     rng = np.random.default_rng(1)
     for _ in range(200):
         p, v, u = rng.uniform(-0.5, 1.5, 3), rng.normal(size=3), rng.normal(size=3)
@@ -55,7 +75,7 @@ def test_without_a_lag_it_is_the_filter_itself_bit_by_bit():
 
 
 def test_bare_only_the_margin_is_reported():
-    bare = native_velocity_filter(NativeFilter(WORLD, {}, enabled=False), lag_s=0.5, max_speed_m_s=2.0)
+    bare = chord_of(without_filter(WORLD, {}), 0.5, 2.0)
     found = filtered(bare, (-0.5, 0.5, 0.5), (0.4, 0, 0), (1.0, 0, 0))
     assert (found["status"], found["velocity"]) == (FilterStatus.OK, [1.0, 0.0, 0.0])
     assert 0.15 < found["margin"] <= 0.5 - 0.2 - 0.1  # at the lead point, by a smooth psi
@@ -71,7 +91,7 @@ def test_bare_only_the_margin_is_reported():
     ],
 )
 def test_what_is_no_safe_velocity_is_an_error(result, words):
-    native = native_velocity_filter(lambda x, u: result, lag_s=0.5, max_speed_m_s=2.0)
+    native = chord_of(Calling(lambda state, nominal: result), 0.5, 2.0)
     with pytest.raises((ValueError, InputError), match=words):
         filtered(native, (0, 0, 0), (1, 0, 0), (0, 0, 0))
 
@@ -82,4 +102,4 @@ def test_only_filters_of_velocities_have_a_chord():
         _core.ChordFilter(native, lag_s=0.5, max_speed_m_s=1.0)
     for lag, speed in ((-0.1, 1.0), (np.nan, 1.0), (0.5, 0.0)):
         with pytest.raises(ValueError, match="lag"):
-            native_velocity_filter(lambda x, u: None, lag_s=lag, max_speed_m_s=speed)
+            chord_of(Calling(lambda state, nominal: None), lag, speed)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.stages.filtering.splat_filters import NativeSplatFilter
+from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
 from support import quadrotor_model as body
@@ -313,7 +313,7 @@ def flown_through_a_cloud(**options):
         path = rest_to_rest(-end, end, 2.0)
         references.append(_core.ReferenceCurve(path.time, path.coefficient))
     flights = fly(
-        NativeSplatFilter(ecbf(scene, **options), {}),
+        NativeFilter(ecbf(scene, **options), {}),
         vehicle,
         references,
         _core.FlightRules(dt_s=DT, plant_steps=10),

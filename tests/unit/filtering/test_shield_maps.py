@@ -9,9 +9,10 @@ from alula.schemas.errors import UsageError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.filtering.registry import make_splat_filter
-from alula.stages.filtering.splat_filters import NativeSplatFilter, certified_against, parameters_of
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.bridge import NativeFilter
+from alula.stages.filtering.ellipsoid_filters import certified_against, parameters_of
+from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.registry import make_filter
 from support import backup_model as model
 from support import quadrotor_model as body
 from support.small_scenes import box_cover
@@ -189,13 +190,13 @@ def test_no_nominal_input_reaches_an_obstacle(shape):
 
 
 def world(hulls=None, **others):
-    return SplatWorld(
+    return FilterWorld(
         index=empty_scene().index,
         body=VEHICLE,
         gains=_core.TrackingGains(),
         radius_m=RADIUS,
         dt_s=0.01,
-        hulls=hulls,
+        polytopes=hulls,
         **others,
     )
 
@@ -215,15 +216,15 @@ def test_filters_certify_against_what_shield_map_names(name):
     x, wrench = moving((4, 0, 0), (0.3, 0, 0)), (HOVER := VEHICLE.hover_thrust, 0, 0, 0)
     certified = {}
     for against in ("ellipsoids", "hulls", "both"):
-        made = make_splat_filter(name, world(wall, hull_radius_m=0.1), {"shield_map": against})
-        assert isinstance(made, NativeSplatFilter)
+        made = make_filter(name, world(wall, hull_radius_m=0.1), {"shield_map": against})
+        assert isinstance(made, NativeFilter)
         certified[against] = tick(made.native, x, wrench, HOVER)["certified"]
         assert certified_against(name, made.parameters) == against
     assert certified == {"ellipsoids": True, "hulls": False, "both": False}
     with pytest.raises(UsageError, match=f"{name}: shield_map=both needs the hulls of a cover"):
-        make_splat_filter(name, world(), {"shield_map": "both"})
+        make_filter(name, world(), {"shield_map": "both"})
     with pytest.raises(UsageError, match="shield_map"):
-        make_splat_filter(name, world(), {"shield_map": "walls"})
+        make_filter(name, world(), {"shield_map": "walls"})
 
 
 def test_shield_map_needs_a_shield():

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from alula import _core
 from alula.schemas.vehicle import read_vehicle
-from alula.stages.filtering.registry import make_splat_filter
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support import quadrotor_model as model
@@ -189,7 +189,7 @@ def test_gains_too_quick_for_the_rate_loop_are_refused():
 
 
 def world_of(scene, lag):
-    return SplatWorld(
+    return FilterWorld(
         index=scene.index,
         body=BODY,
         gains=GAINS,
@@ -218,7 +218,7 @@ def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
     )
     ticks = 0
     for scene in (wall_scene(), random_scene(rng, 120)):
-        made = make_splat_filter(name, world_of(scene, lag), {})
+        made = make_filter(name, world_of(scene, lag), {})
         ends = [(rng.uniform(-3, 1, 3) * [1, 0.5, 0.5], (5.0, *rng.uniform(-1, 1, 2))) for _ in range(3)]
         references = [
             _core.ReferenceCurve(*rest_to_rest(np.array(a), np.array(b), 3.0))
@@ -240,7 +240,7 @@ def test_a_thin_obstacle_between_ticks_is_seen():
 
 
 def test_a_filter_is_built_for_the_rate_loop_of_its_world():
-    made = make_splat_filter("cone-backup", world_of(empty_scene(), 0.03), {})
+    made = make_filter("cone-backup", world_of(empty_scene(), 0.03), {})
     options = made.native.options.shield_options
     assert options.rate_time_constant_s == 0.02
     assert options.max_rate_rad_s == list(MAX_RATE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import InputError
-from alula.stages.filtering.protocol import FilterResult, FilterStatus
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, FlightState, Nominal
 from support.velocity_worlds import ZERO, commander_around, seen, target_at, world
 
 
@@ -28,19 +28,24 @@ def test_what_is_sent_is_let_through_at_all_points_of_the_chord(p, v, nominal):
     found = commander.decide(seen(np.array(p), np.array(v)), 0.0, target)
     assert found.status in (FilterStatus.FILTERED, FilterStatus.SHORTENED)
     for share in np.linspace(0, 1, 13):
-        again = safety(np.array(p) + share * 0.6 * np.array(v), found.safe)
+        again = safety(FlightState(np.array(p) + share * 0.6 * np.array(v)), Nominal(found.safe))
         np.testing.assert_allclose(again.u, found.safe, atol=0.02)
 
 
 class Failing:
     """Filter that counts its calls and fails at one of them."""
 
+    kind = "velocity"
+
     def __init__(self, inner, how="", at=-1):
         self.inner, self.how, self.at, self.calls = inner, how, at, 0
 
-    def __call__(self, x, u):
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
         self.calls += 1
-        result = self.inner(x, u)
+        result = self.inner(state, nominal)
         if self.calls != self.at:
             return result
         if self.how == "raises":

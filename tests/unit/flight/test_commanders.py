@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.filtering.splat_protocol import FlightState, Nominal
+from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
@@ -45,7 +44,7 @@ def test_thrust_and_filter_are_those_of_simulate(name):
     assert reference is not None
     changed = 0
     for i in range(450):
-        state, nominal = FlightState(*trial.state()), Nominal(*trial.nominal())
+        state, nominal = FlightState(*trial.state()), Nominal(np.zeros(3), *trial.nominal())
         result = reference(state, nominal)
         seen = VehicleState(0.0, state.position, state.velocity, quat_of(state.sigma), state.omega)
         decision = commander.decide(seen, 0.0, made.curve.at(np.array([i * DT])))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     Order,
@@ -25,6 +25,7 @@ from support.flights import (
     mission,
     refilter,
 )
+from support.foreign_filters import OfVelocities
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 RATES, ACCELERATIONS, VELOCITIES = (
@@ -285,11 +286,11 @@ def test_a_hold_is_filtered_where_state_and_filter_are_well():
 
     def watched(inner):
         def watching(x, u):
-            result = inner(x, u)
+            result = inner(FlightState(x), Nominal(u))
             asked.append((vehicle.clock(), loop.state, u.copy(), result.u))
             return result
 
-        return watching
+        return OfVelocities(watching)
 
     refilter(loop, made, watched)
     loop.run()
@@ -321,9 +322,9 @@ def test_a_hold_whose_filter_fails_is_the_vehicles_own():
                 calls.append(1)
                 if len(calls) == 20:
                     raise RuntimeError("no more")
-            return breaking(x, u)
+            return breaking(FlightState(x), Nominal(u))
 
-        return failing
+        return OfVelocities(failing)
 
     refilter(loop, made, failing_once)
     loop.run()
@@ -397,10 +398,10 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
             calls[now] = calls.get(now, 0) + 1
             if not failed and len(vehicle.sent) > 150 and calls[now] == point:
                 failed.append(now)
-                return Breaking(inner, how, 1)(x, u)
-            return inner(x, u)
+                return Breaking(inner, how, 1)(FlightState(x), Nominal(u))
+            return inner(FlightState(x), Nominal(u))
 
-        refilter(loop, made, lambda _, failing=failing: failing)
+        refilter(loop, made, lambda _, failing=failing: OfVelocities(failing))
         loop.run()
         assert len(failed) == 1, point
         assert failed[0] not in [at for at, _, _ in vehicle.sent]

@@ -9,6 +9,7 @@ import pytest
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.loop.supervisor_table import TABLE, Event, State
 from support.flights import mission, refilter
+from support.foreign_filters import OfVelocities
 from support.lockstep import (
     Flight,
     Upset,
@@ -82,7 +83,7 @@ def broken(status):
             return FilterResult(np.zeros(3), status, 1.0)
 
         flight.mended = lambda: refilter(flight.loop, flight.made)
-        refilter(flight.loop, flight.made, lambda _: answer)
+        refilter(flight.loop, flight.made, lambda _: OfVelocities(answer))
 
     return do
 

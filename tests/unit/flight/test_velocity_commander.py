@@ -171,12 +171,17 @@ def test_who_is_engaged_too_fast_is_led_out_and_does_not_touch():
 class Passing:
     """Filter that records its arguments and changes nothing."""
 
+    kind = "velocity"
+
     def __init__(self, margin=1.0):
         self.asked, self.margin = [], margin
 
-    def __call__(self, x, u):
-        self.asked.append((x.copy(), u.copy()))
-        return FilterResult(u, FilterStatus.OK, self.margin)
+    def reset(self):
+        pass
+
+    def __call__(self, state, nominal):
+        self.asked.append((state.position, nominal.velocity))
+        return FilterResult(nominal.velocity, FilterStatus.OK, self.margin)
 
 
 @settings(max_examples=examples(50), deadline=None)

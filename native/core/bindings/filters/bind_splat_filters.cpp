@@ -113,6 +113,8 @@ Record to_record(const FilterReport& report) {
   result["infeasible"] = report.infeasible;
   result["certified"] = report.certified;
   result["certified_moving"] = report.certified_moving;
+  const geometry::Vec3 rates = report.sticks.rates;
+  result["sticks"] = Array4{report.sticks.throttle, rates.x, rates.y, rates.z};
   return result;
 }
 
@@ -133,6 +135,16 @@ struct fields::Python<flight::Wrench> {
 };
 
 template <>
+struct fields::Python<flight::RacerCommand> {
+  static std::string type() { return Python<Array4>::type(); }
+  static flight::RacerCommand from(nb::handle value) {
+    const auto u = nb::cast<Array4>(value);
+    return {u[0], {u[1], u[2], u[3]}};
+  }
+  static Array4 out(const flight::RacerCommand& u) { return {u.throttle, u.rates.x, u.rates.y, u.rates.z}; }
+};
+
+template <>
 struct Choices<flight::CommandKind> {
   static constexpr std::array names{"velocity", "acceleration", "wrench", "sticks"};
 };
@@ -146,7 +158,8 @@ struct Fields<Nominal> {
       Field{"nominal_thrust_acceleration", &Nominal::thrust_acceleration, "its second derivative [N/s^2]"},
       Field{"position_error", &Nominal::position_error, "position minus that of the reference [m]"},
       Field{"velocity_error", &Nominal::velocity_error, "velocity minus that of the reference [m/s]"},
-      Field{"reference_acceleration", &Nominal::reference_acceleration, "acceleration of the reference [m/s^2]"}};
+      Field{"reference_acceleration", &Nominal::reference_acceleration, "acceleration of the reference [m/s^2]"},
+      Field{"sticks", &Nominal::sticks, "throttle and body rates [rad/s]; None: the pilot is silent"}};
 };
 
 template <>
@@ -155,15 +168,17 @@ struct Fields<FlightState> {
       Field{"thrust", &FlightState::thrust, "last applied thrust [N]"},
       Field{"thrust_rate", &FlightState::thrust_rate, "its rate [N/s]"},
       Field{"rotors", &FlightState::rotors, "thrust of each rotor now [N]; None: the rotors hover"},
-      Field{"position_variance", &FlightState::position_variance, "of the state's position, per axis [m^2]"}};
+      Field{"position_variance", &FlightState::position_variance, "of the state's position, per axis [m^2]"},
+      Field{"is_known", &FlightState::is_known, "false: there is no navigation, and the state means nothing"}};
 };
 
 template <>
 struct Fields<Tick> {
-  static constexpr std::tuple all{Nested{&Tick::state}, Nested{&Tick::nominal},
-                                  Field{"tracks", &Tick::tracks,
-                                        "what moves, predicted to now, (N, 29): id, position, velocity, the lower "
-                                        "triangle of their covariance row by row, radius"}};
+  static constexpr std::tuple all{
+      Nested{&Tick::state}, Nested{&Tick::nominal},
+      Field{"tracks", &Tick::tracks,
+            "what moves, predicted to now, (N, 29): id, position, velocity, the lower "
+            "triangle of their covariance row by row, radius; (N, 32): acceleration too"}};
 };
 
 namespace {
@@ -282,7 +297,9 @@ void bind_splat_filters(nb::module_& m) {
       .def("clone", &SafetyFilter::clone)
       .def_prop_ro(
           "kind", [](const SafetyFilter& self) { return fields::Python<flight::CommandKind>::out(self.kind()); },
-          "Command that it changes and returns: velocity, acceleration, wrench or sticks.");
+          "Command that it changes and returns: velocity, acceleration, wrench or sticks.")
+      .def_prop_ro("shares_state", &SafetyFilter::shares_state,
+                   "Whether its clones share its state, as those of a filter in Python: flights run in one thread.");
 
   fields::bind<flight::ConeDiOptions>(m, "ConeDiOptions", "Options of the filter cone-di.");
   nb::class_<ConeDi, SafetyFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")

@@ -130,6 +130,7 @@ class PythonFilter final : public SafetyFilter {
     made_.attr("reset")();
   }
   std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<PythonFilter>(*this); }
+  bool shares_state() const override { return true; }
 
  private:
   CommandKind kind_;
@@ -142,7 +143,7 @@ nb::dict state_of(const FlightState& s) {
   d["velocity"] = triple_of(s.x.v), d["omega"] = triple_of(s.x.omega);
   d["thrust"] = s.thrust, d["thrust_rate"] = s.thrust_rate;
   d["rotors"] = s.rotors ? nb::cast(*s.rotors) : nb::object(nb::none());
-  d["is_known"] = s.is_known;
+  d["is_known"] = s.is_known, d["position_variance"] = triple_of(s.position_variance);
   std::vector<double> rows;
   for (const alula_track& t : s.tracks) {
     rows.push_back(t.id);
@@ -188,6 +189,8 @@ FilterReport PythonFilter::filter(const FlightState& state, const Nominal& nomin
   report.thrust_rate = nb::cast<double>(answer["thrust_rate"]);
   report.infeasible = nb::cast<bool>(answer["infeasible"]);
   report.certified = nb::cast<bool>(answer["certified"]);
+  report.certified_moving = nb::cast<bool>(answer["certified_moving"]);
+  report.solve_time_s = nb::cast<std::optional<double>>(answer["solve_time_s"]);
   return report;
 }
 

@@ -67,17 +67,17 @@ LogDict to_dict(TrialLog&& log) {
   return result;
 }
 
-nb::typed<nb::list, LogDict> run(const PolytopeCbf& cbf, const InRows3<double>& start, const InRows3<double>& goal,
-                                 const TrialRules& rules, const InRows3<double>& reference_position,
-                                 const InRows3<double>& reference_velocity, bool use_filter, unsigned jobs,
-                                 nb::object progress) {
+nb::typed<nb::list, LogDict> run(const flight::SafetyFilter& filter, const InRows3<double>& start,
+                                 const InRows3<double>& goal, const TrialRules& rules,
+                                 const InRows3<double>& reference_position, const InRows3<double>& reference_velocity,
+                                 unsigned jobs, nb::object progress) {
   const auto starts = points_of(start), goals = points_of(goal);
   const Reference reference{as_span(reference_position), as_span(reference_velocity)};
   PythonControl control(std::move(progress));
   std::vector<TrialLog> logs;
   {
     const nb::gil_scoped_release release;
-    logs = rollout(cbf, starts, goals, rules, reference, use_filter, jobs, control);
+    logs = rollout(filter, starts, goals, rules, reference, jobs, control);
   }
   nb::typed<nb::list, LogDict> result;
   for (TrialLog& log : logs) result.append(to_dict(std::move(log)));
@@ -105,8 +105,9 @@ void bind_rollout(nb::module_& m) {
           "u"_a, "refused"_a, "The outcome after the step: 0 flying, 1 reached, 2 stuck, 3 timeout, 4 refused.")
       .def_prop_ro("position", [](const SteppedTrial& self) { return self.trial.position(); });
 
-  m.def("rollout", &run, "cbf"_a, "start"_a, "goal"_a, "rules"_a, "reference_position"_a, "reference_velocity"_a,
-        nb::kw_only(), "use_filter"_a, "jobs"_a = 0, "progress"_a = nb::none(),
-        "Fly all trials on threads; per trial a dict of position (steps + 1, 3), u_nom and u (steps, 3), margin, "
+  m.def("rollout", &run, "filter"_a, "start"_a, "goal"_a, "rules"_a, "reference_position"_a, "reference_velocity"_a,
+        nb::kw_only(), "jobs"_a = 0, "progress"_a = nb::none(),
+        "Fly all trials on threads behind clones of a filter of velocities; per trial a dict of position (steps + 1, "
+        "3), u_nom and u (steps, 3), margin, "
         "status and filter_s (steps), and the outcome.");
 }

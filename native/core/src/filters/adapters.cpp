@@ -61,13 +61,19 @@ std::span<const alula_wall> WallPlanes::at(Vec3 p, Vec3 v) {
 
 FilterReport VelocityFilter::filter(const FlightState& state, const Nominal& nominal) {
   const geometry::Vec3 p = state.x.p, u = nominal.velocity;
-  const FilterOutput output = filter_.filter({p.x, p.y, p.z}, {u.x, u.y, u.z});
   FilterReport report;
+  if (is_bare_) {
+    const alula_polytope_value value = filter_.evaluate({p.x, p.y, p.z});
+    report.velocity = u, report.status = SafetyStatus::ok, report.solve_time_s = 0;
+    report.margin = value.smooth - static_cast<float>(filter_.config().radius_m);
+    report.active = value.nearest == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(value.nearest);
+    return report;
+  }
+  const FilterOutput output = filter_.filter({p.x, p.y, p.z}, {u.x, u.y, u.z});
   report.status = static_cast<SafetyStatus>(output.status);
   report.velocity = {output.u[0], output.u[1], output.u[2]};
   report.margin = output.detail.margin_m;
   report.active = output.detail.active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(output.detail.active);
-  if (is_bare_) report.velocity = u, report.status = SafetyStatus::ok;
   return report;
 }
 

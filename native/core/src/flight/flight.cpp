@@ -305,6 +305,7 @@ const Decision& Flight::decide() {
         const auto start = Clock::now();
         record.report = filter.filter(seen_, nominal_);
         record.seconds = std::chrono::duration<float>(Clock::now() - start).count();
+        if (const auto& own = record.report.solve_time_s) record.seconds = static_cast<float>(*own);
       }
       if (record.report.status == SafetyStatus::refused) {
         stand_in(kind);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
 
 #include "alula/base/parallel.hpp"
@@ -74,28 +75,27 @@ Outcome Trial::advance(const Vec3& u, bool refused) {
 
 namespace {
 
-TrialLog fly(PolytopeCbf& cbf, Trial trial, bool use_filter) {
+TrialLog fly(flight::SafetyFilter& filter, Trial trial) {
   using Clock = std::chrono::steady_clock;
   TrialLog log;
   append(log.position, trial.position());
+  flight::FlightState state;
+  flight::Nominal wanted;
+  filter.reset();
   while (trial.outcome() == Outcome::flying) {
-    const Vec3 u_nom = trial.nominal();
-    FilterOutput output{.u = u_nom, .status = ALULA_FILTER_OK, .detail = {}};
-    float seconds = 0;
-    if (use_filter) {
-      const auto before = Clock::now();
-      output = cbf.filter(trial.position(), u_nom);
-      seconds = std::chrono::duration<float>(Clock::now() - before).count();
-    } else {
-      output.detail.margin_m = cbf.evaluate(trial.position()).smooth - static_cast<float>(cbf.config().radius_m);
-    }
-    trial.advance(output.u, output.status == ALULA_FILTER_REFUSED);
+    const Vec3 x = trial.position(), u_nom = trial.nominal();
+    state.x.p = {x[0], x[1], x[2]}, wanted.velocity = {u_nom[0], u_nom[1], u_nom[2]};
+    const auto before = Clock::now();
+    const flight::FilterReport report = filter.filter(state, wanted);
+    const double seconds = std::chrono::duration<double>(Clock::now() - before).count();
+    const Vec3 u{report.velocity.x, report.velocity.y, report.velocity.z};
+    trial.advance(u, report.status == flight::SafetyStatus::refused);
     append(log.position, trial.position());
     append(log.u_nom, u_nom);
-    append(log.u, output.u);
-    log.margin.push_back(output.detail.margin_m);
-    log.status.push_back(static_cast<std::uint8_t>(output.status));
-    log.filter_s.push_back(seconds);
+    append(log.u, u);
+    log.margin.push_back(static_cast<float>(report.margin));
+    log.status.push_back(static_cast<std::uint8_t>(report.status));
+    log.filter_s.push_back(static_cast<float>(report.solve_time_s.value_or(seconds)));
   }
   log.outcome = trial.outcome();
   return log;
@@ -103,16 +103,15 @@ TrialLog fly(PolytopeCbf& cbf, Trial trial, bool use_filter) {
 
 }  // namespace
 
-std::vector<TrialLog> rollout(const PolytopeCbf& cbf, std::span<const Vec3> start, std::span<const Vec3> goal,
-                              const TrialRules& rules, Reference reference, bool use_filter, unsigned jobs,
+std::vector<TrialLog> rollout(const flight::SafetyFilter& filter, std::span<const Vec3> start,
+                              std::span<const Vec3> goal, const TrialRules& rules, Reference reference, unsigned jobs,
                               Control& control) {
   if (start.size() != goal.size()) throw std::invalid_argument("start and goal differ in length");
+  if (filter.kind() != flight::CommandKind::velocity) throw std::invalid_argument("a point is moved by velocities");
   std::vector<TrialLog> logs(start.size());
   parallel_chunks(start.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
-    PolytopeCbf own(cbf);
-    for (std::size_t i = begin; i < end; ++i) {
-      logs[i] = fly(own, Trial(start[i], goal[i], rules, reference), use_filter);
-    }
+    const std::unique_ptr<flight::SafetyFilter> own = filter.clone();
+    for (std::size_t i = begin; i < end; ++i) logs[i] = fly(*own, Trial(start[i], goal[i], rules, reference));
   });
   return logs;
 }

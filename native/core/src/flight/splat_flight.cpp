@@ -247,7 +247,9 @@ std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules&
         }
         const auto before = Clock::now();
         if (trial.is_filtered()) answer = own->filter(trial.state(), trial.nominal());
-        trial.advance(answer, kind, seconds_since(before));
+        const double seconds = seconds_since(before);
+        if (answer.status == SafetyStatus::refused) answer.wrench = {vehicle.body.hover_thrust(), {}};
+        trial.advance(answer, kind, answer.solve_time_s.value_or(seconds));
       }
       logs[i] = std::move(trial.log());
     }

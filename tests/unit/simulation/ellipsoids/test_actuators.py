@@ -6,7 +6,7 @@ import pytest
 from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.wrench_flight import (
@@ -188,14 +188,14 @@ def test_a_policy_too_quick_for_the_tick_is_refused_with_lag_too():
 
 
 def world_of(scene, lag):
-    return SplatWorld(
+    return FilterWorld(
         index=scene.index, body=BODY, gains=GAINS, radius_m=RADIUS, dt_s=0.01, motor_time_constant_s=lag
     )
 
 
 def flights(scene, name, references, *, options, assumed, **parameters):
     lag = assumed.motor_time_constant_s
-    chosen = registry.make_splat_filter(name, world_of(scene, lag), parameters)
+    chosen = registry.make_filter(name, world_of(scene, lag), parameters)
     vehicle = _core.FlightVehicle(BODY, GAINS, options, assumed=assumed)
     return _core.fly(vehicle, _core.FlightRules(max_time_s=3.0), references, chosen.native, jobs=1)
 

@@ -8,8 +8,8 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
-from alula.stages.filtering.splat_filters import GUIDES, parameters_of
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, GUIDES, parameters_of
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
@@ -19,7 +19,7 @@ from support.foreign_filters import Passing
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE, 1.0)
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
-WORLD = SplatWorld(  # the field, and two ellipsoids in the way of the reference
+WORLD = FilterWorld(  # the field, and two ellipsoids in the way of the reference
     index=_core.EllipsoidIndex(
         np.vstack([FIELD["mean"], np.float32([[2.0, 1.4, 1.6], [4.0, 2.6, 1.4]])]),
         np.vstack([FIELD["scale"], np.float32([[0.3, 0.2, 0.4], [0.2, 0.3, 0.3]])]),
@@ -41,7 +41,7 @@ def vehicle(plant):
 
 
 def filter_of(name, **parameters):
-    return registry.make_splat_filter(name, WORLD, parameters)
+    return registry.make_filter(name, WORLD, parameters)
 
 
 @pytest.mark.parametrize("plant", ["quadrotor", "double-integrator"])
@@ -180,7 +180,7 @@ def test_the_solver_is_a_parameter():
     assert parameters_of("cone-ecbf", {})["lambda_"] == 14
     with pytest.raises(UsageError, match="solver must be active-set or clarabel, not 'interpolation'"):
         parameters_of("cone-di", {"solver": "interpolation"})
-    for name in registry.SPLAT_FILTERS:
+    for name in ELLIPSOID_FILTERS:
         with pytest.raises(UsageError, match="unknown parameter 'qp_backend'"):
             parameters_of(name, {"qp_backend": "clarabel"})
 

@@ -7,8 +7,8 @@ from alula import _core
 from alula.schemas.errors import InputError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
-from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.filtering.splat_protocol import SplatFilterResult, SplatWorld
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
@@ -18,7 +18,7 @@ from support.quadrotor_model import derivative, rk4
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
-NATIVE = list(registry.SPLAT_FILTERS)
+NATIVE = list(ELLIPSOID_FILTERS)
 
 
 def curve(start=(0, 0, 1), goal=(3, 1, 1.5), speed=1.5, yaw=0.4):
@@ -138,10 +138,10 @@ def test_controller_and_filter_hold_their_output_for_their_ticks(kind, interface
 @pytest.mark.parametrize("name", NATIVE)
 def test_a_native_filter_is_called_as_often_as_a_python_one(name):
     index = _core.EllipsoidIndex(FIELD["mean"], FIELD["scale"], FIELD["quat_wxyz"], sigma=1.0, radius=0.15)
-    world = SplatWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.02)
+    world = FilterWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.02)
     rules = _core.FlightRules(dt_s=0.01, filter_ticks=2, max_time_s=1.0)
     reference = curve((0.2, 0.2, 1.5), (5.8, 3.8, 1.5), speed=3)
-    native = registry.make_splat_filter(name, world, {} if name == "shield" else {"prune_ticks": 3})
+    native = registry.make_filter(name, world, {} if name == "shield" else {"prune_ticks": 3})
     flown = one(native, reference, rules=rules)
 
     class Wrapped:
@@ -224,7 +224,7 @@ def test_what_the_rotors_cannot_do_is_counted_and_limited():
         kind = "wrench"
 
         def __call__(self, state, nominal):
-            return SplatFilterResult(np.array([100.0, 1, 0, 0]), FilterStatus.FILTERED)
+            return FilterResult(np.array([100.0, 1, 0, 0]), FilterStatus.FILTERED)
 
     flown = one(Mad(), rules=_core.FlightRules(max_time_s=0.2))
     assert flown.saturated.all()
@@ -250,8 +250,8 @@ def test_a_delayed_noisy_vehicle_flies_the_same_for_the_same_seed():
 @pytest.mark.parametrize("name", NATIVE)
 def test_every_filter_flies_the_same_from_python(name):
     index = _core.EllipsoidIndex(FIELD["mean"], FIELD["scale"], FIELD["quat_wxyz"], sigma=1.0, radius=0.15)
-    world = SplatWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.01)
-    made = registry.make_splat_filter(name, world, {})
+    world = FilterWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.01)
+    made = registry.make_filter(name, world, {})
 
     class Wrapped:
         kind = made.kind
@@ -283,7 +283,7 @@ class Turning:
     def __call__(self, state, nominal):
         self.seen.append(state.sigma)
         torque = 0.01 if state.omega[2] < 6 else 0.0
-        return SplatFilterResult(u=np.array([BODY.mass * 9.81, 0, 0, torque]), status=FilterStatus.FILTERED)
+        return FilterResult(u=np.array([BODY.mass * 9.81, 0, 0, torque]), status=FilterStatus.FILTERED)
 
 
 def test_a_filter_sees_the_attitude_that_the_tick_begins_with():

@@ -11,8 +11,7 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.vehicle import FASTBRIDGE, TrackingTable
 from alula.stages.clearance import clearance_to_scene
-from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.filtering.splat_protocol import SplatFilterResult
+from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.closed_loop import fly
 from alula.stages.simulation.ellipsoids.simulate import resolve_splat, simulate_splat
@@ -112,7 +111,7 @@ class Late(Passing):
         self.ticks += 1
         if self.ticks > 1400:
             return super().__call__(state, nominal)
-        return SplatFilterResult(-2 * state.velocity, FilterStatus.FILTERED)
+        return FilterResult(-2 * state.velocity, FilterStatus.FILTERED)
 
 
 @pytest.mark.parametrize("plant", ["double-integrator", "quadrotor"])

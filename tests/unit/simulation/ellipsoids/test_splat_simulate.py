@@ -5,21 +5,23 @@ import numpy as np
 import pytest
 
 from alula import _core
+from alula.schemas import foreign_filters
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN, SCENE
 from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
+from alula.schemas.world_check import FILTER_COMMANDS
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
-from alula.stages.filtering.splat_filters import parameters_of
+from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from support.fabricate import make_scene
 from support.foreign_filters import Broken, Limiting
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
-NATIVE = list(registry.SPLAT_FILTERS)
+NATIVE = list(ELLIPSOID_FILTERS)
 
 
 def ellipsoid_scene(mean, scale):
@@ -190,12 +192,17 @@ class Point:
 def others(monkeypatch):
     points = [Point("limiting", Limiting), Point("absent", None), Point("none", Broken)]
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: points if group == "alula.splat_filters" else []
+        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
     )
 
 
 def test_a_filter_from_another_package_flies(others):
-    assert registry.splat_filter_names() == ["none", *NATIVE, "absent", "limiting"]
+    assert [name for name in registry.filter_names() if name not in FILTER_COMMANDS] == [
+        "none",
+        "absent",
+        "limiting",
+    ]
+    assert registry.filter_kind("limiting") == "acceleration"
     result = simulate_splat(quick(trials=2, filter="limiting"), FIELD, FASTBRIDGE)
     assert result.summary["filter_kind"] == "python filter"
     assert result.summary["filtered_steps"] == result.summary["steps"] > 0
@@ -203,7 +210,7 @@ def test_a_filter_from_another_package_flies(others):
     assert (result.filter_s > 0).all()
     with pytest.raises(UsageError, match="cannot be loaded from elsewhere:absent"):
         simulate_splat(quick(filter="absent"), FIELD, FASTBRIDGE)
-    with pytest.raises(UsageError, match="no filter is called 'nome'; known: none, cone-"):
+    with pytest.raises(UsageError, match="no filter is called 'nome'; known: none, polytope-cbf, cone-"):
         simulate_splat(quick(filter="nome"), FIELD, FASTBRIDGE)
 
 

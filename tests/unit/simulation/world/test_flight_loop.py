@@ -12,8 +12,7 @@ from alula.schemas.vehicles import VEHICLES
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry
 from alula.stages.filtering.obstacles import ellipsoid_index
-from alula.stages.filtering.protocol import World
-from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.encounters.world import filter_options
 from alula.stages.simulation.moving import moving_spec
@@ -47,7 +46,7 @@ def start(position=(0, 0, 1), yaw=0.4, velocity=(0, 0, 0)):
 
 
 def among_ellipsoids(*names, motor_time_constant_s=0.0, ticks=1):
-    world = SplatWorld(
+    world = FilterWorld(
         index=INDEX,
         body=BODY,
         gains=GAINS,
@@ -55,7 +54,7 @@ def among_ellipsoids(*names, motor_time_constant_s=0.0, ticks=1):
         dt_s=0.01 * ticks,
         motor_time_constant_s=motor_time_constant_s,
     )
-    return [registry.make_splat_filter(name, world, {}).native for name in names if name]
+    return [registry.make_filter(name, world, {}).native for name in names if name]
 
 
 def spec(interface="wrench", model="quadrotor", plant=EXACT, assumed=IDEAL, body=BODY, **fields):
@@ -85,7 +84,8 @@ class Passing:
         self.seen.append(nominal)
         u = nominal[self.kind] if self.answer is None else self.answer
         report = {"status": 0, "u": list(u), "margin": 1.0, "active": -1, "infeasible": False}
-        return report | {"thrust_rate": nominal["thrust_rate"], "certified": False}
+        report |= {"thrust_rate": nominal["thrust_rate"], "certified": False}
+        return report | {"certified_moving": False, "solve_time_s": None}
 
     def native(self):
         return _core.PythonFilter(self.kind, self)
@@ -164,7 +164,9 @@ def test_flights_among_ellipsoids_are_those_of_the_older_loop_bit_by_bit(
 
 def hull_filter(speed=1.0, dt_s=0.01):
     cover = box_cover([((10, -10, 0), (13, 6, 20)), ((22, 2, 0), (25, 20, 20)), ((8, 12, 4), (30, 15, 9))])
-    world = World(hulls=Hulls.from_cover(cover), radius_m=0.05, speed_m_s=speed, dt_s=dt_s, extent_m=100.0)
+    world = FilterWorld(
+        hulls=Hulls.from_cover(cover), radius_m=0.05, speed_m_s=speed, dt_s=dt_s, extent_m=100.0
+    )
     return registry.make_filter("polytope-cbf", world, {}).native
 
 
@@ -175,7 +177,7 @@ def test_a_single_integrator_flies_as_in_the_older_loop(goal):
         dt_s=0.01, gain=2.0, v_max=1.0, stop_fraction=0.01, stuck_speed=1e-3, stuck_steps=100, max_steps=3000
     )
     none = np.empty((0, 3))
-    (old,) = _core.rollout(native, a[None], np.array([goal]), rules, none, none, use_filter=True, jobs=1)
+    (old,) = _core.rollout(native, a[None], np.array([goal]), rules, none, none, jobs=1)
     task = _core.Task(
         start(a, 0.0),
         _core.Mission.to(goal, gain_per_s=2.0, speed_m_s=1.0),
@@ -186,7 +188,7 @@ def test_a_single_integrator_flies_as_in_the_older_loop(goal):
         spec("velocity", "single-integrator", max_speed_m_s=1.0),
         rules=_core.SimulationRules(plant_steps=1, stuck_speed_m_s=1e-3, stuck_ticks=100),
     )
-    (new,) = _core.simulate(simulation, [task], [_core.VelocityFilter(native)])
+    (new,) = _core.simulate(simulation, [task], [native])
     path = np.asarray(old["position"])
     assert abs(len(path) - len(new["path"])) <= 1
     count = min(len(path), len(new["path"]))
@@ -224,7 +226,7 @@ def avoiding():
 
 
 def listed(names):
-    made = {"polytope-cbf": lambda: _core.VelocityFilter(hull_filter(1.5)), "dr-acbf": avoiding}
+    made = {"polytope-cbf": lambda: hull_filter(1.5), "dr-acbf": avoiding}
     return [
         made[name]() if name in made else among_ellipsoids(name, motor_time_constant_s=0.03)[0]
         for name in names

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from alula.schemas import foreign_filters
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.world import decoded
 from alula.schemas.world_defaults import vehicle_of
-from alula.stages.filtering import registry
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.simulate import prepare, simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
@@ -400,7 +400,7 @@ def others(monkeypatch):
     known = {"limiting": Limiting, "broken": Broken, "holding": Holding, "short": Short, "raising": Raising}
     points = [Point(name, target) for name, target in known.items()]
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: points if group == "alula.splat_filters" else []
+        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
     )
 
 
@@ -415,7 +415,7 @@ def test_a_filter_of_another_package_flies_and_its_mistakes_do_not(others):
     for world in ({"scene": "x"}, {"scene": "x", "moving": [ball]}):
         for name in ("broken", "short"):
             with pytest.raises(
-                InputError, match=r"the filter returned array.*, which is no acceleration, at \(0.0"
+                InputError, match=r"the filter returned array.*, which is no acceleration, at \[0.0"
             ):
                 simulated(safety={"filters": [name]}, **tree | {"world": world})
         with pytest.raises(RuntimeError, match="the filter Raising failed: no idea"):

@@ -64,6 +64,7 @@ class ChordFilter final : public SafetyFilter {
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { filter_->reset(); }
   std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ChordFilter>(*this); }
+  bool shares_state() const override { return filter_->shares_state(); }
 
  private:
   struct Evaluated {

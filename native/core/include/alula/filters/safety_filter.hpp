@@ -76,6 +76,7 @@ struct FilterReport {
   bool certified = false;         // the returned input was checked to leave a safe backup manoeuvre
   bool certified_moving = false;  // that manoeuvre is also clear of the tubes of all tracks, as far as they reach
   std::optional<MovingReport> moving;  // of a filter among moving obstacles
+  std::optional<double> solve_time_s;  // measured by the filter itself; without a value by its caller
 };
 
 // One per thread. `filter` returns only inputs that it has checked and that are finite.
@@ -88,6 +89,7 @@ class SafetyFilter {
   virtual void flown(Vec3 /*acceleration*/) {}
   virtual void reset() {}  // before another flight: clear warm starts and commitments
   virtual std::unique_ptr<SafetyFilter> clone() const = 0;
+  virtual bool shares_state() const { return false; }  // with its clones: flights must run in one thread
 };
 
 }  // namespace alula::flight

@@ -1,4 +1,4 @@
-// Closed loop of a single integrator, x' = u with a zero-order hold of u, behind the onboard polytope filter.
+// Closed loop of a single integrator, x' = u with a zero-order hold of u, behind a filter of velocities.
 #pragma once
 
 #include <cstdint>
@@ -7,6 +7,7 @@
 
 #include "alula/base/control.hpp"
 #include "alula/filters/polytope_cbf.hpp"
+#include "alula/filters/safety_filter.hpp"
 
 namespace alula {
 
@@ -59,17 +60,16 @@ struct TrialLog {
   std::vector<double> position;      // (steps + 1, 3): the last row is where the flight ended
   std::vector<double> u_nom;         // (steps, 3)
   std::vector<double> u;             // (steps, 3)
-  std::vector<float> margin;         // (steps): smooth psi - r
+  std::vector<float> margin;         // (steps): of polytope-cbf smooth psi - r
   std::vector<std::uint8_t> status;  // (steps): alula_filter_status
   std::vector<float> filter_s;       // (steps): measured time, the only field that differs from run to run
   Outcome outcome = Outcome::flying;
 };
 
 // Flies trial i from start[i] to goal[i] (along the reference when it has rows), on `jobs` threads.
-// Without `use_filter` the nominal input is flown and the margin only recorded. All but filter_s is
-// independent of `jobs`.
-std::vector<TrialLog> rollout(const PolytopeCbf& cbf, std::span<const Vec3> start, std::span<const Vec3> goal,
-                              const TrialRules& rules, Reference reference, bool use_filter, unsigned jobs,
+// All but filter_s is independent of `jobs`. Throws std::invalid_argument for a filter of other commands.
+std::vector<TrialLog> rollout(const flight::SafetyFilter& filter, std::span<const Vec3> start,
+                              std::span<const Vec3> goal, const TrialRules& rules, Reference reference, unsigned jobs,
                               Control& control);
 
 }  // namespace alula

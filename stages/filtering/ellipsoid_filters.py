@@ -1,26 +1,18 @@
-"""The filters among ellipsoids that run natively."""
+"""The filters of accelerations and wrenches among ellipsoids, and among the hulls of a cover."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS, PARTS
 from alula.schemas.filters.values import Part, complaint, defaults, entries
-from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.filtering.bridge import NativeFilter
+from alula.stages.filtering.obstacles import ellipsoid_index, union_of
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.qp import clarabel_backend
-from alula.stages.filtering.splat_protocol import (
-    FlightState,
-    InputKind,
-    Nominal,
-    SplatFilter,
-    SplatFilterResult,
-    SplatWorld,
-)
 
 _CLASSES: dict[str, Callable[..., _core.SafetyFilter]] = {
     "cone-di": _core.ConeDi,
@@ -35,53 +27,11 @@ SHIELD = "shield"  # the filter that needs no ellipsoids, and the parameter that
 SHIELD_MAP = "shield_map"
 STEERS_AMONG_HULLS = ("cone-ecbf", "cone-backup", "safer-splat")  # whose rows take hulls of a cover
 ELLIPSOIDS, HULLS, BOTH = "ellipsoids", "hulls", "both"  # its values
-
-
-class NativeSplatFilter:
-    """A native filter behind the common protocol; `fly` takes `native` itself.
-
-    Attributes:
-        native: the filter.
-        parameters: all of its parameters, defaults included.
-    """
-
-    def __init__(self, native: _core.SafetyFilter, parameters: Mapping[str, Any]) -> None:
-        self.native = native
-        self.parameters = dict(parameters)
-
-    @property
-    def kind(self) -> InputKind:
-        """The kind of input that the filter returns."""
-        return self.native.kind  # type: ignore[return-value]
-
-    def __call__(self, state: FlightState, nominal: Nominal) -> SplatFilterResult:
-        """Filter one tick; see `SplatFilter`."""
-        report = self.native.filter(
-            np.concatenate([state.position, state.sigma, state.velocity, state.omega]).tolist(),
-            nominal.acceleration.tolist(),
-            wrench=nominal.wrench.tolist(),
-            thrust=state.thrust,
-            thrust_rate=state.thrust_rate,
-            nominal_thrust_rate=nominal.thrust_rate,
-            nominal_thrust_acceleration=nominal.thrust_acceleration,
-            position_error=nominal.position_error.tolist(),
-            velocity_error=nominal.velocity_error.tolist(),
-            reference_acceleration=nominal.reference_acceleration.tolist(),
-            rotors=state.rotors,
-        )
-        return SplatFilterResult(
-            u=np.array(report[self.kind]),
-            status=FilterStatus(report["status"]),
-            margin=report["margin"],
-            active=report["active"],
-            thrust_rate=report["thrust_rate"],
-            infeasible=report["infeasible"],
-            certified=report["certified"],
-        )
-
-    def reset(self) -> None:
-        """Forget the flight before; see `SplatFilter`."""
-        self.native.reset()
+_PARTS = {
+    ELLIPSOIDS: ("ellipsoids", "fence"),
+    HULLS: ("hulls", "fence"),
+    BOTH: ("ellipsoids", "hulls", "fence"),
+}
 
 
 def _has_policy(name: str) -> bool:
@@ -137,41 +87,42 @@ def keeps_from_hulls(name: str, parameters: Mapping[str, Any], *, has_ellipsoids
 
 
 def _surroundings(
-    name: str, world: SplatWorld, parameters: Mapping[str, Any]
+    name: str, world: FilterWorld, index: _core.EllipsoidIndex, against: str
 ) -> tuple[_core.ObstacleMap, float]:
     """The map that a shield certifies against, and the radius that it keeps clear of it [m]."""
-    if world.static is not None:
-        return world.static, world.static_radius_m
-    against = parameters[SHIELD_MAP]
+    if (given := union_of(world.parts, *_PARTS[against])) is not None:
+        return given, world.keeps(world.parts_radius_m)
     if against == ELLIPSOIDS:
-        return _core.EllipsoidMap(world.index), world.index.radius
-    if world.hulls is None:
+        return _core.EllipsoidMap(index), index.radius
+    if world.polytopes is None:
         raise UsageError(
             f"{name}: {SHIELD_MAP}={against} needs the hulls of a cover, and there is none: give the cover, "
             "and the scene as --scene"
         )
-    hulls = _core.HullMap(world.hulls)
+    hulls, radius_m = _core.HullMap(world.polytopes), world.keeps(world.hull_radius_m)
     if against == HULLS:
-        return hulls, world.hull_radius_m
-    both = _core.MapUnion([_core.EllipsoidMap(world.index), hulls])
-    return both, max(world.index.radius, world.hull_radius_m)
+        return hulls, radius_m
+    return _core.MapUnion([_core.EllipsoidMap(index), hulls]), max(index.radius, radius_m)
 
 
-def _rows_of_hulls(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _rows_of_hulls(
+    name: str, world: FilterWorld, index: _core.EllipsoidIndex, parameters: Mapping[str, Any]
+) -> dict[str, Any]:
     """Arguments that give a filter rows of the hulls, where it keeps clear of them."""
-    sees = keeps_from_hulls(name, parameters, has_ellipsoids=len(world.index) > 0)
-    if name not in STEERS_AMONG_HULLS or world.hulls is None or not sees:
+    sees = keeps_from_hulls(name, parameters, has_ellipsoids=len(index) > 0)
+    if name not in STEERS_AMONG_HULLS or world.polytopes is None or not sees:
         return {}
-    return {"near_map": _core.HullMap(world.hulls), "near_radius_m": world.hull_radius_m}
+    return {"near_map": _core.HullMap(world.polytopes), "near_radius_m": world.keeps(world.hull_radius_m)}
 
 
-def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
+def _build(name: str, world: FilterWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
     """The filter itself, from all parameters."""
     given = {**parameters, "tick_s": world.dt_s, "motor_time_constant_s": world.motor_time_constant_s}
     given |= {
         "rate_time_constant_s": world.rate_time_constant_s,
         "max_rate_rad_s": world.max_rate_rad_s,
     }
+    index = ellipsoid_index(None, 1.0, world.radius_m) if world.index is None else world.index
     others: dict[str, Any] = {}
     if given.get("solver") == _CLARABEL:
         given["solver"] = "active-set"
@@ -182,25 +133,27 @@ def _build(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> _core
 
     own, *parts = PARTS[name]
     made = {part.argument: options(part) for part in parts}
-    others |= _rows_of_hulls(name, world, given)
+    others |= _rows_of_hulls(name, world, index, given)
     if _POLICY not in made:
-        return _CLASSES[name](world.index, options(own, **made), **others)
+        return _CLASSES[name](index, options(own, **made), **others)
+    if world.body is None:
+        raise UsageError(f"{name} gives thrust and torque, and the vehicle is a point")
     policy = _core.BackupPolicy(world.body, given["policy"], made.pop(_POLICY))
-    kept, radius_m = _surroundings(name, world, given)
+    kept, radius_m = _surroundings(name, world, index, given[SHIELD_MAP])
     if name == SHIELD:
         return _CLASSES[name](policy, kept, radius_m, options(own, **made))
-    return _CLASSES[name](policy, world.index, options(own, **made), map=kept, radius_m=radius_m, **others)
+    return _CLASSES[name](policy, index, options(own, **made), map=kept, radius_m=radius_m, **others)
 
 
-def _factory(name: str) -> Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]:
-    def make(world: SplatWorld, given: Mapping[str, Any]) -> SplatFilter:
+def _factory(name: str) -> Callable[[FilterWorld, Mapping[str, Any]], NativeFilter]:
+    def make(world: FilterWorld, given: Mapping[str, Any]) -> NativeFilter:
         parameters = parameters_of(name, given)
         try:
-            return NativeSplatFilter(_build(name, world, parameters), parameters)
+            return NativeFilter(_build(name, world, parameters), parameters)
         except (ValueError, TypeError, OverflowError) as error:
             raise UsageError(f"{name}: {' '.join(str(error).split())[:300]}") from error
 
     return make
 
 
-SPLAT_FILTERS = {name: _factory(name) for name in _CLASSES}
+ELLIPSOID_FILTERS = {name: _factory(name) for name in _CLASSES}

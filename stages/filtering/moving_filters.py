@@ -1,0 +1,69 @@
+"""The filters of accelerations among moving obstacles; static obstacles are walls to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from alula import _core
+from alula.schemas.encounter_filter import native_options
+from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import FILTERS, MovingFilterParameters
+from alula.stages.filtering.bridge import NativeFilter
+from alula.stages.filtering.obstacles import union_of
+from alula.stages.filtering.protocol import FilterWorld
+
+WALL_FRACTION = 0.56
+"""Fraction of the maximum acceleration that braking before a wall counts on.
+
+Below 1 / sqrt(3), so that the box of accelerations contains what three walls at right angles require
+together, in any orientation.
+"""
+
+
+def moving_filter(name: str, world: FilterWorld, given: Mapping[str, Any]) -> NativeFilter:
+    """Build dr-acbf or one of the methods that it was compared with.
+
+    Args:
+        name: of the filter.
+        world: `parts` and the limits of the vehicle matter.
+        given: some of `MovingFilterParameters`.
+
+    Raises:
+        UsageError: a parameter is unknown, of the wrong type or without meaning.
+    """
+    try:
+        parameters = msgspec.convert(msgspec.to_builtins(dict(given)), MovingFilterParameters)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{name}: {error}") from error
+    radius_m, largest = world.keeps(world.parts_radius_m), world.max_acceleration_m_s2
+    options = {"wall_deceleration": WALL_FRACTION * largest} | native_options(parameters)
+    options |= {
+        "a_max": largest,
+        "v_max": world.max_speed_m_s,
+        "j_max": world.max_jerk_m_s3,
+        "radius_m": radius_m,
+        "dt_s": world.dt_s,
+    }
+    try:
+        native = _core.MovingSafety(
+            _core.moving_filter(
+                name.replace("-", "_"), {key: float(value) for key, value in options.items()}
+            ),
+            union_of(world.parts, *world.parts),
+            max_speed_m_s=world.max_speed_m_s,
+            max_acceleration_m_s2=largest,
+            radius_m=radius_m,
+        )
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"{name}: {error}") from error
+    return NativeFilter(native, msgspec.structs.asdict(parameters))
+
+
+def _factory(name: str) -> Callable[[FilterWorld, Mapping[str, Any]], NativeFilter]:
+    return lambda world, given: moving_filter(name, world, given)
+
+
+MOVING_FILTERS = {name: _factory(name) for name, kind in FILTERS.items() if kind is MovingFilterParameters}
