@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from alula import _core
 from alula.schemas import foreign_filters
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.vehicle import FASTBRIDGE
@@ -231,3 +232,10 @@ def test_a_python_filter_sees_all_that_a_native_one_sees():
                 np.testing.assert_array_equal(a, b, err_msg=key)
             else:
                 assert a == b, key
+
+
+def test_what_stands_around_a_python_filter_flies_in_one_thread_too():
+    python, native = OfVelocities(lambda x, v: FilterResult(v, FilterStatus.OK)), without_filter(WORLD, {})
+    for made, shares in ((python, True), (native, False)):
+        chord = _core.ChordFilter(native_filter(made), lag_s=0.3, max_speed_m_s=9.0)
+        assert chord.shares_state is chord.clone().shares_state is shares
