@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.vehicle import Vehicle, read_vehicle
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, Any]
@@ -187,19 +188,16 @@ def summary(distance_m: float, speed_m_s: float, min_lambda: float, braking_m: f
 
 def fly_ideally(flight: Flight, model: _core.RacerModel, guard: _core.Geofence, latency_s: float) -> Figures:
     """Fly with the filter's model as the plant: first-order rates, commands delayed by the latency."""
-    spec = _core.GeofenceSpec(
+    flights = FenceFlights(
         model=model,
         options=_core.RacerOptions(delay_s=latency_s),
         pilot=_core.Pilot(flight.pilot),
-        rules=_core.GeofenceRules(
-            duration_s=flight.duration_s,
-            plant_steps=LOOKS,
-            radio_from_s=flight.radio_from_s,
-            radio_for_s=math.inf,
-        ),
+        duration_s=flight.duration_s,
+        plant_steps=LOOKS,
+        losses=_core.Losses(radio_from_s=flight.radio_from_s, radio_for_s=math.inf),
         start=flight.state,
     )
-    (log,) = _core.fly_in_fences(spec, guard, seed=flight.seed, jobs=1)
+    (log,) = fly_trials(flights, guard, seed=flight.seed, jobs=1)
     return summary(log["min_distance_m"], log["max_speed_m_s"], log["min_lambda"], log["brake_distance_m"])
 
 

@@ -21,6 +21,7 @@ from alula.schemas.artifact import Artifact
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 
 FloatArray = NDArray[np.float64]
 WALL = ((-100.0, -100.0, 0.5), (40.0, 100.0, 100.0))
@@ -108,17 +109,15 @@ def record(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[
     geofence = _core.Geofence(scene.fence, parameters=scene.parameters)
     is_place = np.ndim(scene.start) == 1
     start = np.r_[scene.start, 0, 0, 0, 1, np.zeros(6)].astype(float) if is_place else None
-    rules = _core.GeofenceRules(
-        duration_s=scene.duration_s, stale_from_s=scene.stale[0], stale_for_s=scene.stale[1]
-    )
-    spec = _core.GeofenceSpec(
+    flights = FenceFlights(
         pilot=scene.pilot,
-        rules=rules,
+        duration_s=scene.duration_s,
+        losses=_core.Losses(from_s=scene.stale[0], for_s=scene.stale[1]),
         start=start,
         start_box=None if is_place else scene.start,
         start_speed_m_s=scene.speed_m_s,
     )
-    (log,) = _core.fly_in_fences(spec, geofence, seed=seed, keeps_trace=True, jobs=1)
+    (log,) = fly_trials(flights, geofence, seed=seed, keeps_ticks=True, jobs=1)
     time = np.arange(len(log["status"])) * float(np.float32(0.0025))
     states = log["state"].astype(np.float32)
     states[(time >= scene.stale[0]) & (time < sum(scene.stale))] = np.nan

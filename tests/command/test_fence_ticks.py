@@ -10,6 +10,7 @@ from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.geofence import read_fence_scenario
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import read_vehicle
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from alula.stages.vehicles.racer import racer_model, racer_options
 from support.paths import ROOT
 
@@ -25,16 +26,17 @@ def test_ticks_are_those_that_were_flown(tmp_path):
     ticks = read_ticks(log)[0]
     vehicle = read_vehicle(EXAMPLE / "../vehicles/racer7.toml")
     box = read_fence_scenario(EXAMPLE / "wall.toml").fence.box_m
-    spec = _core.GeofenceSpec(
+    flights = FenceFlights(
         model=racer_model(vehicle),
         options=racer_options(vehicle),
         pilot=_core.Pilot("straight", tilt_rad=np.radians(72)),
-        rules=_core.GeofenceRules(duration_s=3, radio_from_s=2.5, radio_for_s=0.2),
+        duration_s=3,
+        losses=_core.Losses(radio_from_s=2.5, radio_for_s=0.2),
         start=np.array([-40.0, 0, 130, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]),
     )
     parameters = {"radius_m": vehicle.body.radius_m}
     geofence = _core.Geofence(_core.Fence(box=(box[:3], box[3:])), racer_model(vehicle), parameters)
-    flown = _core.fly_in_fences(spec, geofence, keeps_trace=True)[0]
+    flown = fly_trials(flights, geofence, keeps_ticks=True)[0]
     np.testing.assert_allclose(ticks.time_s, 0.0025 * np.arange(1200), atol=1e-9)
     np.testing.assert_allclose(ticks.position, flown["state"][:, :3], atol=WRITTEN)
     np.testing.assert_allclose(ticks.velocity, flown["state"][:, 3:6], atol=WRITTEN)

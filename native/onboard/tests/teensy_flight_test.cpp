@@ -12,7 +12,8 @@
 #include <random>
 #include <vector>
 
-#include "alula/flight/geofence_flight.hpp"
+#include "alula/filters/adapters.hpp"
+#include "alula/flight/simulation.hpp"
 #include "check.hpp"
 #include "radio.hpp"
 #include "teensy_loop.h"
@@ -164,7 +165,7 @@ Flown fly(const alula_teensy_config& config, const Journey& journey) {
       CHECK(found == 1);
       command = heard_by_controller(config, frame, journey.line.truncates);
     }
-    const Vec3 before = plant.state().p;
+    const geometry::Vec3 before = plant.state().p;
     plant.step(1e-6 * kStepUs, command);
     flown.min_distance = std::min(flown.min_distance, fence.clearance(before, plant.state().p));
     flown.max_speed = std::max(flown.max_speed, geometry::norm(plant.state().v));
@@ -175,13 +176,20 @@ Flown fly(const alula_teensy_config& config, const Journey& journey) {
 
 // The same flight in the simulator: commands as floats, held for a tick, with the same delay.
 double simulated_distance(const alula_teensy_config& config, const Journey& journey) {
-  const Geofence filter(yard(), config.geofence);
-  GeofenceSpec spec;
-  spec.options.delay_s = 0.01;
-  spec.pilot = journey.pilot;
-  spec.rules.duration_s = journey.duration_s;
-  spec.start = journey.start;
-  return fly_in_fence(spec, filter, RandomStream(journey.seed, 0), false).min_distance_m;
+  const Geofence geofence(yard(), config.geofence);
+  const FenceFilter filter(geofence);
+  const SafetyFilter* const filters[] = {&filter};
+  SimulationSpec spec{.vehicle = {.model = VehicleModel::racer,
+                                  .interface = Interface::sticks,
+                                  .body = small_quadrotor().body}};  // a racer moves by its own model
+  spec.vehicle.racer_options.delay_s = 0.01;
+  spec.options.dt_s = config.geofence.tick_s;
+  spec.rules.plant_steps = 4, spec.rules.ends_when_refused = false;
+  spec.fence = &geofence;
+  Task task{.start = from_racer(journey.start), .mission = {.kind = MissionKind::pilot}, .pilot = journey.pilot};
+  task.attitude = journey.start.q, task.max_time_s = journey.duration_s;
+  Control control;
+  return simulate(spec, {&task, 1}, filters, journey.seed, 0, 1, control)[0].fence->min_distance_m;
 }
 
 RacerState at(double x, double y, double z) {

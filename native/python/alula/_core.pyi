@@ -2615,6 +2615,10 @@ class BackupQp:
 
     def __init__(self, geofence: Geofence, alpha: float = 2.0) -> None: ...
 
+    @property
+    def alpha(self) -> float:
+        """Gain [1/s]."""
+
     def reset(self) -> None:
         """Reset to the state before the first tick."""
 
@@ -2638,80 +2642,16 @@ class Pilot:
         """
 
 class PilotHand:
-    """A pilot in one flight, as fly_in_fences has him."""
+    """A pilot in one flight, as simulated flights have him."""
 
     def __init__(self, pilot: Pilot, model: RacerModel, start_height: float, *, seed: int = 0, trial: int = 0) -> None: ...
 
     def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None:
         """His command (4) at a state (13); None: no radio."""
 
-class GeofenceRules:
-    """Times of a flight, and when navigation or radio are missing."""
-
-    def __init__(self, *, duration_s: float = 8.0, plant_steps: int = 4, rule: str = 'geofence', alpha: float = 2.0, stale_from_s: float = float('inf'), stale_for_s: float = 0.0, radio_from_s: float = float('inf'), radio_for_s: float = 0.0) -> None:
-        """
-        Args:
-            duration_s: duration of a flight [s]
-            plant_steps: steps of the plant per tick of the filter
-            rule: none, geofence or backup-qp
-            alpha: gain of backup-qp [1/s]
-            stale_from_s: start of an outage of the navigation [s]
-            stale_for_s: duration of that outage [s]
-            radio_from_s: start of an outage of the radio [s]
-            radio_for_s: duration of that outage [s]
-        """
-
-    @property
-    def duration_s(self) -> float:
-        """duration of a flight [s]"""
-
-    @property
-    def plant_steps(self) -> int:
-        """steps of the plant per tick of the filter"""
-
-    @property
-    def rule(self) -> str:
-        """none, geofence or backup-qp"""
-
-    @property
-    def alpha(self) -> float:
-        """gain of backup-qp [1/s]"""
-
-    @property
-    def stale_from_s(self) -> float:
-        """start of an outage of the navigation [s]"""
-
-    @property
-    def stale_for_s(self) -> float:
-        """duration of that outage [s]"""
-
-    @property
-    def radio_from_s(self) -> float:
-        """start of an outage of the radio [s]"""
-
-    @property
-    def radio_for_s(self) -> float:
-        """duration of that outage [s]"""
-
-class GeofenceSpec:
-    """All of a flight but the filter and the random numbers."""
-
-    def __init__(self, *, model: RacerModel = ..., options: RacerOptions = ..., pilot: Pilot = ..., rules: GeofenceRules = ..., start: NDArray[numpy.float64] | None = None, start_box: tuple[Sequence[float], Sequence[float]] | None = None, start_speed_m_s: float = 10.0, start_tilt_rad: float = 1.0) -> None:
-        """
-        Args:
-            model: model of plant and pilot
-            options: disturbances of the plant that the model omits
-            pilot: the pilot
-            rules: times and outages
-            start: state (13) at the start
-            start_box: without a start: box (lower, upper) of random starts with h_I > 0 [m]
-            start_speed_m_s: maximum speed of a random start [m/s]
-            start_tilt_rad: maximum tilt of a random start [rad]
-        """
-
-def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first: int = 0, count: int = 1, keeps_trace: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+def safe_racer_start(geofence: Geofence, box: tuple[Sequence[float], Sequence[float]], *, speed_m_s: float = 10.0, tilt_rad: float = 1.0, seed: int = 0, trial: int = 0) -> NDArray[numpy.float64]:
     """
-    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), true distance and status (number). Only tick_s, the filter's time in each tick, is measured.
+    Random start (13) in a box (lower, upper) with h_I > 0, at most so fast [m/s] and tilted [rad].
     """
 
 class OnboardStackResult:
@@ -2866,7 +2806,8 @@ class MovingSafety(SafetyFilter):
 class FenceFilter(SafetyFilter):
     """The geofence, or with alpha the filter backup-qp."""
 
-    def __init__(self, geofence: Geofence, alpha: float | None = None) -> None: ...
+    def __init__(self, geofence: Geofence, alpha: float | None = None, *, is_bare: bool = False) -> None:
+        """is_bare: pass the pilot's command."""
 
 class PythonFilter(SafetyFilter):
     """A filter in Python; flights run in one thread."""
@@ -3058,15 +2999,18 @@ class Task:
     A trial: its start, its mission, and a simulated pilot where it flies by sticks.
     """
 
-    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], mission: Mission, *, pilot: Pilot | None = None, max_time_s: float = 60.0, stop_distance_m: float = 0.05, expected_velocity_m_s: Sequence[float] | None = None) -> None:
+    def __init__(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], mission: Mission, *, pilot: Pilot | None = None, max_time_s: float = 60.0, stop_distance_m: float = 0.05, expected_velocity_m_s: Sequence[float] | None = None) -> None:
         """
-        start: position, attitude (MRP), velocity, body rates; expected_velocity_m_s: by which obstacles are drawn to meet the vehicle, else the mean velocity of the mission.
+        start: position, attitude (MRP), velocity, body rates, or of a racer position, velocity, attitude (unit
+        quaternion w, x, y, z), body rates; expected_velocity_m_s: by which obstacles are drawn to meet the
+        vehicle, else the mean velocity of the mission.
         """
 
 class SimulationSpec:
     """All parts of simulated flights but the tasks and the filters."""
 
-    def __init__(self, vehicle: VehicleSpec, *, options: FlightOptions = ..., rules: SimulationRules = ..., losses: Losses = ..., moving: MovingSpec = ...) -> None: ...
+    def __init__(self, vehicle: VehicleSpec, *, options: FlightOptions = ..., rules: SimulationRules = ..., losses: Losses = ..., moving: MovingSpec = ..., fence: Geofence | None = None) -> None:
+        """fence: by whose fence and limits flights of a racer are judged."""
 
 def simulate(spec: SimulationSpec, tasks: Sequence[Task], filters: Sequence[SafetyFilter], *, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """

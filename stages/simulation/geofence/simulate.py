@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
@@ -21,6 +20,7 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages import durations
 from alula.stages.filtering.obstacles import require_obstacles
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
+from alula.stages.simulation.geofence.flights import fly_trials
 from alula.stages.simulation.geofence.world import FlownWorld, is_random, native_world
 from alula.stages.simulation.result import FenceFlight
 from alula.stages.vehicles.fence import KeepOut
@@ -218,13 +218,13 @@ def _flown(
     if count == 0:
         return [], [], []
     try:
-        logs = _core.fly_in_fences(
+        logs = fly_trials(
             world.spec,
             world.filter,
             seed=scenario.trials.seed,
             first=first,
             count=count,
-            keeps_trace=keeps_trace,
+            keeps_ticks=keeps_trace,
             jobs=1,
         )
     except ValueError as error:
@@ -243,7 +243,7 @@ def _flown(
 
 def _trial(index: int, log: dict[str, Any], tick_s: float) -> TrialResult:
     """Judge one flight; the verdict has no measured time."""
-    start, end = log["start"][:3].tolist(), log["end"][:3].tolist()
+    start, end = log["start"][:3].tolist(), log["end"].tolist()
     is_out = log["min_distance_m"] < 0
     counts = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
     return TrialResult(

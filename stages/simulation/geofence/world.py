@@ -16,6 +16,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.hulls import Hulls
+from alula.stages.simulation.geofence.flights import FenceFlights
 from alula.stages.vehicles.fence import KeepOut, fence, fence_faces, unit_faces
 from alula.stages.vehicles.racer import racer_model, racer_options
 
@@ -30,7 +31,7 @@ class FlownWorld:
     """Native scenario.
 
     Attributes:
-        spec: plant, pilot, times and start.
+        spec: plant, pilot, times, rule and start.
         filter: with its fence, which also judges.
         radius_m: of the vehicle.
         faces: of box and polytope together, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
@@ -39,7 +40,7 @@ class FlownWorld:
         deviations: of the plant from the filter's model, in a few words each.
     """
 
-    spec: _core.GeofenceSpec
+    spec: FenceFlights
     filter: _core.Geofence
     radius_m: float
     faces: FloatArray
@@ -144,7 +145,7 @@ def _filter(scenario: FenceScenario, vehicle: Vehicle, where: _core.Fence, radiu
         raise UsageError(f"`$.filter.parameters`, or the model of {vehicle.name}: {error}") from error
 
 
-def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -> _core.GeofenceSpec:
+def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -> FenceFlights:
     table, run, trials = scenario.pilot, scenario.run, scenario.trials
     values = msgspec.structs.asdict(scenario.vehicle)
     changed = {
@@ -165,24 +166,20 @@ def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -
         climb_m_s2=table.climb_m_s2,
         silent_after_s=table.silent_after_s,
     )
-    rules = _made(
-        _core.GeofenceRules,
-        "run",
-        duration_s=run.duration_s,
-        plant_steps=run.plant_steps,
-        rule=scenario.filter.name,
-        alpha=scenario.filter.parameters.alpha,
-        **_outage("stale", run.stale_from_s, run.stale_for_s),
-        **_outage("radio", run.radio_from_s, run.radio_for_s),
-    )
+    losses = _outage("", run.stale_from_s, run.stale_for_s)
+    losses |= _outage("radio_", run.radio_from_s, run.radio_for_s)
     box = trials.start_box_m
-    spec: _core.GeofenceSpec = _made(
-        _core.GeofenceSpec,
+    spec: FenceFlights = _made(
+        FenceFlights,
         "trials",
         model=racer_model(vehicle),
         options=options,
         pilot=pilot,
-        rules=rules,
+        rule=scenario.filter.name,
+        alpha_per_s=scenario.filter.parameters.alpha,
+        duration_s=run.duration_s,
+        plant_steps=run.plant_steps,
+        losses=_core.Losses(**losses),
         start=start,
         start_box=None if box is None else (box[:3], box[3:]),
         start_speed_m_s=trials.start_speed_m_s,
@@ -194,7 +191,7 @@ def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -
 def _outage(what: str, begins_s: float | None, lasts_s: float | None) -> dict[str, float]:
     if begins_s is None:
         return {}
-    return {f"{what}_from_s": begins_s, f"{what}_for_s": math.inf if lasts_s is None else lasts_s}
+    return {f"{what}from_s": begins_s, f"{what}for_s": math.inf if lasts_s is None else lasts_s}
 
 
 def _made(native: Any, where: str, **values: Any) -> Any:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from support import racer_model as model
 
 
@@ -147,12 +148,7 @@ def test_the_program_on_the_drone_is_the_least_change_that_keeps_the_rows(geofen
 def test_the_programs_flights_stay_inside_and_are_more_cautious(geofence):
     start = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
     logs = [
-        _core.fly_in_fences(
-            _core.GeofenceSpec(
-                start=start, pilot=_core.Pilot("straight"), rules=_core.GeofenceRules(duration_s=4, rule=rule)
-            ),
-            geofence,
-        )[0]
+        fly_trials(FenceFlights(start=start, duration_s=4, rule=rule), geofence)[0]
         for rule in ("geofence", "backup-qp")
     ]
     assert min(log["min_distance_m"] for log in logs) > -0.01

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from alula.stages.vehicles.fence import fence
 from support import covers
 from support import racer_model as model
@@ -47,13 +48,14 @@ def test_h_i_is_a_lower_bound_of_the_exact_flow_and_a_tight_one():
 def test_what_is_flown_stays_above_the_prediction(tilt, seed):
     """u_B held for ticks of 2.5 ms on the plant, from fast states, also upside down: never below h_I."""
     geofence = filter_in()
-    spec = _core.GeofenceSpec(
+    flights = FenceFlights(
         start_box=((-30.0, -30, 5), (30.0, 30, 55)),
         start_speed_m_s=30,
         start_tilt_rad=tilt,
-        rules=_core.GeofenceRules(duration_s=3, radio_from_s=0, radio_for_s=9),
+        duration_s=3,
+        losses=_core.Losses(radio_from_s=0, radio_for_s=9),
     )
-    logs = _core.fly_in_fences(spec, geofence, count=120, seed=seed)
+    logs = fly_trials(flights, geofence, count=120, seed=seed)
     values, _ = geofence.evaluate(np.array([log["start"] for log in logs]))
     least = np.array([log["min_distance_m"] for log in logs])
     decided_by_distance = values[:, 0] < values[:, 4]
@@ -103,13 +105,13 @@ def test_a_cover_keeps_out_and_h_i_is_below_its_distance_along_the_flow(cover):
     low, high = hulls.vertices_world.min(axis=0), hulls.vertices_world.max(axis=0)
     where = fence(box=(tuple(low - 6), tuple(high + 6)), cover=cover)
     geofence = _core.Geofence(where)
-    spec = _core.GeofenceSpec(
+    flights = FenceFlights(
         start_box=(tuple(low - 4), tuple(high + 4)),
         start_speed_m_s=6,
         pilot=_core.Pilot("aggressive"),
-        rules=_core.GeofenceRules(duration_s=4),
+        duration_s=4,
     )
-    logs = _core.fly_in_fences(spec, geofence, count=12, seed=2)
+    logs = fly_trials(flights, geofence, count=12, seed=2)
     assert min(log["min_distance_m"] for log in logs) > 0
     assert sum(log["interventions"] for log in logs) > 10
     starts = np.array([log["start"] for log in logs])

@@ -144,8 +144,9 @@ def test_native_defaults_of_filters_among_moving_obstacles_are_those_of_python()
 
 def test_native_defaults_of_the_geofence_are_those_of_python():
     known = defaults(FILTERS["geofence"])
-    assert _core.GeofenceRules().alpha == known.pop("alpha")
-    native = _core.Geofence(_core.Fence(box=((-1, -1, -1), (1, 1, 1)))).parameters
+    geofence = _core.Geofence(_core.Fence(box=((-1, -1, -1), (1, 1, 1))))
+    assert _core.BackupQp(geofence).alpha == known.pop("alpha")
+    native = geofence.parameters
     assert native.pop("radius_m") == 0
     assert native == {name: np.float32(value) for name, value in known.items()}
 

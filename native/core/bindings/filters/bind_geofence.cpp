@@ -1,4 +1,4 @@
-// Bindings of alula/filters/geofence.hpp and alula/flight/geofence_flight.hpp.
+// Bindings of alula/filters/geofence.hpp and of the simulated pilots and starts in a geofence.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
@@ -12,12 +12,13 @@
 #include <string>
 #include <utility>
 
+#include "alula/filters/backup_qp.hpp"
 #include "alula/filters/option_fields.hpp"
-#include "alula/flight/geofence_flight.hpp"
+#include "alula/flight/fence_metrics.hpp"
+#include "alula/flight/geofence_pilot.hpp"
 #include "fields.hpp"
 #include "filters/geofence_fields.hpp"
 #include "filters/onboard_inputs.hpp"
-#include "python_control.hpp"
 #include "racer_arrays.hpp"
 
 namespace nb = nanobind;
@@ -61,44 +62,6 @@ LogDict detail_of(const GeofenceReport& report) {
   result["v_towards"] = r.v_towards;
   result["stale_s"] = r.stale_s;
   return result;
-}
-
-LogDict to_dict(GeofenceLog&& log, bool keeps_trace) {
-  LogDict d;
-  d["min_distance_m"] = log.min_distance_m;
-  d["max_speed_m_s"] = log.max_speed_m_s;
-  d["min_lambda"] = log.min_lambda;
-  d["min_h_i"] = log.min_h_i;
-  d["stop_distance_m"] = log.stop_distance_m;
-  d["brake_distance_m"] = log.brake_distance_m;
-  d["ticks"] = log.ticks;
-  d["passed"] = log.passed;
-  d["blended"] = log.blended;
-  d["backup"] = log.backup;
-  d["no_pilot"] = log.no_pilot;
-  d["hand_over"] = log.hand_over;
-  d["refused"] = log.refused;
-  d["interventions"] = log.interventions;
-  d["altered_passes"] = log.altered_passes;
-  d["out_of_range"] = log.out_of_range;
-  d["longest_backup_s"] = log.longest_backup_s;
-  d["path_length_m"] = log.path_length_m;
-  d["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
-  d["max_jerk_m_s3"] = log.max_jerk_m_s3;
-  const std::size_t ticks = log.tick_s.size();
-  d["tick_s"] = to_numpy(std::move(log.tick_s), {ticks});
-  d["start"] = to_array(log.start);
-  d["end"] = to_array(log.end);
-  if (!keeps_trace) return d;
-  GeofenceTrace& t = log.trace;
-  const std::size_t n = t.status.size();
-  d["state"] = to_numpy(std::move(t.state), {n, kRacerNumbers});
-  d["pilot"] = to_numpy(std::move(t.pilot), {n, 4});
-  d["command"] = to_numpy(std::move(t.command), {n, 4});
-  d["figure"] = to_numpy(std::move(t.figure), {n, 5});
-  d["distance"] = to_numpy(std::move(t.distance), {n});
-  d["status"] = to_numpy(std::move(t.status), {n});
-  return d;
 }
 
 void bind_fence(nb::module_& m) {
@@ -235,6 +198,7 @@ void bind_backup_qp(nb::module_& m) {
   nb::class_<BackupQp>(m, "BackupQp",
                        "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
       .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = BackupQpOptions{}.alpha)
+      .def_prop_ro("alpha", &BackupQp::alpha, "Gain [1/s].")
       .def("reset", &BackupQp::reset, "Reset to the state before the first tick.")
       .def(
           "filter",
@@ -267,7 +231,7 @@ void bind_backup_qp(nb::module_& m) {
           "no solution.");
 }
 
-void bind_flight(nb::module_& m) {
+void bind_pilots(nb::module_& m) {
   nb::class_<Pilot>(m, "Pilot", "A simulated pilot.")
       .def(
           "__init__",
@@ -282,7 +246,7 @@ void bind_flight(nb::module_& m) {
           fields::documentation(
               Pilot{}, "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.")
               .c_str());
-  nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as fly_in_fences has him.")
+  nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as simulated flights have him.")
       .def(
           "__init__",
           [](PilotHand* self, const Pilot& pilot, const RacerModel& model, double start_height, std::uint64_t seed,
@@ -298,33 +262,18 @@ void bind_flight(nb::module_& m) {
           "time"_a, "x"_a,
           nb::sig("def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None"),
           "His command (4) at a state (13); None: no radio.");
-  fields::bind<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.");
-  fields::bind_from<GeofenceSpec, GeofenceArguments>(
-      m, "GeofenceSpec", "All of a flight but the filter and the random numbers.", [](GeofenceArguments given) {
-        if (!given.start && !given.box) throw std::invalid_argument("a flight needs a start or a box of starts");
-        if (given.box) given.start_box = *given.box;
-        return GeofenceSpec(given);
-      });
   m.def(
-      "fly_in_fences",
-      [](const GeofenceSpec& spec, const Geofence& filter, std::uint64_t seed, std::uint32_t first,
-         std::uint32_t count, bool keeps_trace, unsigned jobs, nb::object progress) {
-        PythonControl control(std::move(progress));
-        std::vector<GeofenceLog> logs;
-        {
-          const nb::gil_scoped_release release;
-          logs = fly_in_fences(spec, filter, seed, first, count, keeps_trace, jobs, control);
-        }
-        nb::typed<nb::list, LogDict> result;
-        for (GeofenceLog& log : logs) result.append(to_dict(std::move(log), keeps_trace));
-        return result;
+      "safe_racer_start",
+      [](const Geofence& geofence, const Corners& box, double speed, double tilt, std::uint64_t seed,
+         std::uint32_t trial) {
+        return to_array(safe_start(geofence, {box_of(box), speed, tilt}, RandomStream{seed, trial}));
       },
-      "spec"_a, "filter"_a, nb::kw_only(), "seed"_a = 0, "first"_a = 0, "count"_a = 1, "keeps_trace"_a = false,
-      "jobs"_a = 0, "progress"_a = nb::none(),
-      "Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with "
-      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), "
-      "true "
-      "distance and status (number). Only tick_s, the filter's time in each tick, is measured.");
+      "geofence"_a, "box"_a, nb::kw_only(), "speed_m_s"_a = RacerStarts{}.speed_m_s,
+      "tilt_rad"_a = RacerStarts{}.tilt_rad, "seed"_a = 0, "trial"_a = 0,
+      nb::sig("def safe_racer_start(geofence: Geofence, box: tuple[collections.abc.Sequence[float], "
+              "collections.abc.Sequence[float]], *, speed_m_s: float = 10.0, tilt_rad: float = 1.0, seed: int = 0, "
+              "trial: int = 0) -> NDArray[numpy.float64]"),
+      "Random start (13) in a box (lower, upper) with h_I > 0, at most so fast [m/s] and tilted [rad].");
 }
 
 }  // namespace
@@ -335,5 +284,5 @@ void bind_geofence(nb::module_& m) {
   alula::flight::bind_fence(m);
   alula::flight::bind_filter(m);
   alula::flight::bind_backup_qp(m);
-  alula::flight::bind_flight(m);
+  alula::flight::bind_pilots(m);
 }

@@ -15,8 +15,9 @@
 #include "alula/filters/chord_filter.hpp"
 #include "alula/flight/simulation.hpp"
 #include "fields.hpp"
-#include "flight_arrays.hpp"
+#include "flight/flight_log.hpp"
 #include "python_control.hpp"
+#include "racer_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -106,7 +107,6 @@ struct Fields<flight::SimulationRules> {
 namespace flight {
 namespace {
 
-using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
 using Filters = std::vector<SafetyFilter*>;
 
 // A filter in Python behind the protocol. It runs in one thread: clones share the object.
@@ -198,65 +198,6 @@ std::vector<const SafetyFilter*> borrowed(const Filters& filters) {
   for (const SafetyFilter* filter : filters)
     if (filter == nullptr) throw std::invalid_argument("a filter is None; leave it out of the list");
   return {filters.begin(), filters.end()};
-}
-
-// A vector per figure of the obstacles, and one number per figure of the filter.
-void add_metrics(LogDict& d, EncounterLog&& log) {
-  using M = EncounterMetrics;
-  using L = EncounterLog;
-  static constexpr std::pair<const char*, double M::*> kOfObstacles[] = {
-      {"closest_m", &M::closest_m},     {"separation_m", &M::separation_m},
-      {"closing_m_s", &M::closing_m_s}, {"detected_s", &M::detected_s},
-      {"warned_s", &M::warned_s},       {"command_s", &M::command_s},
-      {"reaction_s", &M::reaction_s},   {"avoid_s", &M::avoid_s}};
-  static constexpr std::pair<const char*, std::int64_t L::*> kCounts[] = {
-      {"active_ticks", &L::active_ticks},         {"filtered_ticks", &L::filtered_ticks},
-      {"infeasible_ticks", &L::infeasible_ticks}, {"recovering_ticks", &L::recovering_ticks},
-      {"refused_ticks", &L::refused_ticks},       {"total_iterations", &L::iterations}};
-  static constexpr std::pair<const char*, double L::*> kFigures[] = {
-      {"worst_violation", &L::worst_violation}, {"risk_spent", &L::risk_spent}, {"mission_risk", &L::mission_risk}};
-  for (const auto& [name, figure] : kOfObstacles) {
-    std::vector<double> each;
-    for (const M& one : log.obstacle) each.push_back(one.*figure);
-    d[name] = to_numpy(std::move(each), {log.obstacle.size()});
-  }
-  for (const auto& [name, count] : kCounts) d[name] = log.*count;
-  for (const auto& [name, figure] : kFigures) d[name] = log.*figure;
-  const std::size_t active = log.active_tick_s.size();
-  d["active_tick_s"] = to_numpy(std::move(log.active_tick_s), {active});
-}
-
-LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
-  static constexpr const char* kEnds[] = {"flying", "reached", "stuck", "timeout", "refused", "passed", "ended"};
-  const std::size_t ticks = f.tick_s.size(), points = f.path.size() / 3, tracks = f.tracks.size();
-  const std::size_t n = f.encounters.obstacle.size(), states = f.state.size() / 12, starts = f.track_start.size();
-  LogDict d;
-  add_metrics(d, std::move(f.encounters));
-  d["end"] = kEnds[static_cast<std::size_t>(f.end)];
-  d["ticks"] = f.ticks;
-  d["path_length_m"] = f.path_length_m, d["max_speed_m_s"] = f.max_speed_m_s;
-  d["mean_jerk_m_s3"] = f.mean_jerk_m_s3, d["max_jerk_m_s3"] = f.max_jerk_m_s3;
-  d["path"] = to_numpy(std::move(f.path), {points, 3});
-  d["state"] = to_numpy(std::move(f.state), {states, 12});
-  d["estimate"] = to_numpy(std::move(f.estimate), {ticks, 12});
-  d["measured"] = to_numpy(std::move(f.measured), {ticks, 12});
-  d["nominal"] = to_numpy(std::move(f.nominal), {ticks, 3});
-  d["command"] = to_numpy(std::move(f.command), {ticks, 11});
-  d["sticks"] = to_numpy(std::move(f.sticks), {ticks, 4});
-  d["obstacle"] = to_numpy(std::move(f.obstacle), {ticks, n, 3});
-  d["track"] = to_numpy(std::move(f.track), {ticks, n, 3});
-  d["margin"] = to_numpy(std::move(f.margin), {ticks, filters});
-  d["active"] = to_numpy(std::move(f.active), {ticks, filters});
-  d["rows"] = to_numpy(std::move(f.rows), {ticks, filters});
-  d["iterations"] = to_numpy(std::move(f.iterations), {ticks, filters});
-  d["status"] = to_numpy(std::move(f.status), {ticks, filters});
-  d["flags"] = to_numpy(std::move(f.flags), {ticks, filters});
-  d["filter_s"] = to_numpy(std::move(f.filter_s), {ticks, filters});
-  d["tick_s"] = to_numpy(std::move(f.tick_s), {ticks});
-  d["mark"] = to_numpy(std::move(f.mark), {ticks});
-  d["track_start"] = to_numpy(std::move(f.track_start), {starts});
-  d["tracks"] = nb::bytes(reinterpret_cast<const char*>(f.tracks.data()), tracks * sizeof(alula_track));
-  return d;
 }
 
 nb::typed<nb::list, LogDict> run(const SimulationSpec& spec, const std::vector<Task>& tasks, const Filters& filters,
@@ -359,8 +300,8 @@ void bind_adapters(nb::module_& m) {
           "filter"_a, "walls"_a.none() = nb::none(), nb::kw_only(), "max_speed_m_s"_a, "max_acceleration_m_s2"_a,
           "radius_m"_a, "walls: static obstacles, or None.");
   nb::class_<FenceFilter, SafetyFilter>(m, "FenceFilter", "The geofence, or with alpha the filter backup-qp.")
-      .def(nb::init<const Geofence&, std::optional<double>>(), "geofence"_a, "alpha"_a = nb::none(),
-           nb::keep_alive<1, 2>());
+      .def(nb::init<const Geofence&, std::optional<double>, bool>(), "geofence"_a, "alpha"_a = nb::none(),
+           nb::kw_only(), "is_bare"_a = false, nb::keep_alive<1, 2>(), "is_bare: pass the pilot's command.");
   nb::class_<PythonFilter, SafetyFilter>(m, "PythonFilter", "A filter in Python; flights run in one thread.")
       .def(
           "__init__",
@@ -410,29 +351,40 @@ void bind_specs(nb::module_& m) {
   nb::class_<Task>(m, "Task", "A trial: its start, its mission, and a simulated pilot where it flies by sticks.")
       .def(
           "__init__",
-          [](Task* self, const InState& start, const Mission& mission, const std::optional<Pilot>& pilot,
-             double max_time_s, double stop_distance_m, const std::optional<Triple>& expected_velocity) {
+          [](Task* self, const In<double, nb::shape<-1>>& start, const Mission& mission,
+             const std::optional<Pilot>& pilot, double max_time_s, double stop_distance_m,
+             const std::optional<Triple>& expected_velocity) {
             if (pilot) check(*pilot);
-            Task task{state_at(start.data()), mission, pilot, max_time_s, stop_distance_m, {}};
+            const bool is_racer = start.shape(0) == kRacerNumbers;
+            if (!is_racer && start.shape(0) != 12) throw std::invalid_argument("a start has 12 or 13 numbers");
+            Task task{.start = {}, .mission = mission, .pilot = pilot, .max_time_s = max_time_s};
+            task.stop_distance_m = stop_distance_m;
+            if (is_racer) {
+              const RacerState x = racer_at(start.data());
+              task.start = from_racer(x), task.attitude = x.q;
+            } else {
+              task.start = state_at(start.data());
+            }
             if (expected_velocity) task.expected_velocity = vector_of(*expected_velocity);
             new (self) Task(std::move(task));
           },
           "start"_a, "mission"_a, nb::kw_only(), "pilot"_a = nb::none(), "max_time_s"_a = 60.0,
           "stop_distance_m"_a = 0.05, "expected_velocity_m_s"_a = nb::none(),
-          "start: position, attitude (MRP), velocity, body rates; expected_velocity_m_s: by which obstacles are "
-          "drawn "
-          "to meet the vehicle, else the mean velocity of the mission.");
+          "start: position, attitude (MRP), velocity, body rates, or of a racer position, velocity, attitude (unit\n"
+          "quaternion w, x, y, z), body rates; expected_velocity_m_s: by which obstacles are drawn to meet the\n"
+          "vehicle, else the mean velocity of the mission.");
   nb::class_<SimulationSpec>(m, "SimulationSpec", "All parts of simulated flights but the tasks and the filters.")
       .def(
           "__init__",
           [](SimulationSpec* self, const VehicleSpec& vehicle, const FlightOptions& options,
-             const SimulationRules& rules, const Losses& losses, const MovingSpec& moving) {
-            const SimulationSpec spec{vehicle, options, rules, losses, moving};
+             const SimulationRules& rules, const Losses& losses, const MovingSpec& moving, const Geofence* fence) {
+            const SimulationSpec spec{vehicle, options, rules, losses, moving, fence};
             check(spec);
             new (self) SimulationSpec(spec);
           },
           "vehicle"_a, nb::kw_only(), "options"_a = FlightOptions{}, "rules"_a = SimulationRules{},
-          "losses"_a = Losses{}, "moving"_a = MovingSpec{});
+          "losses"_a = Losses{}, "moving"_a = MovingSpec{}, "fence"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
+          "fence: by whose fence and limits flights of a racer are judged.");
 }
 
 }  // namespace

@@ -1,7 +1,9 @@
 #include "alula/filters/adapters.hpp"
 
 #include <algorithm>
+#include <cfloat>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "alula/filters/moving_guide.hpp"
@@ -104,7 +106,8 @@ FilterReport MovingSafety::filter(const FlightState& state, const Nominal& nomin
   return report;
 }
 
-FenceFilter::FenceFilter(const Geofence& geofence, std::optional<double> alpha) : geofence_(geofence), alpha_(alpha) {
+FenceFilter::FenceFilter(const Geofence& geofence, std::optional<double> alpha, bool is_bare)
+    : geofence_(geofence), alpha_(alpha), is_bare_(is_bare) {
   if (alpha_) program_.emplace(geofence_, *alpha_);
 }
 
@@ -114,28 +117,47 @@ void FenceFilter::reset() {
 }
 
 FilterReport FenceFilter::filter(const FlightState& state, const Nominal& nominal) {
-  const RacerState x = to_racer(state.x);
+  const RacerState x = to_racer(state.x, state.attitude);
   const std::optional<RacerCommand>& pilot = nominal.sticks;
+  const bool is_heard = pilot && is_finite(*pilot);
   FilterReport report;
-  if (program_ && pilot && state.is_known && is_finite(*pilot)) {
-    const BackupQpReport found = program_->filter(x, *pilot);
-    report.sticks = found.command;
-    report.margin = found.h_i;
-    report.rows = static_cast<std::uint32_t>(found.rows);
-    report.infeasible = found.is_infeasible;
-    report.status = found.is_passed       ? SafetyStatus::ok
-                    : found.is_infeasible ? SafetyStatus::backup
-                                          : SafetyStatus::filtered;
-    return report;
+  GeofenceReport& found = report.fence.emplace();
+  if (is_bare_ || (program_ && is_heard)) {
+    if (!is_heard || !state.is_known) return report;
+    found.status = ALULA_GEOFENCE_PASSED;
+    found.command = *pilot;
+    found.detail.lambda = 1;
+    found.detail.h_i = -FLT_MAX;  // not evaluated
+    found.detail.deciding = ALULA_GEOFENCE_NONE;
+    report.margin = std::numeric_limits<double>::infinity();
+    if (!is_bare_) by_program(x, *pilot, report);
+    found.detail.command = to_onboard(found.command);
+  } else {
+    found = geofence_.filter(state.is_known ? &x : nullptr, pilot ? &*pilot : nullptr);
+    report.margin = found.detail.h_i;
   }
-  const GeofenceReport found = geofence_.filter(state.is_known ? &x : nullptr, pilot ? &*pilot : nullptr);
   report.sticks = found.command;
-  report.margin = found.detail.h_i;
   report.status = status_of(found.status);
   return report;
 }
 
-RacerState to_racer(const State& x) {
+// lambda is 1, or 0 where the program changed the pilot's command.
+void FenceFilter::by_program(const RacerState& x, const RacerCommand& pilot, FilterReport& report) {
+  geofence_.reset();  // the state that it remembers would be out of date after this tick
+  const BackupQpReport solved = program_->filter(x, pilot);
+  GeofenceReport& found = *report.fence;
+  found.command = solved.command;
+  found.detail.h_i = static_cast<float>(solved.h_i);
+  report.margin = solved.h_i;
+  report.rows = static_cast<std::uint32_t>(solved.rows);
+  report.infeasible = solved.is_infeasible;
+  if (solved.is_passed) return;
+  found.status = solved.is_infeasible ? ALULA_GEOFENCE_BACKUP : ALULA_GEOFENCE_BLENDED;
+  found.detail.lambda = 0;
+}
+
+RacerState to_racer(const State& x, const std::optional<Vec4>& attitude) {
+  if (attitude) return {x.p, x.v, *attitude, x.omega};
   const double n = dot(x.sigma, x.sigma), scale = 1 / (1 + n);
   return {x.p, x.v, {scale * (1 - n), 2 * scale * x.sigma.x, 2 * scale * x.sigma.y, 2 * scale * x.sigma.z}, x.omega};
 }

@@ -95,7 +95,7 @@ void Flight::reset() {
   std::fill(records_.begin(), records_.end(), FilterRecord{});
   first_ = nominal_ = {};
   target_ = reference_ = {};
-  last_ = {};
+  last_ = {}, attitude_.reset();
   now_ = 0, arrived_ = -1, age_.reset();
   has_state_ = has_target_ = is_other_ = false;
   begins_ = true;
@@ -106,7 +106,7 @@ void Flight::reset() {
 void Flight::observe(const Observation& seen) {
   now_ = seen.now_s;
   if (seen.measured && is_finite(*seen.measured)) {
-    last_ = *seen.measured, arrived_ = now_, has_state_ = true;
+    last_ = *seen.measured, attitude_ = seen.attitude, arrived_ = now_, has_state_ = true;
     age_ = seen.age_s;
   }
   if (seen.target) target_ = *seen.target, has_target_ = true;
@@ -125,7 +125,7 @@ void Flight::predict() {
   seen_.is_known = has_state_ && (by_sticks ? waited == 0
                                   : age_    ? age <= options_.stale_s + delay
                                             : waited <= options_.stale_s);
-  seen_.x = last_;
+  seen_.x = last_, seen_.attitude = attitude_;
   if (!seen_.is_known || by_sticks) return;
   if (is_rigid_body(vehicle_)) {
     seen_.x = predictor_.now(last_, age);
@@ -273,7 +273,9 @@ void Flight::stand_in(CommandKind kind) {
   rest.status = SafetyStatus::recovering;
   rest.acceleration = seen_.is_known ? braking(seen_.x.v, vehicle_.max_acceleration, options_.dt_s) : Vec3{};
   rest.wrench = {vehicle_.body.hover_thrust(), {}};
-  rest.sticks = {vehicle_.racer.throttle_for(vehicle_.racer.gravity), {}};
+  // A receiver's motors stand still without a command, as when a pilot is silent.
+  if (vehicle_.interface != Interface::sticks)
+    rest.sticks = {vehicle_.racer.throttle_for(vehicle_.racer.gravity), {}};
   take(rest, kind);
 }
 

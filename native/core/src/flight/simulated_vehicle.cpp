@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <stdexcept>
 
 #include "alula/filters/adapters.hpp"
@@ -85,7 +86,7 @@ SimulatedVehicle::SimulatedVehicle(const VehicleSpec& spec, double dt_s, int pla
       sensor_(spec.plant.sensor, random),
       is_limited_(std::isfinite(spec.max_jerk) || std::isfinite(spec.max_speed) || spec.actuation_delay_s > 0) {}
 
-void SimulatedVehicle::reset(const State& x) {
+void SimulatedVehicle::reset(const State& x, const std::optional<Vec4>& attitude) {
   x_ = x;
   time_ = 0, steps_ = 0;
   point_acceleration_ = {};
@@ -99,7 +100,7 @@ void SimulatedVehicle::reset(const State& x) {
       body_.reset(x);
       break;
     case VehicleModel::racer:
-      racer_.reset(to_racer(x));
+      racer_.reset(to_racer(x, attitude));
       break;
   }
   sensor_.reset(x_);
@@ -195,6 +196,12 @@ State SimulatedVehicle::measured() const {
   State x = sensor_.measured(steps_);
   if (spec_.model == VehicleModel::quadrotor || spec_.model == VehicleModel::racer) x.sigma = shadowed(x.sigma);
   return x;
+}
+
+std::optional<Vec4> SimulatedVehicle::attitude_of(const State& measured) const {
+  const Vec3 sigma = shadowed(x_.sigma);
+  if (spec_.model != VehicleModel::racer || std::memcmp(&sigma, &measured.sigma, sizeof sigma) != 0) return {};
+  return racer_.state().q;
 }
 
 }  // namespace alula::flight

@@ -20,6 +20,7 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr std::uint32_t kLoss = 0x5000'0000;  // channel of random numbers
 constexpr double kSameTime = 1e-9;            // [s]
 constexpr double kFastest = 1e5;              // [m/s] a higher speed means that the integration diverges
+constexpr const char* kDiverges = "the simulated motion diverges: too much drag or wind for so few plant_steps";
 
 void append(std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); }
 void append(std::vector<double>& rows, const State& x) {
@@ -47,6 +48,7 @@ class Trial {
         world_(spec.moving, spec.options.dt_s, spec.rules.plant_steps),
         flight_(spec.vehicle, spec.options, task.mission, filters),
         encounters_(spec.vehicle.radius_m, spec.rules.risk_window_s, spec.options.dt_s) {
+    if (spec.fence != nullptr) fence_.emplace(*spec.fence, spec.rules.keeps_ticks);
     if (task.pilot) hand_.emplace(*task.pilot, spec.vehicle.racer, random, task.start.p.z);
   }
 
@@ -56,7 +58,8 @@ class Trial {
   Vec3 mean_velocity() const;
   Observation see(double now);
   void note(const Observation& seen, const Decision& decision, float seconds);
-  void watch(const Decision& decision, double now);
+  void note_state();
+  void watch(const Observation& seen, const Decision& decision, double now);
   void step(std::int64_t index);
   bool have_receded(double now);
   Vec3 goal() const;
@@ -69,6 +72,7 @@ class Trial {
   MovingWorld world_;
   Flight flight_;
   EncounterRecorder encounters_;
+  std::optional<FenceRecorder> fence_;
   std::optional<PilotHand> hand_;
   double receded_s_ = 0;
   std::int64_t still_ = 0;
@@ -105,6 +109,7 @@ Observation Trial::see(double now) {
   if (seen.measured) {
     const Kinematics own = world_.own_state({seen.measured->p, seen.measured->v, {}}, step);
     seen.measured->p = own.p, seen.measured->v = own.v;
+    seen.attitude = vehicle_.attitude_of(*seen.measured);
   }
   if (world_.size() > 0) {
     world_.sense(step, vehicle_.kinematics());
@@ -118,7 +123,7 @@ Observation Trial::see(double now) {
     encounters_.track(now, world_);
   }
   if (hand_) {
-    seen.sticks = (*hand_)(now, to_racer(vehicle_.state()));
+    seen.sticks = (*hand_)(now, vehicle_.racer());
     if (is_during(now, s.losses.radio_from_s, s.losses.radio_for_s)) seen.sticks.reset();
   }
   return seen;
@@ -164,10 +169,19 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
   log_.track_start.push_back(static_cast<std::int64_t>(log_.tracks.size()));
 }
 
-// The last filter among moving obstacles, where it was called in this tick.
-void Trial::watch(const Decision& decision, double now) {
+void Trial::note_state() {
+  append(log_.state, vehicle_.state());
+  if (spec_.vehicle.model != VehicleModel::racer) return;
+  const Vec4& q = vehicle_.racer().q;
+  log_.attitude.insert(log_.attitude.end(), q.begin(), q.end());
+}
+
+// The last filter of each kind, where it was called in this tick.
+void Trial::watch(const Observation& seen, const Decision& decision, double now) {
   if (log_.ticks % spec_.options.filter_ticks != 0) return;
   const std::span<const FilterRecord> records = flight_.records();
+  if (fence_ && !records.empty() && records.back().report.fence)
+    fence_->note(vehicle_.racer(), seen.sticks, *records.back().report.fence, records.back().seconds);
   const auto last = std::find_if(records.rbegin(), records.rend(), [](const auto& r) { return r.report.moving; });
   if (last == records.rend()) return;
   const Command& c = decision.command;
@@ -184,6 +198,7 @@ void Trial::step(std::int64_t index) {
   const State& x = vehicle_.state();
   log_.path_length_m += norm(x.p - before.p);
   log_.max_speed_m_s = std::max(log_.max_speed_m_s, norm(x.v));
+  if (fence_) fence_->advance(before.p, x.p);
   if (spec_.rules.keeps_path) append(log_.path, x.p);
   if (world_.size() == 0) return;
   world_.advance(h, before);
@@ -206,12 +221,12 @@ End Trial::judged(const Decision& decision) {
   const SimulationRules& rules = spec_.rules;
   const Mission& m = task_.mission;
   const State& x = vehicle_.state();
-  const double now = static_cast<double>(log_.ticks) * spec_.options.dt_s;
+  const double now = static_cast<double>(log_.ticks) * spec_.options.dt_s, speed = norm(x.v);
+  // also NaN, which distances would not reveal
+  if (fence_ && !(speed < kFastest)) throw std::overflow_error(kDiverges);
   if (!is_finite(x) || !within(x.p, rules.lower, rules.upper)) return End::refused;
   if (decision.is_refused && rules.ends_when_refused) return End::refused;
-  const double speed = norm(x.v);
-  if (!(speed < kFastest))
-    throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
+  if (!(speed < kFastest)) throw std::overflow_error(kDiverges);
   const bool is_over =
       log_.ticks >= static_cast<std::int64_t>(std::ceil(task_.max_time_s / spec_.options.dt_s * (1 - 1e-7)));
   if (!is_over && have_receded(now)) return End::passed;
@@ -230,7 +245,8 @@ End Trial::judged(const Decision& decision) {
 
 SimulatedFlight Trial::fly() {
   const int steps = spec_.rules.plant_steps;
-  vehicle_.reset(task_.start);
+  vehicle_.reset(task_.start, task_.attitude);
+  if (fence_) fence_->begin(task_.start.p);
   const Vec3 mean = task_.expected_velocity.value_or(mean_velocity());
   const Vec3 way = task_.mission.kind == MissionKind::goal ? goal() - task_.start.p : mean;
   const double length = std::hypot(way.x, way.y), dt = spec_.options.dt_s;
@@ -238,7 +254,7 @@ SimulatedFlight Trial::fly() {
   encounters_.begin(world_.size());
   const bool keeps_ticks = spec_.rules.keeps_ticks;
   if (spec_.rules.keeps_path) append(log_.path, task_.start.p);
-  if (keeps_ticks) append(log_.state, task_.start), log_.track_start.push_back(0);
+  if (keeps_ticks) note_state(), log_.track_start.push_back(0);
   Vec3 last_v = task_.start.v, older_v = last_v;
   double jerk = 0;
   while (log_.end == End::flying) {
@@ -249,11 +265,12 @@ SimulatedFlight Trial::fly() {
     const Decision& decision = flight_.decide();
     const float seconds = std::chrono::duration<float>(Clock::now() - begin).count();
     if (keeps_ticks) note(seen, decision, seconds);
-    watch(decision, now);
+    watch(seen, decision, now);
     flight_.sent();
     vehicle_.command(decision.command);
     for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
     vehicle_.end_tick();
+    if (fence_) fence_->end_tick(vehicle_.state().v);
     const Vec3 v = vehicle_.state().v;
     if (log_.ticks > 0) {
       const double change = norm(v - 2 * last_v + older_v) / (dt * dt);
@@ -262,11 +279,13 @@ SimulatedFlight Trial::fly() {
     }
     older_v = last_v, last_v = v;
     ++log_.ticks;
-    if (keeps_ticks) append(log_.state, vehicle_.state());
+    if (keeps_ticks) note_state();
     log_.end = judged(decision);
   }
   log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
+  log_.last = vehicle_.state();
   log_.encounters = encounters_.finish();
+  if (fence_) log_.fence = fence_->finish();
   return std::move(log_);
 }
 
@@ -274,6 +293,8 @@ SimulatedFlight Trial::fly() {
 
 void check(const SimulationSpec& spec) {
   check(spec.vehicle), check(spec.moving);
+  if (spec.fence != nullptr && spec.vehicle.model != VehicleModel::racer)
+    throw std::invalid_argument("flights of a racer are judged by a geofence");
   const SimulationRules& r = spec.rules;
   const FlightOptions& o = spec.options;
   const bool good = o.dt_s >= 1e-4 && o.dt_s <= 1 && r.plant_steps >= 1 && r.plant_steps <= 1000 &&

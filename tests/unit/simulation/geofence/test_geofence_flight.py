@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
+from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from support import racer_model as model
 
 WALL = ((-100.0, -100.0, 0.0), (40.0, 100.0, 100.0))
@@ -17,15 +18,18 @@ def at(x, z):
 
 def fly(box, pilot="straight", *, start=None, starts=None, options=None, rules=None, parameters=None, **how):
     kind, details = pilot if isinstance(pilot, tuple) else (pilot, {})
-    spec = _core.GeofenceSpec(
+    given = rules or {}
+    losses = {key: value for key, value in given.items() if key.endswith(("from_s", "for_s"))}
+    flights = FenceFlights(
         options=_core.RacerOptions(**(options or {})),
         pilot=_core.Pilot(kind, **details),
-        rules=_core.GeofenceRules(**(rules or {})),
+        losses=_core.Losses(**losses),
         start=start,
         start_box=starts,
+        **{key: value for key, value in given.items() if key not in losses},
     )
     geofence = _core.Geofence(_core.Fence(box=box), _core.RacerModel(), parameters or {})
-    return _core.fly_in_fences(spec, geofence, **how)
+    return fly_trials(flights, geofence, **how)
 
 
 def tilt_deg(states):
@@ -34,7 +38,7 @@ def tilt_deg(states):
 
 @pytest.fixture(scope="module")
 def wall():
-    return fly(WALL, start=at(0, 50), keeps_trace=True, parameters={"reserve_m": 0.25})[0]
+    return fly(WALL, start=at(0, 50), keeps_ticks=True, parameters={"reserve_m": 0.25})[0]
 
 
 def test_the_wall_of_the_paper_is_met_at_100_km_h_and_not_passed(wall):
@@ -52,7 +56,7 @@ def test_the_wall_of_the_paper_is_met_at_100_km_h_and_not_passed(wall):
 
 def test_braking_is_measured_to_the_wall_and_not_to_the_floor_that_is_nearer():
     """The floor is 20 m below the start, the wall 40 m ahead of it."""
-    log = fly(((-100.0, -100, 0), (40.0, 100, 100)), start=at(0, 20), keeps_trace=True)[0]
+    log = fly(((-100.0, -100, 0), (40.0, 100, 100)), start=at(0, 20), keeps_ticks=True)[0]
     first = int(np.argmax(log["figure"][:, 0] < 0.5))
     x, z = log["state"][first, 0], log["state"][first, 2]
     assert log["brake_distance_m"] == pytest.approx(40 - x, abs=1e-9)
@@ -75,7 +79,7 @@ def test_it_reaches_150_km_h_and_stops_as_well():
 
 @pytest.mark.parametrize("reserve", [0.0, 1.25])
 def test_the_fall_from_70_m_ends_above_the_ground(reserve):
-    log = fly(GROUND, "fall", start=at(0, 70), keeps_trace=True, parameters={"reserve_m": reserve})[0]
+    log = fly(GROUND, "fall", start=at(0, 70), keeps_ticks=True, parameters={"reserve_m": reserve})[0]
     assert log["max_speed_m_s"] * 3.6 > 60
     assert log["min_distance_m"] > reserve
     assert log["min_distance_m"] < reserve + 0.3
@@ -120,7 +124,7 @@ def test_no_pilot_leaves_the_fence(pilot):
 
 @pytest.mark.parametrize("pilot", ["sticks", "aggressive"])
 def test_the_pilots_share_does_not_go_to_and_fro(pilot):
-    logs = fly(ROOM, pilot, starts=STARTS, count=8, seed=1, rules={"duration_s": 8}, keeps_trace=True)
+    logs = fly(ROOM, pilot, starts=STARTS, count=8, seed=1, rules={"duration_s": 8}, keeps_ticks=True)
     jumps = np.concatenate([np.abs(np.diff(log["figure"][:, 0])) for log in logs])
     assert (jumps > 1e-3).any()
     assert (jumps > 0.15).mean() < 2e-3
@@ -145,7 +149,7 @@ def test_flights_are_a_function_of_seed_and_trial():
 
 
 def test_the_radio_comes_back():
-    log = fly(WALL, start=at(0, 50), keeps_trace=True, rules={"radio_from_s": 0.8, "radio_for_s": 2.0})[0]
+    log = fly(WALL, start=at(0, 50), keeps_ticks=True, rules={"radio_from_s": 0.8, "radio_for_s": 2.0})[0]
     status = log["status"]
     assert log["no_pilot"] == (status == 3).sum() == 800
     assert np.isnan(log["pilot"][status == 3]).all()
@@ -157,10 +161,10 @@ def test_the_radio_comes_back():
 
 
 def test_a_short_outage_of_navigation_is_bridged_and_a_long_one_handed_over():
-    short = fly(WALL, start=at(0, 50), rules={"stale_from_s": 1.0, "stale_for_s": 0.25})[0]
+    short = fly(WALL, start=at(0, 50), rules={"from_s": 1.0, "for_s": 0.25})[0]
     assert short["hand_over"] == 0
     assert short["min_distance_m"] > 0
-    long = fly(WALL, start=at(-50, 50), keeps_trace=True, rules={"stale_from_s": 1.0, "stale_for_s": 3.0})[0]
+    long = fly(WALL, start=at(-50, 50), keeps_ticks=True, rules={"from_s": 1.0, "for_s": 3.0})[0]
     assert long["hand_over"] == pytest.approx((3.0 - 0.3) / 0.0025, abs=2)
     blind = long["status"] == 4
     assert tilt_deg(long["state"][blind])[400:].max() < 1
@@ -202,9 +206,9 @@ def test_a_reserve_makes_up_for_what_the_model_leaves_out(options, reserve):
     [
         lambda: _core.Pilot("reckless"),
         lambda: _core.Pilot("straight", tilt_rad=2.0),
-        lambda: _core.GeofenceRules(duration_s=0.0),
-        lambda: _core.GeofenceRules(rule="maybe"),
-        lambda: _core.GeofenceSpec(),
+        lambda: fly(ROOM, start=at(0, 20), rules={"duration_s": 0.0}),
+        lambda: fly(ROOM, start=at(0, 20), rules={"plant_steps": 0}),
+        lambda: fly(ROOM),
         lambda: fly(ROOM, starts=((100.0, 100, 100), (101.0, 101, 101))),
     ],
 )

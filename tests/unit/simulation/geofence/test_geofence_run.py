@@ -18,6 +18,7 @@ from alula.stages.runlog.maps import SHOWN_BEYOND_M, fence_shell
 from alula.stages.runlog.schemas import FENCE_CHANNELS, SCHEMAS
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.geofence import simulate as stage
+from alula.stages.simulation.geofence.flights import fly_trials
 from alula.stages.simulation.geofence.simulate import FlownChunk, Times, fly_in_fence, worst_trial
 from alula.stages.simulation.geofence.summary import fence_guarantee, fence_summary, fence_timing
 from alula.stages.simulation.geofence.world import native_world
@@ -64,7 +65,7 @@ def test_a_motion_that_diverges_is_no_flight():
 
 def test_trials_are_those_of_the_native_flights(room):
     world = native_world(scenario(), RACER, None)
-    logs = _core.fly_in_fences(world.spec, world.filter, seed=5, count=10)
+    logs = fly_trials(world.spec, world.filter, seed=5, count=10)
     assert [t.map_clearance_m for t in room.trials] == [log["min_distance_m"] for log in logs]
     assert [t.fence.interventions for t in room.trials] == [log["interventions"] for log in logs]
     assert all(t.steps == 600 for t in room.trials)
@@ -77,7 +78,7 @@ def test_trials_are_those_of_the_native_flights(room):
 
 def test_path_and_jerk_are_those_of_the_states():
     world = native_world(scenario(), RACER, None)
-    log = _core.fly_in_fences(world.spec, world.filter, seed=5, keeps_trace=True)[0]
+    log = fly_trials(world.spec, world.filter, seed=5, keeps_ticks=True)[0]
     states = log["state"]
     length = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1).sum()
     assert log["path_length_m"] == pytest.approx(length, rel=5e-3)
@@ -123,13 +124,13 @@ def test_flights_that_cannot_differ_are_flown_once():
 
 def test_no_more_than_one_chunk_of_traces_is_flown_at_once(monkeypatch):
     asked = []
-    flies = _core.fly_in_fences
+    flies = stage.fly_trials
 
     def counted(*args, **how):
-        asked.append((how["keeps_trace"], how["count"]))
+        asked.append((how["keeps_ticks"], how["count"]))
         return flies(*args, **how)
 
-    monkeypatch.setattr(stage._core, "fly_in_fences", counted)
+    monkeypatch.setattr(stage, "fly_trials", counted)
     run = fly_in_fence(scenario(trials={"count": 30}, run={"duration_s": 0.1}), RACER, jobs=1)
     assert sum(count for traced, count in asked if traced) == len(run.flights) <= 3
     assert sum(count for _, count in asked) == 31 - (worst_trial(run.trials).index < 2)

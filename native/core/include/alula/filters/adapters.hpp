@@ -69,11 +69,12 @@ class MovingSafety final : public SafetyFilter {
 };
 
 // The onboard geofence, or with `alpha` the backup-set barrier backup-qp. A state that is not known counts as a loss
-// of navigation, and a nominal command without sticks as a silent pilot: then the backup controller flies.
+// of navigation, and a nominal command without sticks as a silent pilot: then the backup controller flies; backup-qp
+// refuses without navigation. With `is_bare` it returns the pilot's command, and refuses where either is missing.
 class FenceFilter final : public SafetyFilter {
  public:
-  explicit FenceFilter(const Geofence& geofence, std::optional<double> alpha = {});
-  FenceFilter(const FenceFilter& other) : FenceFilter(other.geofence_, other.alpha_) {}
+  explicit FenceFilter(const Geofence& geofence, std::optional<double> alpha = {}, bool is_bare = false);
+  FenceFilter(const FenceFilter& other) : FenceFilter(other.geofence_, other.alpha_, other.is_bare_) {}
   FenceFilter& operator=(const FenceFilter&) = delete;
 
   CommandKind kind() const override { return CommandKind::sticks; }
@@ -83,13 +84,17 @@ class FenceFilter final : public SafetyFilter {
   std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<FenceFilter>(*this); }
 
  private:
+  void by_program(const RacerState& x, const RacerCommand& pilot, FilterReport& report);
+
   Geofence geofence_;
   std::optional<double> alpha_;
+  bool is_bare_;
   std::optional<BackupQp> program_;
 };
 
-// The state of the rigid body as that of the racing drone, and back; attitudes are the same.
-RacerState to_racer(const State& x);
+// The state of the rigid body as that of the racing drone, and back; attitudes are the same up to rounding, and to
+// the last bit where `attitude`, the quaternion of x.sigma, is given.
+RacerState to_racer(const State& x, const std::optional<Vec4>& attitude = {});
 State from_racer(const RacerState& x);
 
 }  // namespace alula::flight

@@ -32,6 +32,7 @@ class BackupQp {
  public:
   BackupQp(const Geofence& geofence, double alpha);
 
+  double alpha() const { return alpha_; }
   void reset() { has_hold_ = false; }
   // Throws std::invalid_argument for values that are not finite.
   BackupQpReport filter(const RacerState& x, const RacerCommand& pilot);

@@ -8,6 +8,7 @@
 
 #include "alula/dynamics/quadrotor.hpp"
 #include "alula/dynamics/racer.hpp"
+#include "alula/filters/geofence.hpp"
 #include "alula/filters/moving_filter.hpp"
 #include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
@@ -36,6 +37,8 @@ struct FlightState {
   std::span<const alula_track> tracks;
   Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
   bool is_known = true;    // false: there is no navigation, and the state means nothing
+  // Of a racing quadrotor: the attitude x.sigma as its unit quaternion w, x, y, z, where that is known to all bits.
+  std::optional<Vec4> attitude;
 };
 
 // The state as filters among moving obstacles read it.
@@ -75,8 +78,9 @@ struct FilterReport {
   bool infeasible = false;        // the program has no solution
   bool certified = false;         // the returned input was checked to leave a safe backup manoeuvre
   bool certified_moving = false;  // that manoeuvre is also clear of the tubes of all tracks, as far as they reach
-  std::optional<MovingReport> moving;  // of a filter among moving obstacles
-  std::optional<double> solve_time_s;  // measured by the filter itself; without a value by its caller
+  std::optional<MovingReport> moving;   // of a filter among moving obstacles
+  std::optional<double> solve_time_s;   // measured by the filter itself; without a value by its caller
+  std::optional<GeofenceReport> fence;  // of a filter of sticks
 };
 
 // One per thread. `filter` returns only inputs that it has checked and that are finite.

@@ -67,6 +67,7 @@ struct FlightOptions {
 struct Observation {
   double now_s = 0;
   std::optional<State> measured;  // nothing: none arrived in this tick
+  std::optional<Vec4> attitude;   // of `measured`, as FlightState has it
   std::span<const alula_track> tracks;
   Vec3 position_variance;
   std::optional<RacerCommand> sticks;    // of the pilot
@@ -129,7 +130,8 @@ class Flight {
   CommandKind level_ = CommandKind::acceleration, first_level_ = CommandKind::acceleration;
   ReferencePoint target_, reference_;  // of the mission; of the cascade in this tick,
   TrackingGains gains_;                // with its gains
-  State last_;                         // newest measurement
+  State last_;                         // newest measurement,
+  std::optional<Vec4> attitude_;       // and its attitude
   double now_ = 0, arrived_ = -1;
   std::optional<double> age_;  // of that measurement, if it is known
   bool has_state_ = false, has_target_ = false;

@@ -87,7 +87,8 @@ class SimulatedVehicle {
  public:
   SimulatedVehicle(const VehicleSpec& spec, double dt_s, int plant_steps, const RandomStream& random);
 
-  void reset(const State& x);
+  // `attitude`: of a racer, the quaternion of x.sigma to all bits.
+  void reset(const State& x, const std::optional<Vec4>& attitude = {});
   void command(const Command& command);  // for the tick that begins
   void step();                           // of the plant: plant_steps in a tick
   void end_tick();                       // switches the attitude to |sigma| <= 1
@@ -95,6 +96,9 @@ class SimulatedVehicle {
   const State& state() const { return x_; }
   Vec3 acceleration() const;
   State measured() const;
+  // Of a racing quadrotor.
+  const RacerState& racer() const { return racer_.state(); }
+  std::optional<Vec4> attitude_of(const State& measured) const;  // where nothing disturbed the attitude
   Kinematics kinematics() const { return {x_.p, x_.v, acceleration()}; }
 
  private:

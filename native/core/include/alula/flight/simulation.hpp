@@ -2,8 +2,8 @@
 //
 // Per tick: the sensor measures, unless the measurement is lost; `Flight` decides; the vehicle flies the command in
 // steps, while obstacles move. The encounters with them are measured from the truth at every step, in continuous
-// time. Clearance to static obstacles is judged after the flight from the path. A flight is a function of
-// (seed, trial) and of its parts, except for measured times.
+// time, and so is the distance to the fence of a racer. Clearance to static obstacles is judged after the flight from
+// the path. A flight is a function of (seed, trial) and of its parts, except for measured times.
 //
 // Figures over the whole flight are always kept, its path and a row per tick where the rules say so.
 #pragma once
@@ -16,6 +16,7 @@
 
 #include "alula/base/control.hpp"
 #include "alula/flight/encounter_metrics.hpp"
+#include "alula/flight/fence_metrics.hpp"
 #include "alula/flight/flight.hpp"
 #include "alula/flight/geofence_pilot.hpp"
 #include "alula/flight/moving_world.hpp"
@@ -50,6 +51,7 @@ struct SimulationSpec {
   SimulationRules rules;
   Losses losses;
   MovingSpec moving;
+  const Geofence* fence = nullptr;  // not owned; of a racer: flights are judged by its fence and its limits
 };
 
 // One trial: where it starts and what it shall do.
@@ -59,6 +61,7 @@ struct Task {
   std::optional<Pilot> pilot;
   double max_time_s = 60;
   double stop_distance_m = 0.05;          // of the goal, where it counts as reached
+  std::optional<Vec4> attitude;           // of the start of a racer, as FlightState has it
   std::optional<Vec3> expected_velocity;  // by which obstacles are drawn to meet the vehicle; else the mission's mean
 };
 
@@ -70,9 +73,12 @@ struct SimulatedFlight {
   std::int64_t ticks = 0;
   double path_length_m = 0, max_speed_m_s = 0;   // over the steps of the plant
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity from tick to tick
+  State last;
   EncounterLog encounters;
+  std::optional<FenceLog> fence;
   std::vector<double> path;      // (ticks * plant_steps + 1, 3) [m]
   std::vector<double> state;     // (ticks + 1, 12): p, sigma, v, omega
+  std::vector<double> attitude;  // (ticks + 1, 4) of a racer: quaternion w, x, y, z
   std::vector<double> estimate;  // (ticks, 12)
   std::vector<double> measured;  // (ticks, 12), NaN where it was lost
   std::vector<double> nominal;   // (ticks, 3): velocity or acceleration of the mission; 0 of a pilot
