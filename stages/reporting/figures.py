@@ -27,6 +27,7 @@ from alula.stages.runlog.maps import SHOWN_BEYOND_M
 COLORS = {
     "reached": "#0072b2",
     "passed": "#009e73",
+    "held": "#0072b2",
     "inside": "#0072b2",
     "stuck": "#e69f00",
     "timeout": "#8c6bb1",

@@ -18,6 +18,7 @@ from alula.stages.reporting.material import (
     Run,
     clearance_of,
     coverage,
+    is_composed,
     outcome_of,
     proof,
 )
@@ -83,6 +84,7 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
         settings = _settings(run)
         for trial in run.record.trials:
             kind = 2 if trial.fence is not None else 1 if trial.obstacles is not None else 0
+            kind = 3 if is_composed(trial) else kind
             groups.setdefault((run.record.filter, settings, kind), []).append((run.label, trial))
     several = {name for name, _, _ in groups if len({s for n, s, _ in groups if n == name}) > 1}
     found = []
@@ -105,7 +107,13 @@ def _settings(run: Run) -> str:
 
 def _verdict(trials: Sequence[TrialResult]) -> str:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
-    if any(trial.fence is not None for trial in trials):
+    if any(map(is_composed, trials)):
+        ends = [outcome_of(trial) for trial in trials]
+        stays = "reached" not in ends and ("held" in ends or "passed" in ends)
+        good, word = ends.count("reached"), "reached the goal"
+        if stays:
+            good, word = ends.count("held") + ends.count("passed"), "flew to the end"
+    elif any(trial.fence is not None for trial in trials):
         good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     elif any(trial.obstacles is not None for trial in trials):
         good, word = sum(not trial.collision for trial in trials), "touched nothing"

@@ -15,6 +15,7 @@ OUTCOMES = (
     *(
         "reached",
         "passed",
+        "held",
         "inside",
         "stuck",
         "timeout",
@@ -63,6 +64,15 @@ class Material:
     certificate: Mapping[str, Any] | None = None
     inputs: tuple[InputRef, ...] = ()
     file_bytes: Mapping[str, int] = field(default_factory=dict)
+
+
+def is_composed(trial: TrialResult) -> bool:
+    """Whether a trial is of a scenario of version 2.0, whose parts are chosen each on its own.
+
+    Args:
+        trial: its verdict.
+    """
+    return trial.stale_steps is not None
 
 
 def outcome_of(trial: TrialResult) -> str:

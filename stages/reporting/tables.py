@@ -19,7 +19,15 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import PLAN_OUTCOMES, FenceResult, TrialResult
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
-from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
+from alula.stages.reporting.material import (
+    OUTCOMES,
+    Material,
+    Run,
+    flew_through,
+    is_composed,
+    is_covered,
+    outcome_of,
+)
 from alula.stages.reporting.papers.published import paper_tables
 from alula.stages.reporting.table import Table, csv_cell, flat, text
 
@@ -27,7 +35,7 @@ BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
 _ENDS = {"collision": "collided"}
-_RARE = ("stopped", *PLAN_OUTCOMES)  # shown only where they occur
+_RARE = ("stopped", "held", *PLAN_OUTCOMES)  # shown only where they occur
 _LEVELS = {3: "warning", 4: "error", 5: "fatal"}  # of `foxglove.Log`  # of `foxglove.Log`
 _LISTED_TRIALS = 500  # per run; the CSV lists all
 
@@ -117,6 +125,22 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "steps": steps,
         **{key: count / steps if steps else None for key, count in counts.items()},
         **_among_ellipsoids(run, steps),
+        **_composed(run),
+    }
+
+
+def _composed(run: Run) -> dict[str, Any]:
+    """Rows that only scenarios of version 2.0 have; empty for others."""
+    summary = run.record.summary
+    if not any(map(is_composed, run.record.trials)):
+        return {}
+    return {
+        "minimum clearance inside the fence [m]": summary.get("min_fence_clearance_m"),
+        "minimum clearance to moving obstacles [m]": summary.get("min_moving_clearance_m"),
+        "flights that touched what does not move": summary.get("static_collisions"),
+        "flights that touched a moving obstacle": summary.get("moving_collisions"),
+        "fraction of steps certified against what does not move": summary.get("certified_share_static"),
+        "fraction of steps certified against tubes of tracks too": summary.get("certified_share_moving"),
     }
 
 
