@@ -81,9 +81,12 @@ def outcome_of(trial: TrialResult) -> str:
 
 
 def clearance_of(trial: TrialResult) -> float | None:
-    """Minimum clearance of a trial to map and scene [m]; None when none was computed."""
-    known = [c for c in (trial.map_clearance_m, trial.scene_clearance_m) if c is not None]
-    return min(known, default=None)
+    """Minimum clearance of a trial to all that was judged [m]; None when nothing was."""
+    each = (
+        *(trial.map_clearance_m, trial.scene_clearance_m),
+        *(trial.fence_clearance_m, trial.moving_clearance_m),
+    )
+    return min((clearance for clearance in each if clearance is not None), default=None)
 
 
 def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
-
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
@@ -125,12 +123,3 @@ def box_of_accelerations(vehicle: Vehicle, limit_m_s2: float | None) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if is_flown(middle) else (low, middle)
     return low if limit_m_s2 is None else min(low, limit_m_s2)
-
-
-def spec_values(table: msgspec.Struct) -> dict[str, Any]:
-    """Plain values of a table of options, keys with underscores.
-
-    Args:
-        table: of parameters.
-    """
-    return msgspec.structs.asdict(table)
