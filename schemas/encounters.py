@@ -52,7 +52,7 @@ Source: Mandaokar, Rinner 2025 (arXiv 2512.00462).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -446,15 +446,38 @@ def _check(path: Path, scenario: Encounters) -> None:
     require(scenario.sensor.delay_s <= 10, "sensor.delay_s", "must be at most 10")
     tracker = scenario.tracker
     require(tracker.confirm_hits <= tracker.confirm_scans, "tracker.confirm_hits", "is above confirm_scans")
-    for i, wall in enumerate(scenario.walls):
+    check_walls(scenario.walls, "walls", require)
+    check_moving(scenario.obstacles, "obstacles", require)
+
+
+def check_walls(walls: Sequence[WallTable], where: str, require: Callable[[bool, str, str], None]) -> None:
+    """Check boxes that stand in the way.
+
+    Args:
+        walls: of a scenario.
+        where: path of their key.
+        require: refuses a value, from whether it is good, the path of its key and the rest of the sentence.
+    """
+    for i, wall in enumerate(walls):
         below = all(low < high for low, high in zip(wall.lower_m, wall.upper_m, strict=True))
-        require(below, f"walls[{i}].upper_m", "must be above lower_m on each axis")
-    for i, obstacle in enumerate(scenario.obstacles):
-        where = f"obstacles[{i}]"
+        require(below, f"{where}[{i}].upper_m", "must be above lower_m on each axis")
+
+
+def check_moving(
+    obstacles: Sequence[ObstacleTable], where: str, require: Callable[[bool, str, str], None]
+) -> None:
+    """Check the intervals from which moving obstacles are drawn.
+
+    Args:
+        obstacles: of a scenario.
+        where: path of their key.
+        require: as for `check_walls`.
+    """
+    for i, obstacle in enumerate(obstacles):
         for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
             low, high = interval(getattr(obstacle, key))
-            require(low <= high, f"{where}.{key}", "must be a number, or two that increase")
-        require(interval(obstacle.speed_m_s)[0] >= 0, f"{where}.speed_m_s", "must be >= 0")
+            require(low <= high, f"{where}[{i}].{key}", "must be a number, or two that increase")
+        require(interval(obstacle.speed_m_s)[0] >= 0, f"{where}[{i}].speed_m_s", "must be >= 0")
 
 
 def interval(value: Interval) -> tuple[float, float]:

@@ -34,7 +34,7 @@ dynamics/racer}.hpp the native side. Source: Singletary et al. 2022 (arXiv 2201.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -208,12 +208,7 @@ def _check(path: Path, scenario: FenceScenario) -> None:
     require(fence.cover is None or bool(fence.cover), "fence.cover", "must not be empty")
     is_qp = scenario.filter.name == "backup-qp"
     require(not is_qp or fence.cover is None, "filter.name", "backup-qp knows box and faces, but no cover")
-    for i, face in enumerate(fence.faces):
-        length = math.hypot(*face[:3])
-        require(
-            1e-3 <= length <= 1e3, f"fence.faces[{i}]", f"needs a normal, and n has the length {length:.4g}"
-        )
-        require(abs(face[3]) <= FARTHEST_M * length, f"fence.faces[{i}]", f"is farther than {FARTHEST_M:g} m")
+    check_faces(fence.faces, "fence.faces", require)
     require(bool(scenario.vehicle.file), "vehicle.file", "is needed, a vehicle with a table [throttle]")
     given = trials.start_m is not None
     require(given or trials.start_box_m is not None, "trials", "needs start_m or start_box_m")
@@ -235,6 +230,20 @@ def _check(path: Path, scenario: FenceScenario) -> None:
     )
     ticks = run.duration_s / values.tick_s
     require(ticks <= 1e7, "run.duration_s", f"has {ticks:.3g} ticks of the filter, more than 10,000,000")
+
+
+def check_faces(faces: Sequence[Face], where: str, require: Callable[[bool, str, str], None]) -> None:
+    """Check the half-spaces of a fence.
+
+    Args:
+        faces: (n, d) with n . p <= d inside, of a scenario.
+        where: path of their key.
+        require: refuses a value, from whether it is good, the path of its key and the rest of the sentence.
+    """
+    for i, face in enumerate(faces):
+        length = math.hypot(*face[:3])
+        require(1e-3 <= length <= 1e3, f"{where}[{i}]", f"needs a normal, and n has the length {length:.4g}")
+        require(abs(face[3]) <= FARTHEST_M * length, f"{where}[{i}]", f"is farther than {FARTHEST_M:g} m")
 
 
 def _check_unused(path: Path, scenario: FenceScenario) -> None:

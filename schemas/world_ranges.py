@@ -9,10 +9,10 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.encounters import LARGEST, interval
+from alula.schemas.encounters import LARGEST, check_moving, check_walls
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import GeofenceParameters
-from alula.schemas.geofence import FARTHEST_M, MOST_LATENCY
+from alula.schemas.geofence import FARTHEST_M, MOST_LATENCY, check_faces
 from alula.schemas.toml_file import first_beyond
 from alula.schemas.world_tables import (
     NO_FILTER,
@@ -131,22 +131,12 @@ def check_world_table(table: WorldTable) -> None:
         fence = table.fence
         require(fence.box_m is not None or bool(fence.faces), "world.fence", "needs box_m or faces")
         _check_box("world.fence.box_m", fence.box_m, FARTHEST_M * (1 + 1e-12))
-        for i, face in enumerate(fence.faces):
-            length, where = math.hypot(*face[:3]), f"world.fence.faces[{i}]"
-            require(1e-3 <= length <= 1e3, where, f"needs a normal, and n has the length {length:.4g}")
-            require(abs(face[3]) <= FARTHEST_M * length, where, f"is farther than {FARTHEST_M:g} m")
+        check_faces(fence.faces, "world.fence.faces", require)
     for name in ("moving", "walls"):
         if wrong := first_beyond(msgspec.to_builtins(getattr(table, name)), f"$.world.{name}", LARGEST):
             raise UsageError(f"{wrong} must be below {LARGEST:g}")
-    for i, wall in enumerate(table.walls):
-        below = all(low < high for low, high in zip(wall.lower_m, wall.upper_m, strict=True))
-        require(below, f"world.walls[{i}].upper_m", "must be above lower_m on each axis")
-    for i, obstacle in enumerate(table.moving):
-        where = f"world.moving[{i}]"
-        for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
-            low, high = interval(getattr(obstacle, key))
-            require(low <= high, f"{where}.{key}", "must be a number, or two that increase")
-        require(interval(obstacle.speed_m_s)[0] >= 0, f"{where}.speed_m_s", "must be >= 0")
+    check_walls(table.walls, "world.walls", require)
+    check_moving(table.moving, "world.moving", require)
 
 
 def _check_box(where: str, box: tuple[float, ...] | None, limit: float) -> None:
