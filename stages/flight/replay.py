@@ -19,23 +19,13 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VelocitySetpoint,
 )
-from alula.stages.flight.recorder.samples import numbers_of
+from alula.stages.flight.recorder.samples import ReplaySample, numbers_of
 
 
-class LoggedTick(msgspec.Struct, frozen=True):
-    """A message of the channel `/replay`; see `ReplaySample`."""
+class LoggedTick(ReplaySample, array_like=False):
+    """A message of the channel `/replay`: a sample by names, with the time since the start [s]."""
 
     time_s: float
-    number: int
-    repeats: int
-    age_s: float
-    measured: tuple[float, ...]
-    target: tuple[float, ...]
-    decided: str
-    decided_values: tuple[float, ...]
-    is_own: bool
-    sent: str
-    sent_values: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
