@@ -65,7 +65,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.schemas.filters.values import entries
 from alula.schemas.manifest import VERSION
-from alula.schemas.toml_file import read_toml
+from alula.schemas.toml_file import read_toml, read_tree
 
 SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
@@ -275,6 +275,12 @@ def read_scenario(path: Path) -> Scenario:
         VersionError: it was written for a later major version.
         UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
+    tree = read_tree(path)
+    if "version" not in tree and "map" not in tree:
+        raise UsageError(
+            f"{path}: has neither `version` nor `map`; a scenario of version 2.0 begins with "
+            f'schema = "{SCENARIO_SCHEMA}" and version = "2.0"'
+        )
     scenario = read_toml(path, Scenario, SCENARIO_SCHEMA)
     if scenario.map.cover is None and scenario.map.scene is None:
         raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")

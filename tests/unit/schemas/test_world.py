@@ -114,6 +114,12 @@ def test_only_version_two_is_recognised(write):
         read_world(write("no toml"))
 
 
+@pytest.mark.parametrize("text", ["# cut here", "name = 'x'", "[world]\ncover = 'room.cover'"])
+def test_a_scenario_without_version_and_map_is_told_what_is_missing(write, text):
+    with pytest.raises(UsageError, match="has neither `version` nor `map`; a scenario"):
+        read_world(write(text))
+
+
 CHANGES = [
     ("vehicle.mass_scale", 1.2, lambda s: s.vehicle.mass_scale, 1.2),
     ("safety.cone-ecbf.lambda_", 9, lambda s: s.safety.cone_ecbf.lambda_, 9.0),
