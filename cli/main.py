@@ -26,7 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
     "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
     "plan": ("plan", "Find a smooth collision-free trajectory through a cover."),
-    "simulate": ("simulate.command", "Fly start-goal pairs or a plan behind a safety filter."),
+    "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
     "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
     "scenario": ("scenario", "Show a scenario with all of its values and their sources."),

@@ -20,12 +20,8 @@ Examples:
 
 @click.command(epilog=EXAMPLES)
 @click.argument("file", type=options.input_path(), required=False)
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="PATH=VALUE",
-    help="Replace a value by the path of its key; may be repeated. Names of files are relative to FILE.",
+@options.settings(
+    "Replace a value by the path of its key; may be repeated. Names of files are relative to FILE."
 )
 @click.option(
     "--keys",
@@ -64,15 +60,14 @@ def command(
         return
     if file is None:
         raise UsageError("needs a FILE, or --keys")
-    from alula.cli.simulate.command import setting_of
     from alula.schemas.atomic import write_text
     from alula.schemas.files import printable
-    from alula.schemas.world import read_sources
+    from alula.schemas.world import TEXTS, read_sources
     from alula.schemas.world_check import refusal
     from alula.schemas.world_defaults import vehicle_of
     from alula.schemas.world_text import moved, toml_of, values_of
 
-    read = read_sources(file, dict(setting_of(word) for word in settings))
+    read = read_sources(file, options.settings_of(settings, TEXTS))
     vehicle = vehicle_of(read.scenario, file.parent)
     if (words := refusal(read.scenario, vehicle)) is not None:
         raise UsageError(f"{file}: {words}")

@@ -47,8 +47,8 @@
     fence_m = [-1.0, -1.0, -0.5, 9.0, 7.0, 3.0]
     frame_check = "hand"
 
-Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. Missing keys have the
-default of the command's option.
+Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. `world_upgrade`
+converts such files to version 2.0, whose reader checks the ranges of their values.
 """
 
 from __future__ import annotations
@@ -60,7 +60,6 @@ from typing import Any, Literal
 import msgspec
 
 from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.schemas.filters.values import entries
@@ -74,38 +73,6 @@ DEFAULT_FILTER = "polytope-cbf"
 SCENARIO_FILTERS = ("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")
 
 _HULL_PARAMETERS = entries(PolytopeCbfParameters)
-# Keys of a scenario by the option of `simulate` that replaces them.
-_KEYS = {
-    "--name": "name",
-    "--radius": "vehicle.radius_m",
-    "--speed": "vehicle.v_max_m_s",
-    **{
-        item.metadata.get("option", f"--{item.name}"): f"filter.parameters.{item.name}"
-        for item in dataclasses.fields(SimulateConfig)
-        if item.name in _HULL_PARAMETERS
-    },
-    "--sigma": "map.sigma",
-    "--confidence": "map.confidence",
-    "--inflate": "map.inflation_m",
-    "--plant": "vehicle.plant",
-    "--interface": "vehicle.interface",
-    "--gain": "controller.gain",
-    "--guide": "controller.guide",
-    "--catch-up": "controller.catch_up_m_s",
-    "--pairs": "trials.pairs",
-    "--planned": "trials.planned",
-    "--trials": "trials.count",
-    "--bounds": "trials.bounds_m",
-    "--margin": "trials.margin_m",
-    "--separation": "trials.separation",
-    "--stop-fraction": "trials.stop_fraction",
-    "--dt": "run.dt_s",
-    "--controller-ticks": "run.controller_ticks",
-    "--filter-ticks": "run.filter_ticks",
-    "--max-time": "run.max_time_s",
-    "--via-tolerance": "run.via_tolerance_m",
-    "--log-rate": "run.log_rate_hz",
-}
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -230,42 +197,6 @@ class Scenario(_Table, frozen=True, kw_only=True):
         }
         return {key: value for key, value in values.items() if value is not None}
 
-    def settings(self) -> dict[str, Any]:
-        """Fields of `SimulateConfig` that the file sets."""
-        own = self.filter.name in (None, DEFAULT_FILTER)
-        values: dict[str, Any] = {
-            "name": self.name,
-            "filter": self.filter.name,
-            "radius_m": self.vehicle.radius_m,
-            "speed_m_s": self.vehicle.v_max_m_s,
-            "plant": self.vehicle.plant,
-            "interface": self.vehicle.interface,
-            "sigma": self.map.sigma,
-            "confidence": self.map.confidence,
-            "inflation_m": self.map.inflation_m,
-            "gain": self.controller.gain,
-            "guide": self.controller.guide,
-            "guide_parameters": self.controller.guide_parameters or None,
-            "catch_up_m_s": self.controller.catch_up_m_s,
-            "trials": self.trials.count,
-            "seed": self.trials.seed,
-            "bounds": self.trials.bounds_m,
-            "margin_m": self.trials.margin_m,
-            "separation": self.trials.separation,
-            "stop_fraction": self.trials.stop_fraction,
-            "pairs": self.trials.pairs,
-            "planned": self.trials.planned,
-            "dt_s": self.run.dt_s,
-            "controller_ticks": self.run.controller_ticks,
-            "filter_ticks": self.run.filter_ticks,
-            "max_time_s": self.run.max_time_s,
-            "via_tolerance_m": self.run.via_tolerance_m,
-            "allow_tight": self.run.allow_tight,
-            "log_rate_hz": self.run.log_rate_hz,
-            **(self.filter.parameters if own else {"filter_parameters": self.filter.parameters or None}),
-        }
-        return {key: value for key, value in values.items() if value is not None}
-
 
 def read_scenario(path: Path) -> Scenario:
     """Read a scenario.
@@ -290,12 +221,6 @@ def read_scenario(path: Path) -> Scenario:
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:
         raise UsageError(f"{path}: `$.filter.parameters`: the filter none has no parameters")
-    try:
-        SimulateConfig(**scenario.settings())
-    except UsageError as error:
-        option, _, rest = str(error).partition(" ")
-        where = f"`$.{_KEYS[option]}`" if option in _KEYS else option
-        raise UsageError(f"{path}: {where} {rest}") from error
     return scenario
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+from alula.schemas.artifact import read_manifest
 from alula.schemas.vehicle import (
     FASTBRIDGE,
     BodyTable,
@@ -12,6 +16,12 @@ from alula.schemas.vehicle import (
     TrackingTable,
     Vehicle,
 )
+
+DEFAULT_RADIUS_M = 0.1
+"""Radius of a point that is moved by velocities, without a vehicle or a plan [m]."""
+DEFAULT_SPEED_M_S = 1.0
+PLAN_SPEED_FACTOR = 1.5
+"""Speed limit of a point along a plan, over the plan's speed: leaves room to catch up."""
 
 _CRAZYFLIE21 = Vehicle(
     name="crazyflie21",
@@ -61,3 +71,27 @@ VEHICLES: dict[str, Vehicle] = {
     for vehicle in (_CRAZYFLIE21, FASTBRIDGE, _RACER7, _SINGLE_INTEGRATOR, _DOUBLE_INTEGRATOR)
 }
 """By name."""
+
+
+def point_limits(
+    plan: Path | None, *, radius_m: float | None = None, speed_m_s: float | None = None
+) -> dict[str, float]:
+    """Radius and speed limit of a point that is moved by velocities, as keys of the table `vehicle`.
+
+    Args:
+        plan: that it flies; its values are the default.
+        radius_m: replaces the default [m].
+        speed_m_s: replaces the default [m/s].
+
+    Raises:
+        InputError, ArtifactError: the plan cannot be read.
+    """
+    radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
+    if plan is not None and None in (radius_m, speed_m_s):
+        manifest: Any = read_manifest(plan)
+        radius = float(manifest.radius_m - manifest.margin_m)
+        speed = PLAN_SPEED_FACTOR * float(manifest.speed_m_s)
+    return {
+        "radius_m": radius if radius_m is None else radius_m,
+        "max_speed_m_s": speed if speed_m_s is None else speed_m_s,
+    }

@@ -71,6 +71,9 @@ WORLD_VERSION = "2.0"
 FILES = ("vehicle.file", "world.cover", "world.scene", "mission.plan", "mission.pairs_from")
 """Keys that name files, relative to the scenario's folder."""
 
+TEXTS = ("name", *FILES)
+"""Keys whose values of --set are text as it stands."""
+
 # Keys of which one replaces the other.
 _EITHER = {
     "vehicle.type": "vehicle.file",
@@ -167,13 +170,28 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     is_old = _major(path, tree) < parse_version(WORLD_VERSION)[0]
     if is_old:
         tree = upgraded_tree(path)
+    where = f"{path}, as upgraded to version {WORLD_VERSION}" if is_old else str(path)
     given = msgspec.msgpack.decode(msgspec.msgpack.encode(tree))
+    return Read(changed(tree, where, changes), given, tuple(changes or ()), is_old)
+
+
+def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None = None) -> WorldScenario:
+    """Replace values of plain values, and convert and check them.
+
+    Args:
+        tree: as of TOML; changed in place.
+        where: before the messages, such as the name of the file.
+        changes: as of `read_world`.
+
+    Raises:
+        UsageError: as `decoded`.
+    """
+    known = _filters(tree)
     for key, value in (changes or {}).items():
         _set(tree, key, value)
         if (other := _EITHER.get(key)) is not None and other not in (changes or {}):
             _remove(tree, other)
-    known = {*_filters(given), *_filters(tree)}
-    return Read(decoded(tree, str(path), known), given, tuple(changes or ()), is_old)
+    return decoded(tree, where, known | _filters(tree))
 
 
 def decoded(tree: dict[str, Any], where: str, known: set[str] | None = None) -> WorldScenario:

@@ -7,8 +7,6 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.artifact import read_manifest
-from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
 from alula.schemas.encounters import Encounters, is_encounters, read_encounters
 from alula.schemas.errors import UsageError
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
@@ -16,12 +14,12 @@ from alula.schemas.geofence import FenceScenario, RacerTable, is_fence_scenario,
 from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_SCHEMA, Scenario, read_scenario
 from alula.schemas.toml_file import read_tree
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle, read_vehicle
+from alula.schemas.vehicles import DEFAULT_SPEED_M_S, point_limits
 from alula.schemas.world_tables import NO_FILTER, DisturbanceTable
 
 _AMONG_ELLIPSOIDS = ("safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")
 _MOVING = "dr-acbf"  # all filters among moving obstacles have its parameters
 _PAIRS = 100  # default number of random pairs of version 1
-_PLAN_SPEED_FACTOR = 1.5  # default speed limit of version 1 along a plan, over the plan's speed
 
 Tree = dict[str, Any]
 
@@ -143,11 +141,8 @@ def _point(path: Path, scenario: Scenario) -> tuple[Tree, Tree]:
     own: Tree = {"radius_m": table.radius_m, "max_speed_m_s": table.v_max_m_s}
     if table.file is not None:
         return {"file": table.file} | own, {}
-    radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
-    if scenario.map.plan is not None and None in own.values():
-        plan: Any = read_manifest(path.parent / scenario.map.plan)
-        radius, speed = float(plan.radius_m - plan.margin_m), _PLAN_SPEED_FACTOR * float(plan.speed_m_s)
-    own = {"radius_m": own["radius_m"] or radius, "max_speed_m_s": own["max_speed_m_s"] or speed}
+    plan = None if scenario.map.plan is None else path.parent / scenario.map.plan
+    own = point_limits(plan, radius_m=table.radius_m, speed_m_s=table.v_max_m_s)
     return {"type": "single-integrator"} | own, {}
 
 

@@ -69,13 +69,7 @@ Examples:
     show_default=True,
     help="Origin of the map in the vehicle's local frame, east north up [m].",
 )
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids; may be repeated.",
-)
+@options.settings("Parameter of a filter among ellipsoids; may be repeated.")
 @click.option(
     "--live",
     type=options.Whole(1, 65535),
@@ -120,9 +114,9 @@ def command(
     import math
 
     from alula.cli.fly.flight import fly
+    from alula.cli.fly.inputs import inputs_of, is_among_ellipsoids
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
-    from alula.cli.simulate.command import is_among_ellipsoids, setting_of
     from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.provenance import Provenance, parameters_of
@@ -138,13 +132,13 @@ def command(
     if live is not None:
         require_viser()
     check_log_name(common.output)
-    paths, scenario = _inputs(source, map_path, scene_path, vehicle_path)
+    paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
     if address is None:
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
-        config, filter_parameters={**config.filter_parameters, **dict(setting_of(word) for word in settings)}
+        config, filter_parameters={**config.filter_parameters, **options.settings_of(settings)}
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
     vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
@@ -185,21 +179,6 @@ def command(
     if planned and flown and planned != flown and not common.quiet:
         echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
     fly(mission, link, provenance, common, live)
-
-
-def _inputs(
-    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
-) -> tuple[dict[str, Path], Scenario | None]:
-    """Paths of all inputs by role, and the scenario if there is one."""
-    from alula.cli.simulate.command import inputs_of
-    from alula.schemas.scenario import read_scenario
-
-    paths = inputs_of(source, map_path, scene, vehicle)
-    if "plan" not in paths:
-        raise UsageError(f"{source}: only a plan can be flown; make one with alula plan")
-    if source.suffix != ".toml":
-        return paths, None
-    return paths, read_scenario(source)
 
 
 def _from_scenario(

@@ -162,17 +162,25 @@ class WorldJudge:
         )
 
 
+def static_clearance(trial: TrialResult) -> float:
+    """Minimum clearance of a flight to what does not move, infinite without obstacles [m].
+
+    Args:
+        trial: its verdict.
+    """
+    parts = (trial.map_clearance_m, trial.scene_clearance_m, trial.fence_clearance_m)
+    return min((part for part in parts if part is not None), default=math.inf)
+
+
 def worst_clearance(trial: TrialResult) -> float:
     """Minimum clearance of a flight to anything, infinite without obstacles [m].
 
     Args:
         trial: its verdict.
     """
-    parts = (
-        *(trial.map_clearance_m, trial.scene_clearance_m),
-        *(trial.fence_clearance_m, trial.moving_clearance_m),
+    return min(
+        static_clearance(trial), math.inf if trial.moving_clearance_m is None else trial.moving_clearance_m
     )
-    return min((part for part in parts if part is not None), default=math.inf)
 
 
 def hits_static(trial: TrialResult) -> bool:
@@ -181,7 +189,7 @@ def hits_static(trial: TrialResult) -> bool:
     Args:
         trial: its verdict.
     """
-    return is_collision(trial.map_clearance_m, trial.scene_clearance_m, trial.fence_clearance_m)
+    return is_collision(static_clearance(trial))
 
 
 def _finite(points: FloatArray) -> FloatArray:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
+from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, refusal
 from alula.schemas.world_defaults import completed
@@ -42,7 +42,6 @@ WORST = 3  # flights with the least clearance, which are always in the log
 _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
-_PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
@@ -218,7 +217,7 @@ def prepare(
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
-    told = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    told = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
     of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
     filters = safety_filters(full, of_what)
     psi = None
@@ -385,16 +384,16 @@ def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) ->
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
     if mission.kind == "plan" and plan is not None:
         peak = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
-        fast = _PLAN_SPEED_FACTOR * peak
+        fast = PLAN_SPEED_FACTOR * peak
     else:
         peak = (
             mission.speed_m_s
             or (limit if vehicle.model == "single-integrator" and limit else None)
             or (DEFAULT_SPEED_M_S)
         )
-        fast = peak if vehicle.model == "single-integrator" else _PLAN_SPEED_FACTOR * peak
+        fast = peak if vehicle.model == "single-integrator" else PLAN_SPEED_FACTOR * peak
         if mission.planned and vehicle.model == "single-integrator":
-            peak /= _PLAN_SPEED_FACTOR
+            peak /= PLAN_SPEED_FACTOR
     if vehicle.model == "double-integrator":
         return peak, math.inf if limit is None else limit
     return peak, fast if limit is None else min(fast, limit)

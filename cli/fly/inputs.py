@@ -1,0 +1,86 @@
+"""Files that `alula fly` reads, and the obstacles that a filter sees in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from alula.schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    from alula.schemas.scenario import Scenario
+
+
+def inputs_of(
+    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
+) -> tuple[dict[str, Path], Scenario | None]:
+    """Paths of all inputs by role, and the scenario if there is one; its files are relative to its folder.
+
+    Args:
+        source: scenario or plan.
+        map_path: cover or scene of --map.
+        scene: scene of --scene.
+        vehicle: file of --vehicle.
+
+    Raises:
+        WrongKindError: a file is of another kind.
+        UsageError: the files do not go together, or there is no plan.
+    """
+    from alula.cli.sources import map_role, source_files
+    from alula.schemas.scenario import read_scenario
+
+    scenario = None
+    if source.suffix == ".toml":
+        scenario = read_scenario(source)
+        table = scenario.map
+        named = {
+            "cover": table.cover,
+            "scene": table.scene,
+            "plan": table.plan,
+            "vehicle": scenario.vehicle.file,
+        }
+        paths = {role: source.parent / name for role, name in named.items() if name is not None}
+        paths["scenario"] = source
+        if map_path is not None:
+            paths[map_role(map_path)] = map_path
+        if scene is not None:
+            paths["scene"] = scene
+    else:
+        paths = source_files(source, map_path, scene)
+    if vehicle is not None:
+        paths["vehicle"] = vehicle
+    if "plan" not in paths:
+        raise UsageError(f"{source}: only a plan can be flown; make one with alula plan")
+    return paths, scenario
+
+
+def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
+    """Decide by the filter between flights by rates or accelerations (True) and by velocities among hulls.
+
+    The filter `none` takes the cover if there is one.
+
+    Args:
+        name: of the filter.
+        paths: files by role.
+
+    Raises:
+        UsageError: there is no such filter, or its map is missing.
+    """
+    from alula.schemas.world_check import TRACKING
+    from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
+    from alula.stages.filtering.registry import FLIES_AMONG_HULLS, NO_FILTER, filter_kind
+
+    if name == NO_FILTER:
+        return "cover" not in paths
+    kind = filter_kind(name)
+    if name in TRACKING or kind == "sticks":
+        raise UsageError(f"{name} is simulated only, in a scenario of version 2.0; see alula scenario")
+    if kind != "velocity":
+        if "scene" not in paths and not (name in FLIES_AMONG_HULLS and "cover" in paths):
+            raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")
+        return True
+    if "cover" not in paths:
+        others = ", ".join(ELLIPSOID_FILTERS)
+        raise UsageError(f"{name} needs a cover, for its hulls; in a scene --filter is {others} or none")
+    return False

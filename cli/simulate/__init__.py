@@ -1,1 +1,0 @@
-"""`alula simulate`."""

@@ -1,0 +1,78 @@
+"""Scenario that stands for a cover, a scene or a plan on a command line: values that a file would have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from alula.schemas.filter_options import FILTERS
+from alula.schemas.foreign_filters import foreign_filter, kind_of
+from alula.schemas.vehicles import VEHICLES, point_limits
+from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.world_tables import NO_FILTER
+
+IN_A_COVER, IN_A_SCENE = "polytope-cbf", "cone-backup"
+"""Filters where none is chosen."""
+
+_LOGGED = 1000  # first flights in the log, besides the worst ones
+
+
+def source_tree(
+    files: Mapping[str, Path],
+    *,
+    filters: Sequence[str] | None = None,
+    vehicle: str | None = None,
+    speed_m_s: float | None = None,
+) -> dict[str, Any]:
+    """Plain values of a scenario in which a cover or a scene is flown through, or a plan is flown.
+
+    Args:
+        files: `cover`, `scene`, `plan`; at least one of the first two.
+        filters: names; default: `IN_A_COVER`, or `IN_A_SCENE` where there is no cover.
+        vehicle: name of a built-in vehicle, or a file; default: the one that the filters are made for, a
+            point moved by velocities or accelerations, a racer or the quadrotor of FastBridge.
+        speed_m_s: of the mission, or limit of the point.
+
+    Raises:
+        InputError, ArtifactError: the plan cannot be read.
+        UsageError: there is no such filter.
+    """
+    names = list(filters or ()) if filters is not None else [IN_A_COVER if "cover" in files else IN_A_SCENE]
+    names = [name for name in names if name != NO_FILTER]
+    mission: dict[str, Any] = {"kind": "plan" if "plan" in files else "pairs"}
+    if "plan" in files:
+        mission["plan"] = str(files["plan"])
+    flown = vehicle_table(vehicle) if vehicle is not None else {"type": _made_for(names, "cover" in files)}
+    if vehicle is None and flown["type"] == "single-integrator":
+        flown |= point_limits(files.get("plan"), speed_m_s=speed_m_s)
+    elif speed_m_s is not None:
+        mission["speed_m_s"] = speed_m_s
+    return {
+        "vehicle": flown,
+        "world": {role: str(files[role]) for role in ("cover", "scene") if role in files},
+        "mission": mission,
+        "safety": {"filters": names},
+        "rules": {"logged": _LOGGED},
+    }
+
+
+def vehicle_table(vehicle: str) -> dict[str, Any]:
+    """Values of the table `vehicle` for a built-in vehicle or a file.
+
+    Args:
+        vehicle: a name of `VEHICLES`, or else a file.
+    """
+    return {"type": vehicle} if vehicle in VEHICLES else {"file": vehicle}
+
+
+def _made_for(names: Sequence[str], has_cover: bool) -> str:
+    """Name of the built-in vehicle that filters are made for; without one, of the world."""
+    kinds = {
+        FILTER_COMMANDS.get(name) or kind_of(name, foreign_filter(name, list(FILTERS))) for name in names
+    }
+    if "velocity" in kinds or (not names and has_cover):
+        return "single-integrator"
+    if "sticks" in kinds:
+        return "racer7"
+    return "double-integrator" if names and TRACKING.issuperset(names) else "fastbridge"
