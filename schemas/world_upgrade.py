@@ -79,6 +79,9 @@ def _of_pairs(path: Path, scenario: Scenario) -> Tree:
     count = trials.count or (_PAIRS if table.plan is None else 1)
     splat = _is_among_ellipsoids(name, table.cover)
     vehicle, more = _point(path, scenario) if not splat else _rigid(path, scenario)
+    catch_up = more.pop("catch_up_m_s", None)
+    if scenario.controller.catch_up_m_s is not None:
+        catch_up = scenario.controller.catch_up_m_s
     speed = scenario.vehicle.v_max_m_s
     if splat and table.plan is None and speed is None:
         speed = DEFAULT_SPEED_M_S
@@ -109,7 +112,7 @@ def _of_pairs(path: Path, scenario: Scenario) -> Tree:
                 "gain_per_s": scenario.controller.gain,
                 "guide": scenario.controller.guide,
                 "guide_parameters": scenario.controller.guide_parameters,
-                "catch_up_m_s": scenario.controller.catch_up_m_s or more.pop("catch_up_m_s", None),
+                "catch_up_m_s": catch_up,
             },
         },
         "estimation": more,

@@ -2,9 +2,9 @@
 
 import pytest
 
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.scenario import read_scenario
+from alula.schemas.world import read_world
 
 WHOLE = """
 name = "room"
@@ -47,25 +47,14 @@ def test_every_key_sets_its_parameter(tmp_path):
         "a.scene.npz",
         "a.plan.npz",
     )
-    assert SimulateConfig(**scenario.settings()) == SimulateConfig(
-        name="room",
-        filter="polytope-cbf",
-        radius_m=0.2,
-        speed_m_s=3.0,
-        gain=1.5,
-        beta=5.0,
-        kappa_per_m=50.0,
-        smoothing="paper",
-        trials=7,
-        seed=9,
-        bounds=(0.0, 0.0, 0.0, 1.0, 2.0, 3.0),
-        margin_m=0.1,
-        separation=0.4,
-        stop_fraction=0.02,
-        dt_s=0.02,
-        max_time_s=30.0,
-        log_rate_hz=10.0,
-    )
+    assert (scenario.name, scenario.vehicle.radius_m, scenario.vehicle.v_max_m_s) == ("room", 0.2, 3.0)
+    assert scenario.filter.name == "polytope-cbf"
+    assert scenario.filter.parameters == {"beta": 5, "kappa_per_m": 50.0, "smoothing": "paper"}
+    trials, run = scenario.trials, scenario.run
+    assert (scenario.controller.gain, trials.count, trials.seed) == (1.5, 7, 9)
+    assert trials.bounds_m == (0.0, 0.0, 0.0, 1.0, 2.0, 3.0)
+    assert (trials.margin_m, trials.separation, trials.stop_fraction) == (0.1, 0.4, 0.02)
+    assert (run.dt_s, run.max_time_s, run.log_rate_hz) == (0.02, 30.0, 10.0)
 
 
 def test_flights_among_ellipsoids_have_keys_of_their_own(tmp_path):
@@ -73,26 +62,31 @@ def test_flights_among_ellipsoids_have_keys_of_their_own(tmp_path):
         '[map]\nscene = "s"\n[filter]\nname = "cone-ecbf"\n[controller]\nguide = "cone-di"\n'
         'guide_parameters = { alpha = 2.0 }\ncatch_up_m_s = 0.5\n[trials]\npairs = "blocked"'
     )
-    assert SimulateConfig(**read(tmp_path, text).settings()) == SimulateConfig(
-        filter="cone-ecbf",
-        guide="cone-di",
-        guide_parameters={"alpha": 2.0},
-        catch_up_m_s=0.5,
-        pairs="blocked",
-    )
-    with pytest.raises(UsageError, match=r"`\$\.controller\.catch_up_m_s` must be between"):
-        read(tmp_path, text.replace("0.5", "0"))
+    scenario = read(tmp_path, text)
+    assert (scenario.filter.name, scenario.trials.pairs) == ("cone-ecbf", "blocked")
+    controller = scenario.controller
+    assert (controller.guide, controller.catch_up_m_s) == ("cone-di", 0.5)
+    assert controller.guide_parameters == {"alpha": 2.0}
+    with pytest.raises(UsageError, match=r"\$\.mission\.controller\.catch_up_m_s"):
+        read_world(wrong(tmp_path, text.replace("0.5", "0")))
     with pytest.raises(UsageError, match=r"\$\.trials\.pairs"):
         read(tmp_path, text.replace("blocked", "free"))
 
 
+def wrong(tmp_path, text):
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    return path
+
+
 def test_only_the_cover_is_required(tmp_path):
-    assert SimulateConfig(**read(tmp_path, '[map]\ncover = "c"').settings()) == SimulateConfig()
+    scenario = read(tmp_path, '[map]\ncover = "c"')
+    assert scenario == type(scenario)(map=type(scenario.map)(cover="c"))
 
 
 def test_parameters_of_a_foreign_filter_are_its_own(tmp_path):
     text = '[map]\ncover = "c"\n[filter]\nname = "mine"\nparameters = { depth = 3, mode = "x" }'
-    assert read(tmp_path, text).settings()["filter_parameters"] == {"depth": 3, "mode": "x"}
+    assert read(tmp_path, text).filter.parameters == {"depth": 3, "mode": "x"}
 
 
 @pytest.mark.parametrize(
