@@ -34,7 +34,7 @@ Examples:
   alula simulate room.cover.npz -o sure.run.mcap --filter shield --scene room.scene.npz --set shield_map=hulls
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
   alula simulate two.toml -o two.run.mcap --trials 3000 --set clearance_m=3
-  alula simulate fence.toml -o fence.run.mcap --trials 10000 --set vehicle.mass_scale=1.2 --set reserve_m=2.5
+  alula simulate fence.toml -o fence.run.mcap --trials 10000 --set safety.geofence.reserve_m=2.5
 """
 
 
@@ -113,7 +113,7 @@ def command(
                      none, geofence, backup-qp
 
     Scenarios with [[obstacles]] or [fence] fly --trials trials. Their --set replaces any key, as in
-    --set sensor.rate_hz=40, or a parameter of the filter. An interrupted run leaves OUTPUT.journal; the same
+    --set sensor.rate_hz=40, with [fence] those of version 2.0, or a parameter of the filter. An interrupted run leaves OUTPUT.journal; the same
     command continues from it.
 
     The run's summary and measured times are also written to R.run.json, beside R.run.mcap. Exit code 4: a
@@ -130,7 +130,7 @@ def command(
     from alula.schemas.world import is_world
 
     check_log_name(common.output)
-    if source.suffix == ".toml" and is_world(source):
+    if source.suffix == ".toml" and (is_world(source) or is_fence_scenario(source)):
         from alula.cli.simulate.world import simulate_scenario
 
         if scheduler is not None:
@@ -138,13 +138,6 @@ def command(
         replaced = {"vehicle": vehicle_path, "scene": scene_path, "cover": map_path, "pairs": pairs_path}
         changes = dict(setting_of(word) for word in settings)
         simulate_scenario(context, source, replaced, config, changes, common)
-        return
-    if source.suffix == ".toml" and is_fence_scenario(source):
-        from alula.cli.simulate.geofence import simulate_geofence
-
-        changes = dict(setting_of(word) for word in settings)
-        files = {"vehicle": vehicle_path, "cover": map_path}
-        simulate_geofence(context, source, files, config, changes, scheduler, common)
         return
     if source.suffix == ".toml" and is_encounters(source):
         from alula.cli.simulate.encounters import simulate_encounters
