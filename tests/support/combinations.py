@@ -173,9 +173,7 @@ def _faults_of_words(words: str) -> list[str]:
     return faults
 
 
-def _faults_of_flight(
-    log: dict[str, Any], trial: TrialResult, names: list[str], filters: int
-) -> list[str]:
+def _faults_of_flight(log: dict[str, Any], trial: TrialResult, names: list[str], filters: int) -> list[str]:
     faults = [
         f"{key} is not finite"
         for key in ("path", "state", "estimate", "measured", "nominal", "command", "obstacle", "filter_s")
