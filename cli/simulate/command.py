@@ -113,8 +113,8 @@ def command(
                      none, geofence, backup-qp
 
     Scenarios with [[obstacles]] or [fence] fly --trials trials. Their --set replaces any key, as in
-    --set sensor.rate_hz=40, with [fence] those of version 2.0, or a parameter of the filter. An interrupted run leaves OUTPUT.journal; the same
-    command continues from it.
+    --set sensor.rate_hz=40, with [fence] those of version 2.0, or a parameter of the filter. An interrupted
+    run leaves OUTPUT.journal; the same command continues from it.
 
     The run's summary and measured times are also written to R.run.json, beside R.run.mcap. Exit code 4: a
     filtered flight collided with its map or left its fence, or did not fly its plan: to the goal, through all

@@ -102,42 +102,6 @@ class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
         return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
 
-class FenceFlight(_StoredFlight, frozen=True, kw_only=True):
-    """Samples of a flight in a geofence.
-
-    `state` has position, velocity, attitude wxyz and rates, shape (T, 13); `pilot` and `command` throttle and
-    rates, shape (T, 4), NaN without a pilot; `figure` lambda, h_I, the filter's distance, its margin and
-    speed towards the fence, shape (T, 5); `distance` the minimum true one since the sample before,
-    shape (T,).
-    """
-
-    _SHAPES = {"state": (13,), "pilot": (4,), "command": (4,), "figure": (5,), "distance": ()}
-
-    state: bytes
-    pilot: bytes
-    command: bytes
-    figure: bytes
-    distance: bytes
-
-    @classmethod
-    def of(cls, trial: int, flown: dict[str, Any], tick_s: float, rate_hz: float) -> Self:
-        """Sample a native log; see `logged_ticks`.
-
-        Args:
-            trial: its number.
-            flown: arrays by name, a row per tick.
-            tick_s: duration of a tick [s].
-            rate_hz: samples per second.
-        """
-        sample = logged_ticks(len(flown["status"]) - 1, tick_s, rate_hz)
-        nearest = flown["distance"][sample]
-        nearest[1:] = np.minimum(nearest[1:], np.minimum.reduceat(flown["distance"], sample)[:-1])
-        rows = {
-            name: flown[name][sample].tobytes() for name in (*cls._SHAPES, "status") if name != "distance"
-        }
-        return cls(trial=trial, tick=sample.tobytes(), distance=nearest.tobytes(), **rows)
-
-
 class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     """Samples of a flight behind f filters, with n moving obstacles around it.
 
