@@ -226,11 +226,9 @@ def prepare(
     of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
     filters = safety_filters(full, of_what)
     geofence = pilots_geofence(full, of_what)
-    is_judged = geofence is not None and is_fenced(full, of_what)
-    if is_judged and not filters:
-        filters = [
-            _core.FenceFilter(geofence, is_bare=True)
-        ]  # tells the figures of a flight without a filter
+    judging = geofence if is_fenced(full, of_what) else None
+    if judging is not None and not filters:
+        filters = [_core.FenceFilter(judging, is_bare=True)]  # tells the figures of a flight without a filter
     psi = None
     if "polytope-cbf" in names:
         bare = barrier(of_what)
@@ -289,7 +287,7 @@ def prepare(
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
             where="estimation.",
         ),
-        fence=geofence if is_judged else None,
+        fence=judging,
     )
     judge = WorldJudge(
         world=world,
