@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # fence_flights
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.sort(key=sys.path[-1].__eq__)  # last: this file has the name of the package with the firmware
 
@@ -32,7 +33,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.vehicle import Vehicle, read_vehicle
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
+from support.fence_flights import fly_in
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, Any]
@@ -188,16 +189,18 @@ def summary(distance_m: float, speed_m_s: float, min_lambda: float, braking_m: f
 
 def fly_ideally(flight: Flight, model: _core.RacerModel, guard: _core.Geofence, latency_s: float) -> Figures:
     """Fly with the filter's model as the plant: first-order rates, commands delayed by the latency."""
-    flights = FenceFlights(
-        model=model,
-        options=_core.RacerOptions(delay_s=latency_s),
+    (log,) = fly_in(
+        guard,
+        start=flight.state,
         pilot=_core.Pilot(flight.pilot),
         duration_s=flight.duration_s,
-        plant_steps=LOOKS,
+        model=model,
+        options=_core.RacerOptions(delay_s=latency_s),
         losses=_core.Losses(radio_from_s=flight.radio_from_s, radio_for_s=math.inf),
-        start=flight.state,
+        plant_steps=LOOKS,
+        seed=flight.seed,
+        jobs=1,
     )
-    (log,) = fly_trials(flights, guard, seed=flight.seed, jobs=1)
     return summary(log["min_distance_m"], log["max_speed_m_s"], log["min_lambda"], log["brake_distance_m"])
 
 

@@ -7,9 +7,12 @@ case for the map data that a tick caches.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # fence_flights
 
 import numpy as np
 from cycles import cycles_per_instruction
@@ -21,7 +24,7 @@ from alula.schemas.artifact import Artifact
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
+from support.fence_flights import fly_in
 
 FloatArray = NDArray[np.float64]
 WALL = ((-100.0, -100.0, 0.5), (40.0, 100.0, 100.0))
@@ -108,21 +111,23 @@ def record(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[
     """Fly a scene on the host and record its ticks."""
     geofence = _core.Geofence(scene.fence, parameters=scene.parameters)
     is_place = np.ndim(scene.start) == 1
-    start = np.r_[scene.start, 0, 0, 0, 1, np.zeros(6)].astype(float) if is_place else None
-    flights = FenceFlights(
+    (log,) = fly_in(
+        geofence,
+        start=np.r_[scene.start, 0, 0, 0, 1, np.zeros(6)].astype(float) if is_place else None,
+        starts=None if is_place else scene.start,
+        speed_m_s=scene.speed_m_s,
         pilot=scene.pilot,
         duration_s=scene.duration_s,
         losses=_core.Losses(from_s=scene.stale[0], for_s=scene.stale[1]),
-        start=start,
-        start_box=None if is_place else scene.start,
-        start_speed_m_s=scene.speed_m_s,
+        seed=seed,
+        keeps_ticks=True,
+        jobs=1,
     )
-    (log,) = fly_trials(flights, geofence, seed=seed, keeps_ticks=True, jobs=1)
     time = np.arange(len(log["status"])) * float(np.float32(0.0025))
-    states = log["state"].astype(np.float32)
+    states = log["racer"].astype(np.float32)
     states[(time >= scene.stale[0]) & (time < sum(scene.stale))] = np.nan
-    flight = Flight(geofence.config_words, geofence.fence_words, states, log["pilot"].astype(np.float32))
-    values = np.hstack([log["command"], log["figure"]]).astype(np.float32)
+    flight = Flight(geofence.config_words, geofence.fence_words, states, log["sticks"].astype(np.float32))
+    values = np.hstack([log["command"][:, 7:], log["figure"]]).astype(np.float32)
     return flight, log["status"].astype(np.int64), values
 
 

@@ -275,12 +275,21 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     if common.quiet:
         return
     echo(f"{common.output}: {status}")
-    shown = {key: value for key, value in summary.items() if value is not None and key != "notes"}
+    shown = {key: value for key, value in _flat(summary) if value is not None and key != "notes"}
     width = max((len(key) for key in shown), default=0)
     for key, value in shown.items():
         echo(f"  {key:<{width}}  {plain(value)}")
     for note in summary.get("notes", ()):
         echo(f"note: {note}", err=True)
+
+
+def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Keys and values, those of a nested table after its name and a dot."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{key}.{inner}", found) for inner, found in _flat(value))
+        else:
+            yield key, value
 
 
 @contextmanager

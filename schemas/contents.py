@@ -23,6 +23,30 @@ _Whole = Annotated[int, Meta(ge=0, le=2**53)]
 _Fraction = Annotated[float, Meta(ge=0, le=1)]
 
 
+class FenceSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """Figures of a pilot's flights in a fence, within the summary of a run."""
+
+    min_distance_m: _Number
+    violations: _Whole
+    passed: _Whole
+    max_speed_km_h: _NotNegative
+    interventions: _Whole
+    engaged_trials: _Whole
+    blended: _Whole | None = None
+    backup: _Whole | None = None
+    no_pilot: _Whole | None = None
+    hand_over: _Whole | None = None
+    refused: _Whole | None = None
+    altered_passes: _Whole | None = None
+    out_of_range: _Whole | None = None
+    longest_backup_s: _NotNegative | None = None
+    min_lambda: _Number | None = None
+    min_h_i_m: _Number | None = None
+    brake_distance_m: _Number | None = None
+    stop_distance_m: _Number | None = None
+    start_h_i_m: _Number | None = None
+
+
 class RunSummary(msgspec.Struct, frozen=True):
     """Summary of a run."""
 
@@ -43,33 +67,10 @@ class RunSummary(msgspec.Struct, frozen=True):
     blocked_pairs: _Whole | None = None
     inflation_m: _Number | None = None
     holds: _Whole | None = None
+    worst_trial: _Whole | None = None
+    fence: FenceSummary | None = None
     ended_by: str | None = None
     notes: list[str] = []
-
-
-class FenceSummary(RunSummary, frozen=True, kw_only=True):
-    """Summary of a run in a geofence."""
-
-    min_distance_m: _Number
-    violations: _Whole
-    passed: _Whole
-    ticks: _Whole
-    worst_trial: _Whole
-    max_speed_km_h: _NotNegative
-    interventions: _Whole
-    engaged_trials: _Whole
-    blended: _Whole | None = None
-    backup: _Whole | None = None
-    no_pilot: _Whole | None = None
-    hand_over: _Whole | None = None
-    refused: _Whole | None = None
-    altered_passes: _Whole | None = None
-    out_of_range: _Whole | None = None
-    longest_backup_s: _NotNegative | None = None
-    min_lambda: _Number | None = None
-    min_h_i_m: _Number | None = None
-    brake_distance_m: _Number | None = None
-    stop_distance_m: _Number | None = None
 
 
 class RunTiming(msgspec.Struct, frozen=True):
@@ -101,8 +102,16 @@ class FenceShape(msgspec.Struct, frozen=True):
     faces: list[tuple[_Number, _Number, _Number, _Number]] = []
 
 
+class WorldShape(msgspec.Struct, frozen=True):
+    """World of a run, as in its scenario."""
+
+    fence: FenceShape | None = None
+
+
 class RunParameters(msgspec.Struct, frozen=True):
     """Parameters of a run."""
+
+    world: WorldShape | None = None
 
     fence: FenceShape | tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = (
         None  # box of `fly`

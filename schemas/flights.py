@@ -39,6 +39,8 @@ class Flight:
         margin_unit: "m", or the quantity in words.
         status: status that the filter reported, m words.
         regulation: regulation function lambda of a geofence, NaN where unknown, shape (m,); None elsewhere.
+        fence_distance_m: minimum true distance to the fence since the answer before, less the radius, NaN
+            where unknown, shape (m,) [m]; None elsewhere.
     """
 
     time_s: NDArray[np.float64]
@@ -49,6 +51,7 @@ class Flight:
     margin_unit: str
     status: tuple[str, ...]
     regulation: NDArray[np.float64] | None = None
+    fence_distance_m: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,7 @@ class _Safety(msgspec.Struct, gc=False):
     h_m: float | None = None
     margin: float | None = None
     margin_unit: str | None = None  # absent among hulls, where h_m is the margin
+    fence_distance_m: float | None = None
     status_name: str = ""
     regulation: float | None = msgspec.field(default=None, name="lambda")
 
@@ -225,10 +229,20 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         margin=_measured("margin", [a.h_m if a.margin_unit is None else a.margin for a in safety]),
         margin_unit=(safety[0].margin_unit if safety else None) or "m",
         status=tuple(answer.status_name for answer in safety),
-        regulation=None
-        if all(a.regulation is None for a in safety)
-        else np.array([a.regulation for a in safety], np.float64),
+        regulation=_known([a.regulation for a in safety]),
+        fence_distance_m=_known([_fence_distance(a) for a in safety]),
     )
+
+
+def _fence_distance(answer: _Safety) -> float | None:
+    """The distance to a fence; logs before version 2.0 of scenarios had it as margin, beside lambda."""
+    old = answer.regulation is not None and answer.margin_unit == "m"
+    return answer.margin if answer.fence_distance_m is None and old else answer.fence_distance_m
+
+
+def _known(values: list[float | None]) -> NDArray[np.float64] | None:
+    """Convert to an array, None to NaN; None where all are."""
+    return None if all(value is None for value in values) else _measured("distance", values)
 
 
 def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:

@@ -26,9 +26,9 @@
     [run]
     duration_s = 8.0
 
-Every key but the fence, the vehicle's file and the start has a default. docs/theory/geofence.md explains the
-keys, schemas/filters the filter's parameters, and native/core/include/alula/{flight/geofence_flight,
-dynamics/racer}.hpp the native side. Source: Singletary et al. 2022 (arXiv 2201.04331).
+Every key but the fence, the vehicle's file and the start has a default. Such scenarios are upgraded to
+version 2.0 to be flown, whose keys docs/theory/geofence.md explains. Source: Singletary et al. 2022 (arXiv
+2201.04331).
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
-    """Flight in a geofence; steps are ticks of its filter, None stands for an event that did not occur.
+    """Flight by a pilot in a fence; steps are ticks of its filter, None an event that did not occur.
 
     `altered_passes` and `out_of_range` are 0 for a filter that works.
 
@@ -158,8 +158,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     Encounters with moving obstacles: "passed" means that all obstacles have receded, `map_clearance_m` is
     that of static walls, and `collision` is one with an obstacle or a wall. Flights in a geofence:
-    `map_clearance_m` is the minimum distance to the fence, faces and hulls; `goal_m` is the last position;
-    `collision` means that the flight left the fence.
+    `goal_m` is the last position. Of scenarios before version 2.0, `outcome` was "inside" or "outside", and
+    `map_clearance_m` the minimum distance to the fence, faces and hulls.
 
     Attributes:
         index: number of the trial.
@@ -201,7 +201,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         worst_violation_m_s2: maximum violation of the filter's rows, as an acceleration [m/s^2].
         risk_spent: sum over steps of the risk that the flown rows left; None for filters without such rows.
         mission_risk: sum over windows of the risk of a collision.
-        fence: only in a geofence.
+        fence: only of a pilot in a fence.
         plan: only along a plan.
         fence_clearance_m: minimum clearance inside the faces of a fence; this and what follows only of
             scenarios of version 2.0 [m].
@@ -383,8 +383,12 @@ def _check_record(record: RunRecord) -> None:
     Raises:
         ValueError: a value is missing, of the wrong type or out of range.
     """
-    is_fenced = any(trial.fence is not None for trial in record.trials)
-    contents.check(record.summary, FenceSummary if is_fenced else RunSummary, "summary")
+    contents.check(record.summary, RunSummary, "summary")
+    if any(trial.fence is not None for trial in record.trials):
+        if "worst_trial" not in record.summary:
+            raise ValueError("`summary` has no `worst_trial`")
+        # Scenarios before version 2.0 had the figures of a fence beside the others.
+        contents.check(record.summary.get("fence", record.summary), FenceSummary, "summary.fence")
     contents.check(record.provenance.parameters, RunParameters, "parameters")
     if wild := contents.first_wild(msgspec.to_builtins(record.trials), "trials"):
         raise ValueError(f"`{wild}` is too large to be measured")

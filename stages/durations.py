@@ -1,10 +1,12 @@
-"""Histogram of measured durations, in memory that does not grow with their number."""
+"""Histograms of measured durations, in memory that does not grow with their number."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,81 @@ class Durations:
             fraction: in (0, 1].
         """
         return quantile(self._counts, fraction, self.max_s)
+
+
+class Times(msgspec.Struct, frozen=True, kw_only=True):
+    """Histogram of the measured times of a run, which can be added up: counts by bin, int64, as bytes.
+
+    Attributes:
+        counts: by logarithm, see `counts_of`.
+        calls: their number.
+        total_s, max_s: exact sum and maximum [s].
+        square_s2: exact sum of the squares [s^2].
+        overruns: times longer than a tick.
+    """
+
+    counts: bytes
+    calls: int
+    total_s: float
+    square_s2: float
+    max_s: float
+    overruns: int
+
+    @classmethod
+    def of(cls, seconds: NDArray[np.float32], tick_s: float) -> Self:
+        """Count measured times.
+
+        Args:
+            seconds: shape (C,) [s].
+            tick_s: duration of a tick [s]; longer times are `overruns`.
+        """
+        exact = seconds.astype(np.float64)
+        return cls(
+            counts=counts_of(seconds).tobytes(),
+            calls=len(seconds),
+            total_s=float(exact.sum()),
+            square_s2=float(np.square(exact).sum()),
+            max_s=float(seconds.max(initial=0.0)),
+            overruns=int((seconds > tick_s).sum()),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Times]) -> Self:
+        """Add up histograms, at least one.
+
+        Args:
+            parts: of parts of a run.
+        """
+        counts = sum((np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(BINS, np.int64))
+        return cls(
+            counts=counts.tobytes(),
+            calls=sum(part.calls for part in parts),
+            total_s=math.fsum(part.total_s for part in parts),
+            square_s2=math.fsum(part.square_s2 for part in parts),
+            max_s=max(part.max_s for part in parts),
+            overruns=sum(part.overruns for part in parts),
+        )
+
+    def quantile(self, fraction: float) -> float:
+        """Quantile of the times, to 1.2 % [s].
+
+        Args:
+            fraction: of the times that are at most this one, in (0, 1].
+
+        Raises:
+            ValueError: there is none.
+        """
+        return quantile(np.frombuffer(self.counts, np.int64), fraction, self.max_s)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean [s]; 0 without any."""
+        return self.total_s / self.calls if self.calls else 0.0
+
+    @property
+    def std_s(self) -> float:
+        """Standard deviation [s]; 0 without any."""
+        return math.sqrt(max(0.0, self.square_s2 / self.calls - self.mean_s**2)) if self.calls else 0.0
 
 
 def counts_of(seconds: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -32,26 +32,48 @@ def fence_filter(name: str, world: FilterWorld, given: Mapping[str, Any]) -> Nat
         parameters = msgspec.convert({"tick_s": world.dt_s} | dict(given), GeofenceParameters)
     except msgspec.ValidationError as error:
         raise UsageError(f"{name}: {error}") from error
+    keeps_out = name == _OUT_OF_COVERS
+    native = native_geofence(name, world, parameters, has_regulation=keeps_out, keeps_out=keeps_out)
+    try:
+        made = _core.FenceFilter(native, None if keeps_out else parameters.alpha)
+    except ValueError as error:
+        raise UsageError(f"{name}: {error}") from error
+    return NativeFilter(made, msgspec.structs.asdict(parameters))
+
+
+def native_geofence(
+    name: str, world: FilterWorld, parameters: GeofenceParameters, *, has_regulation: bool, keeps_out: bool
+) -> _core.Geofence:
+    """Build the native geofence of a filter, or of a judge.
+
+    Args:
+        name: of the filter, for messages.
+        world: with a racer.
+        parameters: all but the radius.
+        has_regulation: without a regulation function beta has no meaning; one that is too high is lowered.
+        keeps_out: it also keeps out of the hulls of the cover, where the world has their image.
+
+    Raises:
+        UsageError: a parameter is without meaning, or there is no racer.
+    """
     if world.racer is None:
         raise UsageError(f"{name}: flying by throttle and rates needs a vehicle with a table [throttle]")
     values = msgspec.structs.asdict(parameters)
-    alpha = values.pop("alpha")
-    keeps_out = name == _OUT_OF_COVERS and bool(world.image)
+    del values["alpha"]
+    has_cover = keeps_out and bool(world.image)
     try:
         where = _core.Fence(
             box=world.fence_box,
             faces=np.ascontiguousarray(world.fence_faces) if len(world.fence_faces) else None,
-            image=world.image if keeps_out else None,
-            keep_out=world.polytopes if keeps_out else None,
+            image=world.image if has_cover else None,
+            keep_out=world.polytopes if has_cover else None,
         )
-        if name != _OUT_OF_COVERS:  # it has no regulation function
+        if not has_regulation:
             values["beta"] = min(values["beta"], _core.Geofence.conditions(world.racer, values)["most_beta"])
         options = values | {"radius_m": world.keeps(world.fence_radius_m)}
-        native = _core.Geofence(where, world.racer, options)
-        made = _core.FenceFilter(native, None if name == _OUT_OF_COVERS else alpha)
+        return _core.Geofence(where, world.racer, options)
     except (ValueError, TypeError, OverflowError) as error:
         raise UsageError(f"{name}: {error}") from error
-    return NativeFilter(made, msgspec.structs.asdict(parameters))
 
 
 def _factory(name: str) -> Callable[[FilterWorld, Mapping[str, Any]], NativeFilter]:

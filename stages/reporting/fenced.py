@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.run import FenceResult, TrialResult
-from alula.stages.reporting.material import Run
+from alula.stages.reporting.material import Run, outcome_of
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
 
@@ -28,15 +29,28 @@ def is_fenced(run: Run) -> bool:
     return any(trial.fence is not None for trial in run.record.trials)
 
 
+def fence_figures(run: Run) -> dict[str, Any]:
+    """Figures of the fence in a run's summary; before scenarios of version 2.0 they stood beside others."""
+    summary = run.record.summary
+    found: dict[str, Any] = summary.get("fence", summary)
+    return found
+
+
+def fence_distance(trial: TrialResult) -> float:
+    """Minimum distance of a flight to its fence, faces and hulls, infinite where unknown [m]."""
+    known = [each for each in (trial.map_clearance_m, trial.fence_clearance_m) if each is not None]
+    return min(known, default=math.inf)
+
+
 def fence_rows(run: Run) -> dict[str, Any]:
     """Rows of the table of runs for a run in a geofence, after filter, vehicle and trials."""
-    summary, trials = run.record.summary, run.record.trials
+    summary, trials = fence_figures(run), run.record.trials
     ticks = sum(trial.steps for trial in trials)
     counts = {f"fraction of ticks: {name.replace('_', ' ')}": summary.get(name) for name in _COUNTS}
     return {
         "left the fence": summary.get("violations"),
         "minimum distance to the fence [m]": summary.get("min_distance_m"),
-        "in trial": summary.get("worst_trial"),
+        "in trial": run.record.summary.get("worst_trial"),
         "distance at the first intervention, median [m]": summary.get("brake_distance_m"),
         "distance when stopped after it, median [m]": summary.get("stop_distance_m"),
         "top speed [km/h]": summary.get("max_speed_km_h"),
@@ -60,8 +74,8 @@ def fence_columns() -> dict[str, Callable[[TrialResult], Any]]:
 
     return {
         "trial": lambda t: t.index,
-        "outcome": lambda t: t.outcome,
-        "minimum distance [m]": lambda t: t.map_clearance_m,
+        "outcome": outcome_of,
+        "minimum distance [m]": fence_distance,
         "top speed [km/h]": lambda t: 3.6 * t.max_speed_m_s,
         "path [m]": lambda t: t.path_length_m,
         "interventions": of(lambda f: f.interventions),
@@ -87,7 +101,8 @@ class FenceShape:
 
 def fence_shape(run: Run) -> FenceShape | None:
     """Box and faces in which a run was flown; None where its parameters have no fence."""
-    table = run.record.provenance.parameters.get("fence")
+    parameters = run.record.provenance.parameters
+    table = parameters.get("world", parameters).get("fence")
     if not isinstance(table, Mapping) or not is_fenced(run):
         return None
     faces = fence_faces(table.get("box_m"), table.get("faces") or ())
@@ -123,10 +138,11 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
             continue
         trial = min(shown, key=_distance_and_index)
         flight = run.flights[trial.index]
+        distance = flight.margin if flight.fence_distance_m is None else flight.fence_distance_m
         regulation = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
         found.append(
             ClosestFlight(
-                run.label, trial, flight.margin_time_s, flight.margin, regulation, flight.status,
+                run.label, trial, flight.margin_time_s, distance, regulation, flight.status,
                 flight.time_s, flight.speed_m_s,
                 trial == min(run.record.trials, key=_distance_and_index),
             )
@@ -135,4 +151,4 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
 
 
 def _distance_and_index(trial: TrialResult) -> tuple[float, int]:
-    return trial.map_clearance_m or 0.0, trial.index
+    return fence_distance(trial), trial.index

@@ -11,7 +11,7 @@ from typing import Any
 
 from alula.schemas.run import TrialResult
 from alula.stages.filtering.registry import NO_FILTER
-from alula.stages.reporting.fenced import is_fenced
+from alula.stages.reporting.fenced import fence_figures, is_fenced
 from alula.stages.reporting.material import (
     NOT_JUDGED,
     Material,
@@ -83,8 +83,8 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
     for run in runs:
         settings = _settings(run)
         for trial in run.record.trials:
-            kind = 2 if trial.fence is not None else 1 if trial.obstacles is not None else 0
-            kind = 3 if is_composed(trial) else kind
+            kind = 3 if is_composed(trial) else 1 if trial.obstacles is not None else 0
+            kind = 2 if trial.fence is not None else kind
             groups.setdefault((run.record.filter, settings, kind), []).append((run.label, trial))
     several = {name for name, _, _ in groups if len({s for n, s, _ in groups if n == name}) > 1}
     found = []
@@ -102,19 +102,19 @@ def _settings(run: Run) -> str:
     parameters = run.record.provenance.parameters
     table = parameters.get("filter")
     inner = table.get("parameters") if isinstance(table, dict) else None
-    return repr((parameters.get("filter_parameters"), inner))
+    return repr((parameters.get("filter_parameters"), inner, parameters.get("safety")))
 
 
 def _verdict(trials: Sequence[TrialResult]) -> str:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
-    if any(map(is_composed, trials)):
+    if any(trial.fence is not None for trial in trials):
+        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
+    elif any(map(is_composed, trials)):
         ends = [outcome_of(trial) for trial in trials]
         stays = "reached" not in ends and ("held" in ends or "passed" in ends)
         good, word = ends.count("reached"), "reached the goal"
         if stays:
             good, word = ends.count("held") + ends.count("passed"), "flew to the end"
-    elif any(trial.fence is not None for trial in trials):
-        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     elif any(trial.obstacles is not None for trial in trials):
         good, word = sum(not trial.collision for trial in trials), "touched nothing"
     else:
@@ -184,19 +184,23 @@ def _run_cards(run: Run) -> list[Card]:
 
 
 def _fence_cards(run: Run) -> list[Card]:
-    summary = run.record.summary
-    minimum, left = float(summary["min_distance_m"]), int(summary["violations"])
-    passed = summary["passed"] / summary["ticks"] if summary["ticks"] else None
+    summary, figures = run.record.summary, fence_figures(run)
+    minimum, left = float(figures["min_distance_m"]), int(figures["violations"])
+    ticks = sum(trial.steps for trial in run.record.trials)
+    passed = figures["passed"] / ticks if ticks else None
     worst = f"trial {summary['worst_trial']}"
-    return [
+    found = [
         Card("left the fence", text(left), _verdict_and_interval(run), left == 0),
         Card("minimum distance to the fence", f"{text(minimum)} m", worst, minimum >= 0),
-        Card("top speed", f"{text(summary['max_speed_km_h'])} km/h"),
+        Card("top speed", f"{text(figures['max_speed_km_h'])} km/h"),
         Card(
-            "interventions", text(summary["interventions"]), f"in {text(summary['engaged_trials'])} flights"
+            "interventions", text(figures["interventions"]), f"in {text(figures['engaged_trials'])} flights"
         ),
         Card("passed unchanged", text(passed), "fraction of ticks with the pilot's command bit for bit"),
     ]
+    if (collisions := summary.get("collisions")) != left:  # with what is no part of the fence
+        found.append(Card("collisions", text(collisions), "with all parts of the world", collisions == 0))
+    return found
 
 
 def chain(material: Material) -> list[tuple[str, str]]:

@@ -76,8 +76,11 @@ def is_composed(trial: TrialResult) -> bool:
 
 
 def outcome_of(trial: TrialResult) -> str:
-    """Outcome of a trial as the report counts it: outside a fence, a collision overrides the flight's end."""
-    return "collision" if trial.collision and trial.fence is None else trial.outcome
+    """Outcome of a trial as the report counts it: a collision overrides the flight's end.
+
+    Runs before version 2.0 of scenarios ended outside a fence, or inside.
+    """
+    return "collision" if trial.collision and trial.outcome != "outside" else trial.outcome
 
 
 def clearance_of(trial: TrialResult) -> float | None:

@@ -108,7 +108,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
     head: dict[str, Any] = {"filter": record.filter, "vehicle": record.vehicle}
     head |= {"hulls of the map": run.hulls, "trials": len(trials)}
     if is_fenced(run):
-        return head | fence_rows(run)
+        return head | fence_rows(run) | _composed(run)
     return {
         **head,
         "success rate": summary.get("success_rate"),

@@ -89,23 +89,6 @@ def fence_entities(faces: FloatArray, paths: list[FloatArray], frame: str) -> li
     return [entity("fence", frame) | shell]
 
 
-def fence_message(
-    faces: FloatArray, keep_out: Hulls | None, paths: list[FloatArray], frame: str
-) -> dict[str, Any]:
-    """`foxglove.SceneUpdate` of a geofence.
-
-    Args:
-        faces: of the polytope to stay in, shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
-        keep_out: hulls to stay out of.
-        paths: flown positions, each of shape (T, 3) [m].
-        frame: name of the frame of all positions.
-    """
-    entities = fence_entities(faces, paths, frame)
-    if keep_out is not None:
-        entities.append(_hulls(keep_out, frame))
-    return scene_message(*entities)
-
-
 def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Surface of the polytope {p : n . p <= d} as triangles; none where it is empty.
 

@@ -22,14 +22,6 @@ ENCOUNTER_CHANNELS = {
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",
 }
-FENCE_CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/path": "foxglove.PosesInFrame",
-    "/pose": "foxglove.PoseInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/log": "foxglove.Log",
-}
 
 
 def _object(**properties: Any) -> dict[str, Any]:
@@ -118,6 +110,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 thrust_nom_n=_NUMBER,
                 torque_nom_body_nm=_VECTOR,
                 **{"lambda": _NUMBER},
+                fence_distance_m=_NUMBER,
                 allowance_m=_NUMBER,
                 towards_m_s=_NUMBER,
                 throttle_nom=_NUMBER,
@@ -130,10 +123,10 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             ),
             "description": "The filter's margin and status, the nominal and the filtered input. Among hulls: "
             "h_m and velocities. Among ellipsoids: the filter's own barrier, not in metres, and "
-            "accelerations. In a geofence: the true distance to it as margin, h_I as h_m after subtracting "
-            "allowance_m, the regulation function lambda, throttles and rates. In a real flight also the "
-            "set-point sent (rates: thrust per mass and body rates; acceleration, velocity: world frame, and "
-            "the yaw) and the time of the filter.",
+            "accelerations. Of a pilot in a geofence: the true distance as fence_distance_m, h_I as h_m "
+            "after subtracting allowance_m, the regulation function lambda, throttles and rates. In a real "
+            "flight also the set-point sent (rates: thrust per mass and body rates; acceleration, velocity: "
+            "world frame, and the yaw) and the time of the filter.",
         },
         "alula.Supervisor": {
             **_object(

@@ -12,6 +12,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.encounters import obstacle_message
 from alula.stages.runlog.maps import world_message
 from alula.stages.runlog.messages import number, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.piloted import pilot_fields
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
 from alula.stages.simulation.result import WorldFlight
@@ -37,8 +38,9 @@ def write_world_log(
 ) -> None:
     """Write the log of the trials that are shown; see `write_trials`.
 
-    `/safety` is the last filter, and `/safety/NAME` each filter of a list of several. `/obstacles` has a
-    sphere for each moving obstacle, and one of twice its radius at each track.
+    `/safety` is the last filter, of a pilot's flight with `pilot_fields`, and `/safety/NAME` each filter of a
+    list of several. `/obstacles` has a sphere for each moving obstacle, and one of twice its radius at each
+    track.
 
     Args:
         stream: binary stream to write to.
@@ -118,6 +120,7 @@ def _logged(
             last |= {"rates_safe_rad_s": xyz(flown), "a_nom_m_s2": xyz(nominal[i])}
         elif interface == "sticks":
             last |= {"throttle_safe": number(command[i, 7]), "rates_safe_rad_s": xyz(command[i, 8:11])}
+            last |= pilot_fields(flight, i)
         else:
             last |= {"a_nom_m_s2": xyz(nominal[i])}
         yield _SAFETY, last
@@ -140,4 +143,5 @@ def _words(trial: TrialResult) -> str:
         "moving obstacles": trial.moving_clearance_m,
     }
     known = [f"{value:.3f} m of {name}" for name, value in parts.items() if value is not None]
-    return f"{words}, minimum clearance {', '.join(known)}" if known else words
+    words += f", minimum clearance {', '.join(known)}" if known else ""
+    return words if trial.fence is None else f"{words}, {trial.fence.interventions} interventions"

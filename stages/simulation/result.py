@@ -102,69 +102,43 @@ class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
         return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
 
-class FenceFlight(_StoredFlight, frozen=True, kw_only=True):
-    """Samples of a flight in a geofence.
-
-    `state` has position, velocity, attitude wxyz and rates, shape (T, 13); `pilot` and `command` throttle and
-    rates, shape (T, 4), NaN without a pilot; `figure` lambda, h_I, the filter's distance, its margin and
-    speed towards the fence, shape (T, 5); `distance` the minimum true one since the sample before,
-    shape (T,).
-    """
-
-    _SHAPES = {"state": (13,), "pilot": (4,), "command": (4,), "figure": (5,), "distance": ()}
-
-    state: bytes
-    pilot: bytes
-    command: bytes
-    figure: bytes
-    distance: bytes
-
-    @classmethod
-    def of(cls, trial: int, flown: dict[str, Any], tick_s: float, rate_hz: float) -> Self:
-        """Sample a native log; see `logged_ticks`.
-
-        Args:
-            trial: its number.
-            flown: arrays by name, a row per tick.
-            tick_s: duration of a tick [s].
-            rate_hz: samples per second.
-        """
-        sample = logged_ticks(len(flown["status"]) - 1, tick_s, rate_hz)
-        nearest = flown["distance"][sample]
-        nearest[1:] = np.minimum(nearest[1:], np.minimum.reduceat(flown["distance"], sample)[:-1])
-        rows = {
-            name: flown[name][sample].tobytes() for name in (*cls._SHAPES, "status") if name != "distance"
-        }
-        return cls(trial=trial, tick=sample.tobytes(), distance=nearest.tobytes(), **rows)
-
-
 class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     """Samples of a flight behind f filters, with n moving obstacles around it.
 
     `state` has position, attitude (MRP), velocity and rates, shape (T, 12), `estimate` what the filters got;
     `nominal` the mission's velocity or acceleration, shape (T, 3); `command` velocity, acceleration or rates
-    (3), wrench (4) and sticks (4); `obstacles` and `tracks` positions, shape (T, n, 3), NaN without a track;
-    `margin` of each filter, shape (T, f); `each_status` and `each_flags` a byte for each filter, the bits of
-    `SimulatedFlight` in native/core.
+    (3), wrench (4) and sticks (4); `sticks` the pilot's, shape (T, 4), NaN without; `obstacles` and `tracks`
+    positions, shape (T, n, 3), NaN without a track; `margin` of each filter, shape (T, f); `each_status` and
+    `each_flags` a byte for each filter, the bits of `SimulatedFlight` in native/core.
+
+    Of a pilot's flight in a fence, else of shape (T, 0): `figure` lambda, h_I, the filter's distance, its
+    margin and speed towards the fence, shape (T, 5); `distance` the minimum true one since the sample before,
+    shape (T, 1); `fence_status` a byte, the number of alula_geofence_status.
     """
 
     _SHAPES = {
-        **{"state": (12,), "estimate": (12,), "nominal": (3,), "command": (11,)},
-        **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,)},
+        **{"state": (12,), "estimate": (12,), "nominal": (3,), "command": (11,), "sticks": (4,)},
+        **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,), "figure": (-1,), "distance": (-1,)},
     }
 
     state: bytes
     estimate: bytes
     nominal: bytes
     command: bytes
+    sticks: bytes
     obstacles: bytes
     tracks: bytes
     margin: bytes
     each_status: bytes
     each_flags: bytes
+    figure: bytes = b""
+    distance: bytes = b""
+    fence_status: bytes = b""
 
     @classmethod
-    def of(cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float) -> Self:
+    def of(
+        cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float, filter_ticks: int = 1
+    ) -> Self:
         """Sample a native log; see `logged_ticks`.
 
         Args:
@@ -172,6 +146,7 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             flown: arrays by name, a row per tick.
             dt_s: duration of a tick [s].
             rate_hz: samples per second.
+            filter_ticks: ticks for which the filters' command is held.
         """
         sample = logged_ticks(len(flown["mark"]) - 1, dt_s, rate_hz)
         status = flown["status"][sample]
@@ -184,11 +159,13 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             estimate=flown["estimate"][sample].tobytes(),
             nominal=flown["nominal"][sample].tobytes(),
             command=flown["command"][sample].tobytes(),
+            sticks=flown["sticks"][sample].tobytes(),
             obstacles=flown["obstacle"][sample].tobytes(),
             tracks=flown["track"][sample].tobytes(),
             margin=flown["margin"][sample].tobytes(),
             each_status=status.tobytes(),
             each_flags=flown["flags"][sample].tobytes(),
+            **(_fence_samples(flown["fence"], sample // filter_ticks) if "fence" in flown else {}),
         )
 
     def mode(self) -> NDArray[np.uint8]:
@@ -200,7 +177,7 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
         """Bytes of a field for each filter, shape (T, f).
 
         Args:
-            name: `each_status` or `each_flags`.
+            name: `each_status`, `each_flags`, or `fence_status` of the fence alone.
         """
         flat = np.frombuffer(getattr(self, name), np.uint8)
         return flat.reshape(len(self.status), -1) if len(flat) else flat.reshape(len(self.status), 0)
@@ -216,6 +193,17 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
         if not len(flat) and -1 in shape:  # no obstacle, no filter
             return flat.reshape(len(self.status), *(0 if size == -1 else size for size in shape))
         return flat.reshape(len(self.status), *shape)
+
+
+def _fence_samples(log: dict[str, Any], at: IntArray) -> dict[str, bytes]:
+    """Samples of a native log of a fence at some of its rows."""
+    nearest = log["distance"][at]
+    nearest[1:] = np.minimum(nearest[1:], np.minimum.reduceat(log["distance"], at)[:-1])
+    return {
+        "figure": log["figure"][at].tobytes(),
+        "distance": nearest.tobytes(),
+        "fence_status": log["status"][at].tobytes(),
+    }
 
 
 @dataclass(frozen=True, slots=True)

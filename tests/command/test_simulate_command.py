@@ -19,7 +19,7 @@ from alula.schemas.provenance import read_provenance
 from alula.schemas.run import RunRecord, read_run, record_path
 
 BLOCKS = np.array([((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))])
-FAST = ["--bounds", "0", "0", "0", "4", "4", "2", "--trials", "3"]
+FAST = ["--set", "mission.bounds_m=0,0,0,4,4,2", "--trials", "3"]
 
 
 def write_cover(path, blocks=BLOCKS):
@@ -87,7 +87,7 @@ def test_a_run_is_written_twice_with_the_same_bytes(cover, tmp_path, capsys):
 
 def test_the_log_holds_what_the_record_says(cover, tmp_path):
     out = tmp_path / "r.run.mcap"
-    assert run(["simulate", str(cover), "-o", str(out), *FAST, "--name", "two blocks"]) == 0
+    assert run(["simulate", str(cover), "-o", str(out), *FAST, "--set", "name=two blocks"]) == 0
     record = read_run(out)
     assert (record.name, record.filter, len(record.trials)) == ("two blocks", "polytope-cbf", 3)
     found = messages(out)
@@ -166,15 +166,22 @@ def test_a_scenario_flies_and_options_replace_its_values(cover, tmp_path, capsys
         "[filter]\nparameters = { beta = 4.0 }\n"
     )
     out = tmp_path / "r.run.mcap"
-    assert run(["simulate", str(scenario), "-o", str(out), "--radius", "0.05", "--trials", "1"]) == 0
+    assert (
+        run(["simulate", str(scenario), "-o", str(out), "--set", "vehicle.radius_m=0.05", "--trials", "1"])
+        == 0
+    )
     record = read_run(out)
     parameters = record.provenance.parameters
     assert (record.name, len(record.trials), record.provenance.seed) == ("mine", 1, 5)
-    assert (parameters["radius_m"], parameters["beta"], parameters["gain"]) == (0.05, 4.0, 2.0)
+    assert parameters["vehicle"]["radius_m"] == 0.05
+    assert parameters["safety"]["polytope-cbf"]["beta"] == 4.0
+    assert parameters["mission"]["controller"]["gain_per_s"] == 2.0
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scenario"]
     scenario.write_text('[map]\ncover = "../two.cover.npz"\n[run]\ndt_s = 0\n')
     assert run(["simulate", str(scenario), "-o", str(out), "-f"]) == 2
-    assert f"{scenario}: `$.run.dt_s` must be between" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert f"{scenario}, as upgraded to version 2.0: " in error
+    assert "`$.rules.dt_s`" in error
 
 
 def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsys):
@@ -182,12 +189,12 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
     out = tmp_path / "r.run.mcap"
     command = ["simulate", str(plan), "--map", str(cover), "-o", str(out)]
     assert run(command) == 2
-    assert "insist with --allow-tight" in capsys.readouterr().err
-    command.append("--allow-tight")
+    assert "mission.allow_tight" in capsys.readouterr().err
+    command += ["--set", "mission.allow_tight=true"]
     for _ in range(2):  # also when the output is there already
         assert run(command) == 4
         error = capsys.readouterr().err
-        assert "1 of 1 filtered flights collided" in error
+        assert "1 of 1 filtered flights touched a static obstacle or left the fence" in error
         assert "trial 0 from (0.950 2.000 1.000), 0.05 m" in error
     assert read_run(out).summary["collisions"] == 1
     # a collision without a filter is only reported
@@ -202,15 +209,22 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
     [
         (["COVER", "-o", "r.npz"], 2, "must end in .mcap"),
         (["COVER", "--map", "COVER"], 2, "is a cover; --map is for plans"),
-        (["COVER", "--via-tolerance", "0.2"], 2, "--via-tolerance is for flights of a plan"),
+        (["COVER", "--set", "mission.allow_tight=true"], 2, "`$.mission.allow_tight`"),
+        (
+            ["COVER", "--set", "radius_m=0.1"],
+            2,
+            "--set radius_m: needs the whole path of a key; is it vehicle.radius_m",
+        ),
+        (["COVER", "--set", "beta=1"], 2, "is it safety.polytope-cbf.beta"),
+        (["COVER", "--set", "bteta=1"], 2, "alula scenario --keys lists all"),
         (["COVER", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf"),
-        (["COVER", "--beta", "101"], 2, "--beta must be at most 1 / dt = 100 at --dt 0.01, not 101"),
-        (["COVER", "--dt", "1"], 2, "--beta must be at most 1 / dt = 1 at --dt 1, not 2"),
-        (["COVER", "--bounds", "0", "0", "0", "1", "0", "1"], 2, "XMIN < XMAX"),
-        (["COVER", "--radius", "3"], 5, "trial 0: no start and goal"),
+        (["COVER", "--set", "safety.polytope-cbf.beta=101"], 2, "`$.safety.polytope-cbf.beta`"),
+        (["COVER", "--set", "rules.dt_s=1"], 2, "`$.safety.polytope-cbf.beta`"),
+        (["COVER", "--set", "mission.bounds_m=0,0,0,1,0,1"], 2, "`$.mission.bounds_m`"),
+        (["COVER", "--set", "vehicle.radius_m=3"], 5, "trial 0: no start and goal"),
         (["COVER", "--scene", "COVER"], 3, "is alula/cover, but alula/scene is needed"),
         (["PLAN"], 2, "needs --map"),
-        (["PLAN", "--map", "COVER", "--trials", "2"], 2, "flown once"),
+        (["PLAN", "--map", "COVER", "--trials", "2"], 2, "all 2 flights would be the same"),
         (["PLAN", "--map", "PLAN"], 3, "is alula/plan, but alula/cover or"),
         (["VOXELS"], 3, "is alula/voxels, but a scenario"),
         (["absent.npz"], 3, "does not exist"),

@@ -1,4 +1,4 @@
-"""`alula simulate` on scenarios with a fence: results, what is recorded, interruption, refusals, report."""
+"""`alula simulate` on a pilot's flights in a fence: results, records, interruption, refusals, report."""
 
 import csv
 import json
@@ -10,10 +10,11 @@ import pytest
 
 from alula.cli import journal as file
 from alula.cli.main import run
+from alula.schemas.filter_options import GeofenceParameters
 from alula.schemas.flights import read_flights
-from alula.schemas.geofence import FenceScenario, FenceTable, GeofenceParameters
 from alula.schemas.run import RunRecord, read_run
-from alula.stages.simulation.geofence import simulate as stage
+from alula.schemas.world_tables import DisturbanceTable, FenceTable, PilotTable
+from alula.stages.simulation.world import simulate as stage
 from support.paths import VEHICLES
 
 RACER = VEHICLES / "racer7.toml"
@@ -72,37 +73,43 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
     assert run(["simulate", "wall.toml", "-o", "wall.run.mcap", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["status"] == "written"
-    golden = {
-        "trials": 1, "success_rate": 1, "collisions": 0, "violations": 0, "min_distance_m": 0.28799,
-        "worst_trial": 0, "max_speed_km_h": 108.602, "interventions": 1, "engaged_trials": 1, "ticks": 2000,
-        "passed": 88, "blended": 1912, "backup": 0, "no_pilot": 0, "hand_over": 0, "refused": 0,
-        "altered_passes": 0, "out_of_range": 0, "longest_backup_s": 0, "min_lambda": 0.0098958,
+    figures = {
+        "violations": 0, "min_distance_m": 0.28799, "max_speed_km_h": 108.602, "interventions": 1,
+        "engaged_trials": 1, "passed": 88, "blended": 1912, "backup": 0, "no_pilot": 0, "hand_over": 0,
+        "refused": 0, "altered_passes": 0, "out_of_range": 0, "longest_backup_s": 0, "min_lambda": 0.0098958,
         "min_h_i_m": 0.0292147, "brake_distance_m": 22.7283, "stop_distance_m": 0.306034,
         "start_h_i_m": 18.9962,
     }  # fmt: skip
+    golden = {
+        "trials": 1, "success_rate": 1, "collisions": 0, "worst_trial": 0, "steps": 2000, "held": 1,
+        "static_collisions": 0, "min_fence_clearance_m": 0.28799, "filtered_steps": 1912,
+    }  # fmt: skip
     summary = said["summary"]
     assert summary.pop("success_interval") is None  # a flight without random numbers repeats itself
-    assert summary.keys() == golden.keys()
-    assert summary == pytest.approx(golden, rel=1e-3)
+    found = summary.pop("fence")
+    assert found.keys() == figures.keys()
+    assert found == pytest.approx(figures, rel=1e-3)
+    assert {key: summary[key] for key in golden} == pytest.approx(golden, rel=1e-3)
     found = record("wall.run.json")
     assert (found.name, found.filter) == ("wall at 100 km/h", "geofence")
-    assert found.vehicle == "racer7, by throttle and rates, radius 0.25 m"
+    assert found.vehicle == "racer7, quadrotor, by sticks, radius 0.25 m"
     assert found.timing["filter_calls"] == 2000
     assert {"filter_p50_s", "filter_p99_s", "filter_max_s", "overruns"} < found.timing.keys()
     trial = found.trials[0]
-    assert (trial.outcome, trial.collision, trial.steps) == ("inside", False, 2000)
+    assert (trial.outcome, trial.collision, trial.steps) == ("held", False, 2000)
     assert trial.path_length_m == pytest.approx(39.96, abs=0.05)
     assert msgspec.structs.replace(found, timing=None) == msgspec.structs.replace(
         read_run(Path("wall.run.mcap")), timing=None
     )
     parameters = found.provenance.parameters
-    assert parameters["filter"]["parameters"]["reserve_m"] == 0.25
-    assert parameters["filter"]["parameters"]["beta"] == 1.5
+    assert parameters["safety"]["geofence"]["reserve_m"] == 0.25
+    assert parameters["safety"]["geofence"]["beta"] == 1.5
     assert "file" not in parameters["vehicle"]
     assert parameters["vehicle_file"]["name"] == "racer7"
     assert sorted(ref.role for ref in found.provenance.inputs) == ["scenario", "vehicle"]
     flight = read_flights(Path("wall.run.mcap")).by_trial[0]
-    assert flight.margin.min() == pytest.approx(0.288, abs=2e-3)
+    assert flight.fence_distance_m.min() == pytest.approx(0.288, abs=2e-3)
+    assert flight.margin.min() == pytest.approx(0.0292, abs=2e-3)  # h_I
     assert 0.0098 < flight.regulation.min() < 0.02  # of the samples
     assert run(["simulate", "wall.toml", "-o", "wall.run.mcap"]) == 0
     assert "unchanged" in capsys.readouterr().out
@@ -113,15 +120,16 @@ def test_the_documentation_flies_and_names_every_key(here):
     Path("doc.toml").write_text(text.split("```toml\n")[1].split("```")[0])
     vehicle = ["--vehicle", str(RACER)]
     assert run(["simulate", "doc.toml", "-o", "doc.run.mcap", "-q", *vehicle]) == 0
-    summary = record("doc.run.json").summary
+    summary = record("doc.run.json").summary["fence"]
     assert f"reaches {summary['max_speed_km_h']:.1f} km/h" in text
     assert f"brake {summary['brake_distance_m']:.1f} m before" in text
     assert f"within {summary['min_distance_m']:.2f} m" in text
-    tables = FenceScenario(fence=FenceTable())
-    named = {f.name for table in msgspec.structs.asdict(tables).values() if isinstance(table, msgspec.Struct)
-             for f in msgspec.structs.fields(table)}  # fmt: skip
-    named |= {field.name for field in msgspec.structs.fields(GeofenceParameters)} | summary.keys()
-    not_told = {"name", "parameters", "trials", "collisions", "ticks", "altered_passes", "out_of_range"}
+    tables = (FenceTable, PilotTable, GeofenceParameters, DisturbanceTable)
+    named = {field.name for table in tables for field in msgspec.structs.fields(table)} | summary.keys()
+    named |= {"start_m", "start_velocity_m_s", "start_yaw_deg", "start_box_m", "start_speed_m_s"}
+    named |= {"start_tilt_deg", "cover", "file", "radius_m", "mass_scale", "thrust_scale", "rate_gain_scale"}
+    named |= {"delay_s", "lost_from_s", "lost_for_s", "plant_steps", "max_time_s", "logged", "log_rate_hz"}
+    not_told = {"altered_passes", "out_of_range", "motor_time_constant_s"}
     assert not [name for name in named - not_told if f"{name}`" not in text]
 
 
@@ -137,14 +145,16 @@ def test_files_do_not_depend_on_jobs(here):
 
 def test_options_and_settings_replace_keys(here):
     words = ["--trials", "3", "--seed", "9", "--max-time", "0.5", "--radius", "0.1", "--log-rate", "20"]
-    sets = ["reserve_m=2.5", "vehicle.mass_scale=1.2", "pilot.kind=sticks", "fence.box_m=-20,-20,0,20,20,30"]
+    sets = ["safety.geofence.reserve_m=2.5", "vehicle.mass_scale=1.2", "mission.pilot.kind=sticks"]
+    sets += ["world.fence.box_m=-20,-20,0,20,20,30"]
     assert run([*WORDS, *words, *(word for pair in sets for word in ("--set", pair)), "-q"]) == 0
     made = record().provenance
     assert made.seed == 9
     got = made.parameters
-    assert (got["trials"]["count"], got["run"]["duration_s"], got["vehicle"]["radius_m"]) == (3, 0.5, 0.1)
-    assert (got["filter"]["parameters"]["reserve_m"], got["vehicle"]["mass_scale"]) == (2.5, 1.2)
-    assert (got["pilot"]["kind"], got["fence"]["box_m"]) == ("sticks", [-20, -20, 0, 20, 20, 30])
+    assert (got["rules"]["trials"], got["rules"]["max_time_s"], got["vehicle"]["radius_m"]) == (3, 0.5, 0.1)
+    assert (got["safety"]["geofence"]["reserve_m"], got["vehicle"]["mass_scale"]) == (2.5, 1.2)
+    assert got["mission"]["pilot"]["kind"] == "sticks"
+    assert got["world"]["fence"]["box_m"] == [-20, -20, 0, 20, 20, 30]
 
 
 def test_a_fence_that_is_left_fails_the_check(here, capsys):
@@ -152,14 +162,15 @@ def test_a_fence_that_is_left_fails_the_check(here, capsys):
     assert run(heavy) == 4
     error = capsys.readouterr().err
     summary = record().summary
-    assert f"{summary['violations']} of 9 filtered flights left the fence" in error
-    assert f"trial {summary['worst_trial']}, {-summary['min_distance_m']:.4g} m" in error
+    words = "filtered flights touched a static obstacle or left the fence"
+    assert f"{summary['fence']['violations']} of 9 {words}" in error
+    assert f"trial {summary['worst_trial']}" in error
     assert error.count("\n") == 1
     assert run(heavy) == 4  # the second time nothing is flown
     assert run([*WORDS[:3], "free.run.mcap", "-q", "--filter", "none", "--max-time", "3"]) == 0
     free = record("free.run.json")
-    assert free.summary["violations"] > 0
-    assert free.summary["min_h_i_m"] is None  # never evaluated
+    assert free.summary["fence"]["violations"] > 0
+    assert free.summary["fence"]["min_h_i_m"] is None  # never evaluated
     assert "nothing was guaranteed" in free.guarantee.statement
     assert run([*WORDS[:3], "qp.run.mcap", "-q", "--filter", "backup-qp", "--trials", "1"]) == 0
 
@@ -182,7 +193,7 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
     """
     Path("walls.toml").write_text(text)
     assert run(["simulate", "walls.toml", "-o", "r.run.mcap", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)["summary"]
+    said = json.loads(capsys.readouterr().out)["summary"]["fence"]
     assert 0 <= said["min_distance_m"] < 0.2
     assert said["interventions"] == 1
     assert said["brake_distance_m"] > 0.5
@@ -190,7 +201,7 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
     assert inputs["cover"].schema == "alula/cover"
     assert read_flights(Path("r.run.mcap")).hulls == 12
     assert run(["simulate", "walls.toml", "-o", "free.run.mcap", "--filter", "none", "-q"]) == 0
-    assert record("free.run.json").summary["min_distance_m"] < -0.1
+    assert record("free.run.json").summary["fence"]["min_distance_m"] < -0.1
     # another cover, and another vehicle, on the command line
     words = ["--map", str(pipeline / "tiny.cover.npz"), "--vehicle", str(RACER), "-q"]
     assert run(["simulate", "walls.toml", "-o", "same.run.mcap", *words]) == 0
@@ -201,27 +212,37 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--set", "reserve=2"], 2, "unknown field `reserve` - at `$.filter.parameters`"),
+        (["--set", "safety.geofence.reserve=2"], 2, "unknown field `reserve` - at `$.safety.geofence`"),
         (["--set", "vehicle.mass_scale=0"], 2, "at `$.vehicle.mass_scale`"),
-        (["--set", "fence.wall=3"], 2, "unknown field `wall` - at `$.fence`"),
-        (["--set", "pilot.kind=mad"], 2, "at `$.pilot.kind`"),
+        (["--set", "world.fence.wall=3"], 2, "unknown field `wall` - at `$.world.fence`"),
+        (["--set", "mission.pilot.kind=mad"], 2, "at `$.mission.pilot.kind`"),
         (
-            ["--set", "trials.start_box_m=30,0,1,31,1,2"],
+            ["--set", "mission.start_box_m=30,0,1,31,1,2"],
             2,
-            "`$.trials.start_box_m`: no start in the box is safe",
+            "`$.mission.start_box_m`: no start in the box is safe",
         ),
-        (["--set", "vehicle.gust_m_s=1,1,1"], 2, "`$.vehicle`: wind and gusts act through drag"),
-        (["--set", "beta=1000"], 2, "beta = 1000 takes over too late: at most 5.61 with ticks of 0.0025 s"),
-        (["--set", "steps=10"], 2, "the horizon of 0.3 s ends before the backup controller has stopped"),
-        (["--set", "fence.cover=none.npz"], 3, "none.npz: cannot read"),
+        (
+            ["--set", "vehicle.disturbance.gust_m_s=1,1,1"],
+            2,
+            "`$.vehicle.disturbance`: wind and gusts act through drag",
+        ),
+        (
+            ["--set", "safety.geofence.beta=1000"],
+            2,
+            "beta = 1000 takes over too late: at most 5.61 with ticks of 0.0025 s",
+        ),
+        (
+            ["--set", "safety.geofence.steps=10"],
+            2,
+            "the horizon of 0.3 s ends before the backup controller has stopped",
+        ),
+        (["--set", "world.cover=none.npz"], 3, "none.npz: cannot read"),
         (["--set", "vehicle.file=none.toml"], 3, "none.toml: cannot read"),
-        (["--vehicle", str(FASTBRIDGE)], 2, "vehicle fastbridge: `$.throttle`"),
-        (["--filter", "cone-di"], 2, "at `$.filter.name`"),
+        (["--vehicle", str(FASTBRIDGE)], 2, "fastbridge has no table [throttle], which sticks need"),
+        (["--filter", "cone-di"], 2, "`$.safety.filters`: cone-di is for commands of"),
         (["--trials", "0"], 2, "--trials must be between 1 and"),
-        (["--dt", "0.01"], 2, "--dt is for flights without a fence"),
-        (["--pairs-from", "vehicles/racer7.toml"], 2, "--pairs-from is for flights without a fence"),
-        (["--scene", "vehicles/racer7.toml"], 2, "--scene is for flights without a fence"),
-        (["--scheduler", "nowhere"], 2, "--scheduler must be an address"),
+        (["--pairs-from", "vehicles/racer7.toml"], 2, "mission.pairs_from"),
+        (["--scene", "vehicles/racer7.toml"], 3, "racer7.toml"),
         (["--map", "vehicles/racer7.toml"], 3, "racer7.toml"),
     ],
 )
@@ -240,7 +261,8 @@ def test_the_printed_guarantee_names_its_conditions_and_that_it_is_no_proof(here
     assert "β D / v_c <= 1" in said
     assert "not a proof" in said
     # without a regulation function its condition does not matter
-    assert run([*WORDS, "--trials", "1", "-q", "-f", "--set", "beta=1000", "--filter", "none"]) in (0, 4)
+    late = ["--set", "safety.geofence.beta=1000", "--filter", "none"]
+    assert run([*WORDS, "--trials", "1", "-q", "-f", *late]) in (0, 4)
 
 
 def test_a_dry_run_writes_nothing(here, capsys):
@@ -250,26 +272,27 @@ def test_a_dry_run_writes_nothing(here, capsys):
 
 
 def test_notes_are_said_beside_the_result(here, capsys):
-    assert run([*WORDS, "--trials", "1", "--set", "run.stale_from_s=0.1"]) in (0, 4)
+    assert run([*WORDS, "--trials", "1", "--set", "estimation.lost_from_s=0.1"]) in (0, 4)
     out, error = capsys.readouterr()
     assert "note: navigation was lost for longer than stale_limit_s" in error
     assert "notes" not in out
-    assert record().summary["hand_over"] > 0
+    assert record().summary["fence"]["hand_over"] > 0
 
 
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch, capsys):
+    monkeypatch.setattr(stage, "CHUNK", 4)
     assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
-    chunks = stage.fly_chunk
+    flown = stage._flown
 
-    def stopping(chunk, world=None):
-        if chunk.first == 8:
+    def stopping(ready, first, *others):
+        if first == 8:
             raise KeyboardInterrupt
-        return chunks(chunk, world)
+        return flown(ready, first, *others)
 
     with monkeypatch.context() as patched:
-        patched.setattr(stage, "fly_chunk", stopping)
+        patched.setattr(stage, "_flown", stopping)
         assert run([*WORDS, "--jobs", "1"]) == 130
     assert "the same command continues from r.run.mcap.journal, 8 trials" in capsys.readouterr().err
     assert not Path("r.run.mcap").exists()

@@ -58,7 +58,9 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
     again = make(folder, *FEW)
     assert " simulate " not in again
     assert " compare.py" not in again
-    changed = make(folder, *FEW, "VARIANT.mass_3=--set vehicle.mass_scale=1.1 --set reserve_m=3")
+    changed = make(
+        folder, *FEW, "VARIANT.mass_3=--set vehicle.mass_scale=1.1 --set safety.geofence.reserve_m=3"
+    )
     assert changed.count(" simulate ") == 1
     # Pilots are flown beforehand; then the page includes them.
     make(folder, *FEW, "pilots", "PAGE_OUT=out", "-j2")

@@ -159,7 +159,7 @@ def tried(tree: dict[str, Any], made: dict[str, Artifact]) -> Verdict:
     except UsageError as error:
         return Verdict(None, str(error), _faults_of_words(str(error)))
     trial = ready.judged(0, log)
-    return Verdict(trial, "", _faults_of_flight(log, trial, ready.names))
+    return Verdict(trial, "", _faults_of_flight(log, trial, ready.names, len(ready.filters)))
 
 
 def _faults_of_words(words: str) -> list[str]:
@@ -173,7 +173,7 @@ def _faults_of_words(words: str) -> list[str]:
     return faults
 
 
-def _faults_of_flight(log: dict[str, Any], trial: TrialResult, names: list[str]) -> list[str]:
+def _faults_of_flight(log: dict[str, Any], trial: TrialResult, names: list[str], filters: int) -> list[str]:
     faults = [
         f"{key} is not finite"
         for key in ("path", "state", "estimate", "measured", "nominal", "command", "obstacle", "filter_s")
@@ -186,7 +186,7 @@ def _faults_of_flight(log: dict[str, Any], trial: TrialResult, names: list[str])
         faults.append(f"{ticks} ticks")
     if np.isnan(log["margin"]).any():
         faults.append("a margin is no number")
-    if log["status"].shape != (ticks, len(names)):
+    if log["status"].shape != (ticks, filters):  # a pilot without a filter has one that only watches
         faults.append("a filter has no record")
     if not _is_finite(msgspec.to_builtins(trial)):
         faults.append("the verdict is not finite")

@@ -1,4 +1,4 @@
-"""Histogram of durations: its quantiles beside numpy's, and its constant size."""
+"""Histograms of durations: quantiles beside numpy's, constant size, sums of several."""
 
 import sys
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.stages.durations import Durations
+from alula.stages.durations import Durations, Times
 from support.effort import examples
 
 
@@ -34,3 +34,27 @@ def test_it_takes_any_number_in_constant_memory():
     assert times.quantile(1.0) == times.max_s == 1e9
     with pytest.raises(ValueError, match="no durations"):
         Durations().quantile(0.5)
+
+
+@given(st.lists(st.floats(1e-7, 1e-2), min_size=1, max_size=60), st.lists(st.floats(1e-7, 1e-2), max_size=60))
+def test_quantiles_of_times_are_close_however_they_are_joined(a, b):
+    seconds = np.array(a + b, np.float32)
+    parts = [Times.of(np.array(part, np.float32), 0.0025) for part in (a, b)]
+    times = Times.joined(parts)
+    assert times.calls == len(seconds)
+    assert times.max_s == float(seconds.max())
+    assert times.overruns == int((seconds > 0.0025).sum())
+    exact = seconds.astype(np.float64)
+    assert times.total_s == pytest.approx(exact.sum(), rel=1e-12)
+    assert times.mean_s == pytest.approx(exact.mean(), rel=1e-12)
+    assert times.std_s == pytest.approx(exact.std(), rel=1e-6, abs=1e-6 * exact.max())
+    for share in (0.01, 0.5, 0.99, 1.0):
+        least = float(np.sort(seconds)[max(0, int(np.ceil(share * len(seconds))) - 1)])
+        assert least * (1 - 1e-6) <= times.quantile(share) <= least * 1.0117
+
+
+def test_no_times_have_neither_mean_nor_quantile():
+    none = Times.of(np.empty(0, np.float32), 0.01)
+    assert (none.calls, none.mean_s, none.std_s, none.max_s) == (0, 0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="no durations"):
+        none.quantile(0.5)

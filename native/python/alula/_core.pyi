@@ -2649,9 +2649,10 @@ class PilotHand:
     def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None:
         """His command (4) at a state (13); None: no radio."""
 
-def safe_racer_start(geofence: Geofence, box: tuple[Sequence[float], Sequence[float]], *, speed_m_s: float = 10.0, tilt_rad: float = 1.0, seed: int = 0, trial: int = 0) -> NDArray[numpy.float64]:
+def safe_racer_start(geofence: Geofence, box: tuple[Sequence[float], Sequence[float]], *, speed_m_s: float = 10.0, tilt_rad: float = 1.0, seed: int = 0, trial: int = 0, others: ObstacleMap | None = None) -> NDArray[numpy.float64]:
     """
-    Random start (13) in a box (lower, upper) with h_I > 0, at most so fast [m/s] and tilted [rad].
+    Random start (13) in a box (lower, upper) with h_I > 0 and clear of other obstacles, at most so fast [m/s] and
+    tilted [rad].
     """
 
 class OnboardStackResult:
@@ -3005,6 +3006,10 @@ class Task:
         quaternion w, x, y, z), body rates; expected_velocity_m_s: by which obstacles are drawn to meet the
         vehicle, else the mean velocity of the mission.
         """
+
+    @property
+    def max_time_s(self) -> float:
+        """Maximum duration [s]."""
 
 class SimulationSpec:
     """All parts of simulated flights but the tasks and the filters."""

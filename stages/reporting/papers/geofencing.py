@@ -17,6 +17,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.run import FenceResult, RunRecord
+from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.papers.pendulum import Swing, gains_in_short, times_in_short
 from alula.stages.reporting.papers.published import GEOFENCING
 from alula.stages.reporting.statistics import Rate, rate
@@ -57,7 +58,7 @@ class Fenced:
     @property
     def least_m(self) -> float:
         """Minimum distance to the fence over all flights [m]."""
-        return min(math.inf if t.map_clearance_m is None else t.map_clearance_m for t in self.record.trials)
+        return min(map(fence_distance, self.record.trials))
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -73,7 +74,12 @@ class Fenced:
     @property
     def reserve_m(self) -> float:
         """Distance that the filter keeps in addition to its margin [m]."""
-        return float(self.parameters.get("filter.parameters.reserve_m") or 0.0)
+        return float(self.of_filter("reserve_m") or 0.0)
+
+    def of_filter(self, name: str) -> Any:
+        """A parameter of the filter; without a filter, of the geofence that judges."""
+        table = BASE if self.record.filter == FREE else self.record.filter
+        return self.parameters.get(f"safety.{table}.{name}")
 
     def steps(self, *names: str) -> int:
         """Number of ticks with one of some statuses, over all flights."""
@@ -174,7 +180,7 @@ def approach_of(run: Fenced) -> Approach | None:
     """Summarise the first flight of a run; None without its ticks."""
     if run.ticks is None:
         return None
-    box, rows = run.parameters.get("fence.box_m"), run.parameters.get("fence.faces") or ()
+    box, rows = run.parameters.get("world.fence.box_m"), run.parameters.get("world.fence.faces") or ()
     faces = fence_faces(box, rows) if box is not None or len(rows) else None
     return approach(run.ticks, faces, run.radius_m)
 
@@ -253,25 +259,26 @@ def changed(run: Fenced) -> str:
     """List in words the parameters of vehicle, filter and start that differ from their defaults."""
     words = []
     for key, value in run.parameters.items():
-        table, _, name = key.partition(".")
-        if table == "vehicle" and not key.endswith("_scale") and value is not None:
+        table, _, name = key.rpartition(".")
+        is_own = table == "vehicle.disturbance" or key in ("vehicle.radius_m", "estimation.delay_s")
+        if is_own and value is not None:
             words.append(f"{name} {_listed(value)}")
         elif table == "vehicle" and key.endswith("_scale") and value != 1:
             words.append(f"{name} {text(value)}")
-        elif key in ("filter.parameters.beta", "filter.parameters.fast_m_s"):
-            words += [] if value == _PUBLISHED[key] else [f"{key.rpartition('.')[2]} {text(value)}"]
-        elif key in ("filter.parameters.reserve_m", "filter.parameters.latency_s") and value:
-            words.append(f"{key.rpartition('.')[2]} {text(value)}")
-        elif key == "filter.name" and value != BASE:
-            words.append(f"filter {value}")
-        elif table == "run" and key.endswith("_from_s") and value is not None:
+        elif key in _OUTAGES and value is not None:
             lasts = run.parameters.get(key.replace("_from_", "_for_"))
-            words.append(f"no {'navigation' if 'stale' in key else 'radio'} from {text(value)} s")
+            words.append(f"no {_OUTAGES[key]} from {text(value)} s")
             words[-1] += "" if lasts is None else f" for {text(lasts)} s"
+    words += [] if run.record.filter == BASE else [f"filter {run.record.filter}"]
+    given = {name: run.of_filter(name) for name in _PUBLISHED}
+    words += [
+        f"{name} {text(value)}" for name, value in given.items() if value not in (None, _PUBLISHED[name])
+    ]
     return ", ".join(words)
 
 
-_PUBLISHED = {"filter.parameters.beta": 1.5, "filter.parameters.fast_m_s": 10.0}
+_PUBLISHED = {"beta": 1.5, "fast_m_s": 10.0, "reserve_m": 0.0, "latency_s": 0.0}
+_OUTAGES = {"estimation.lost_from_s": "navigation", "mission.pilot.radio_from_s": "radio"}
 
 
 def _listed(value: Any) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.geofencing import (
     BASE,
@@ -228,7 +228,7 @@ def distances_figure(runs: Sequence[Fenced]) -> Figure | None:
     with drawing(7.4, 4.4) as (axes, render):
         for name, color in ((BASE, OURS), (PROGRAM, OTHER), (FREE, BAD)):
             distances = sorted(
-                t.map_clearance_m if t.map_clearance_m is not None else math.inf
+                fence_distance(t)
                 for run in select(runs, folder)
                 if run.record.filter == name
                 for t in run.record.trials

@@ -52,7 +52,7 @@ def filter_world(
         hulls=world.hulls,
         polytopes=world.polytopes,
         hull_radius_m=world.hull_keep_m,
-        image=world.image if is_read or "geofence" in scenario.safety.filters else b"",
+        image=world.image if is_read or needs_image(scenario) else b"",
         index=world.index,
         parts=world.parts,
         parts_radius_m=world.most_keep_m,
@@ -71,6 +71,15 @@ def filter_world(
         rate_time_constant_s=vehicle.rates.time_constant_s if table.interface == "body-rates" else 0.0,
         max_rate_rad_s=vehicle.rates.max_rad_s,
     )
+
+
+def needs_image(scenario: WorldScenario) -> bool:
+    """Whether a geofence reads the cover as an onboard map: one that filters, or the judge of a pilot.
+
+    Args:
+        scenario: any.
+    """
+    return "geofence" in scenario.safety.filters or scenario.mission.kind == "pilot"
 
 
 def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.SafetyFilter]:

@@ -16,6 +16,7 @@ from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.moving import obstacle_results
+from alula.stages.simulation.world.piloted import fence_result
 from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
 
@@ -134,6 +135,7 @@ class WorldJudge:
             saturated_steps=int((mark & LIMITED > 0).sum()),
             obstacles=met or None,
             refused_steps=int((mark & REFUSED > 0).sum()),
+            fence=fence_result(flown),
             plan=followed,
             fence_clearance_m=fence,
             moving_clearance_m=moving,

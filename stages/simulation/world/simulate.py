@@ -7,22 +7,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS, refusal
+from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed
+from alula.stages.durations import Times
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
@@ -30,37 +29,38 @@ from alula.stages.simulation.chunks import FlownTrials, TrialJournal
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.filters import filter_world, safety_filters
+from alula.stages.simulation.world.filters import filter_world, needs_image, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
+from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
 from alula.stages.simulation.world.world import StaticWorld, static_world
-from alula.stages.vehicles.racer import racer_model
 
-CHUNK = 16  # trials whose full-rate samples are in memory at once
+CHUNK, CHUNK_TICKS = 16, 100_000  # maximum number of trials and ticks whose samples are in memory at once
 WORST = 3  # flights with the least clearance, which are always in the log
 _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
+_FAR_M = 1e9  # beyond every position
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
-    """Consecutive trials; the arrays, as bytes, are measured times and differ from run to run.
+    """Consecutive trials; times are measured and differ from run to run.
 
     Attributes:
-        filter_s: time of all filters in each tick, float32 [s].
-        tick_s: time of each tick on board, float32 [s].
+        filter_times: of all filters in each tick.
+        tick_times: of each tick on board.
         flights: samples of the trials that the log shows.
     """
 
-    filter_s: bytes
-    tick_s: bytes
+    filter_times: Times
+    tick_times: Times
     flights: list[WorldFlight]
 
 
 @dataclass(frozen=True, slots=True)
 class WorldRun:
-    """All trials of a scenario; `filter_s` and `tick_s` are measured, the rest is not.
+    """All trials of a scenario; times are measured, the rest is not.
 
     Attributes:
         scenario: completed with the values of the vehicle.
@@ -70,8 +70,9 @@ class WorldRun:
         world: static obstacles.
         counts: of sampled points and pairs.
         notes: for the summary.
-        filter_s: time of all filters per tick, shape (T,) [s].
-        tick_s: time of a tick on board, shape (T,) [s].
+        start_h_i_m: see `start_h_i` [m].
+        filter_times: of all filters per tick.
+        tick_times: of a tick on board.
     """
 
     scenario: WorldScenario
@@ -81,8 +82,9 @@ class WorldRun:
     world: StaticWorld
     counts: dict[str, int]
     notes: list[str]
-    filter_s: NDArray[np.float32]
-    tick_s: NDArray[np.float32]
+    start_h_i_m: float | None
+    filter_times: Times
+    tick_times: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,7 @@ class PreparedRun:
         names: of the filters, in their order.
         judge: of the flights.
         plans: judges of the plans, by trial.
+        start_h_i_m: see `start_h_i` [m].
         notes: for the summary.
     """
 
@@ -114,6 +117,7 @@ class PreparedRun:
     names: list[str]
     judge: WorldJudge
     plans: Callable[[int], PlanJudge | None]
+    start_h_i_m: float | None
     notes: list[str] = field(default_factory=list)
 
     def fly(
@@ -128,8 +132,8 @@ class PreparedRun:
             progress: called with (trials done, trials).
 
         Raises:
-            UsageError: an obstacle cannot meet the vehicle.
-            InputError: the motion diverges, or a filter in Python returned no command.
+            UsageError: an obstacle cannot meet the vehicle, or the motion diverges.
+            InputError: a filter in Python returned no command.
         """
         try:
             return _core.simulate(
@@ -144,7 +148,7 @@ class PreparedRun:
         except ValueError as error:
             raise UsageError(f"`$.world.moving`: {error}") from error
         except OverflowError as error:
-            raise InputError(str(error)) from error
+            raise UsageError(f"`$.vehicle`: {error}") from error
 
     def on_board(self, index: int) -> _core.Flight:
         """The flight of one trial as the computer on board sees it, without a simulation around it.
@@ -212,7 +216,7 @@ def prepare(
         radius_m=table.radius_m,
         cover=cover,
         scene=scene,
-        needs_image=full.world.onboard or "geofence" in names,
+        needs_image=full.world.onboard or needs_image(full),
         jobs=jobs,
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
@@ -220,6 +224,10 @@ def prepare(
     told = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
     of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
     filters = safety_filters(full, of_what)
+    geofence = pilots_geofence(full, of_what)
+    judging = geofence if is_fenced(full, of_what) else None
+    if judging is not None and not filters:
+        filters = [_core.FenceFilter(judging, is_bare=True)]  # tells the figures of a flight without a filter
     psi = None
     if "polytope-cbf" in names:
         bare = barrier(of_what)
@@ -237,7 +245,7 @@ def prepare(
         plan=plan,
         cover=cover,
         given=pairs,
-        is_safe=_safety_of_starts(full, vehicle, names, world),
+        geofence=geofence,
         start_value=psi,
         jobs=jobs,
         progress=progress,
@@ -245,7 +253,7 @@ def prepare(
     paths = [missions.start, missions.goal]
     paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
     lower, upper = world.room(paths)
-    known = full.estimation
+    known, has_pilot = full.estimation, geofence is not None
     has_losses = known.lost_share > 0 or known.lost_from_s is not None
     is_point = vehicle.model == "single-integrator"
     stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
@@ -265,9 +273,10 @@ def prepare(
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
-            lower=lower,
-            upper=upper,
-            ends_when_refused=not full.world.moving and not has_losses and mission.kind != "pilot",
+            # A pilot has no reference near which the flight must stay.
+            lower=(-_FAR_M,) * 3 if has_pilot else lower,
+            upper=(_FAR_M,) * 3 if has_pilot else upper,
+            ends_when_refused=not full.world.moving and not has_losses and not has_pilot,
         ),
         losses=_losses(full),
         moving=moving_spec(
@@ -277,6 +286,7 @@ def prepare(
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
             where="estimation.",
         ),
+        fence=judging,
     )
     judge = WorldJudge(
         world=world,
@@ -299,7 +309,19 @@ def prepare(
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
 
     return PreparedRun(
-        full, vehicle, world, missions, spec, flight, simulation, filters, names, judge, of_trial, notes
+        scenario=full,
+        vehicle=vehicle,
+        world=world,
+        missions=missions,
+        vehicle_spec=spec,
+        options=flight,
+        spec=simulation,
+        filters=filters,
+        names=names,
+        judge=judge,
+        plans=of_trial,
+        start_h_i_m=start_h_i(full, geofence),
+        notes=notes,
     )
 
 
@@ -336,22 +358,22 @@ def simulate_world(
         UsageError, InputError, ArtifactError, InfeasibleError: as `prepare` and `PreparedRun.fly`.
     """
     ready = prepare(scenario, vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs, jobs=jobs)
-    total, rules = len(ready.missions.tasks), ready.scenario.rules
+    total, rules, size = len(ready.missions.tasks), ready.scenario.rules, chunk_size(ready)
     kept = TrialJournal(FlownChunk) if journal is None else journal
-    for first in range(0, total, CHUNK):
+    for first in range(0, total, size):
         if first in kept.chunks:
             continue
-        count = min(CHUNK, total - first)
+        count = min(size, total - first)
         kept.add(_flown(ready, first, count, rules.logged, jobs))
         if progress is not None:
-            progress(min(first + CHUNK, total), total)
+            progress(min(first + size, total), total)
     chunks = kept.in_order()
     trials = [trial for chunk in chunks for trial in chunk.trials]
     flights = [flight for chunk in chunks for flight in chunk.flights]
     worst = sorted(trials, key=lambda trial: (worst_clearance(trial), trial.index))[:WORST]
     for trial in sorted((one for one in worst if one.index >= rules.logged), key=lambda one: one.index):
         (log,) = ready.fly(trial.index, 1, jobs=jobs)
-        flights.append(WorldFlight.of(trial.index, log, rules.dt_s, rules.log_rate_hz))
+        flights.append(WorldFlight.of(trial.index, log, rules.dt_s, rules.log_rate_hz, rules.filter_ticks))
     return WorldRun(
         scenario=ready.scenario,
         vehicle=vehicle,
@@ -360,9 +382,20 @@ def simulate_world(
         world=ready.world,
         counts=ready.missions.counts,
         notes=ready.notes,
-        filter_s=np.frombuffer(b"".join(chunk.filter_s for chunk in chunks), np.float32),
-        tick_s=np.frombuffer(b"".join(chunk.tick_s for chunk in chunks), np.float32),
+        start_h_i_m=ready.start_h_i_m,
+        filter_times=Times.joined([chunk.filter_times for chunk in chunks]),
+        tick_times=Times.joined([chunk.tick_times for chunk in chunks]),
     )
+
+
+def chunk_size(ready: PreparedRun) -> int:
+    """Number of trials that are flown together; smaller for long flights, whose samples take memory.
+
+    Args:
+        ready: the run.
+    """
+    longest_s = max(task.max_time_s for task in ready.missions.tasks)
+    return max(1, min(CHUNK, int(CHUNK_TICKS * ready.scenario.rules.dt_s / longest_s)))
 
 
 def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -> FlownChunk:
@@ -370,12 +403,17 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
     rules = ready.scenario.rules
     for index, log in enumerate(ready.fly(first, count, jobs=jobs), first):
         trials.append(ready.judged(index, log))
-        filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks].tobytes())
-        ticks.append(log["tick_s"][:: rules.filter_ticks].tobytes())
+        filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks])
+        ticks.append(log["tick_s"][:: rules.filter_ticks])
         if index < logged:
-            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz))
+            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz, rules.filter_ticks))
+    held_s = rules.dt_s * rules.filter_ticks
     return FlownChunk(
-        first=first, trials=trials, filter_s=b"".join(filters), tick_s=b"".join(ticks), flights=flights
+        first=first,
+        trials=trials,
+        filter_times=Times.of(np.concatenate(filters), held_s),
+        tick_times=Times.of(np.concatenate(ticks), held_s),
+        flights=flights,
     )
 
 
@@ -428,28 +466,6 @@ def _extent(
     speed = most if math.isfinite(most) else 10.0
     seconds = 10 + (scenario.vehicle.velocity_lag_s or 0.0)
     return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + seconds * speed
-
-
-def _safety_of_starts(
-    scenario: WorldScenario, vehicle: Vehicle, names: list[str], world: StaticWorld
-) -> Callable[[FloatArray], FloatArray] | None:
-    """h_I of start states, where a geofence flies and starts are drawn."""
-    if scenario.mission.start_box_m is None or not any(
-        FILTER_COMMANDS.get(name) == "sticks" for name in names
-    ):
-        return None
-    box = None if scenario.world.fence is None else scenario.world.fence.box_m
-    others = world.faces[6 if box is not None else 0 :]
-    where = _core.Fence(
-        box=None if box is None else (box[:3], box[3:]),
-        faces=np.ascontiguousarray(others) if len(others) else None,
-        image=world.image or None,
-        keep_out=world.polytopes if world.image else None,
-    )
-    values: dict[str, Any] = msgspec.structs.asdict(scenario.safety.geofence)
-    del values["alpha"]
-    native = _core.Geofence(where, racer_model(vehicle), values | {"radius_m": world.radius_m})
-    return lambda states: np.asarray(native.evaluate(states)[0][:, 0])
 
 
 def _losses(scenario: WorldScenario) -> _core.Losses:

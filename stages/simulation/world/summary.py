@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
+from alula.schemas.world_check import is_random
+from alula.stages.durations import Times
 from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
+from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
 
@@ -32,10 +33,13 @@ _KEPT_FROM = {"ellipsoids": "every ellipsoid", "hulls": "every hull", "fence": "
 def world_summary(run: WorldRun) -> dict[str, Any]:
     """Rates with 95 % Wilson intervals, extremes, and shares of certified steps; it has no measured time.
 
+    Without any random number there is no interval: the flight would repeat itself bit by bit. `fence` has the
+    figures of a pilot's flights in a fence, see `fence_summary`.
+
     Args:
         run: all trials.
     """
-    trials = run.trials
+    trials, notes = run.trials, list(run.notes)
     good = ("reached", *_GOOD.get(run.scenario.mission.kind, ()))
     steps = sum(trial.steps for trial in trials)
     outcomes = (*outcomes_of(trials), "passed", "held")
@@ -61,8 +65,13 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         summary["certified_share_static"] = summary["certified_steps"] / steps
         if run.scenario.world.moving:
             summary["certified_share_moving"] = summary["certified_moving_steps"] / steps
-    if run.notes:
-        summary["notes"] = run.notes
+    if not is_random(run.scenario, run.vehicle):
+        summary["success_interval"] = None
+    if (fence := fence_summary(trials, run.start_h_i_m)) is not None:
+        summary["fence"] = fence
+        notes += fence_notes(fence, fence_filter_of(run.scenario))
+    if notes:
+        summary["notes"] = notes
     return summary
 
 
@@ -89,16 +98,24 @@ def world_timing(run: WorldRun) -> dict[str, Any]:
     Args:
         run: all trials.
     """
-    timing: dict[str, Any] = {}
-    each = {"tick": run.tick_s} | ({"filter": run.filter_s} if run.scenario.safety.filters else {})
-    for what, seconds in each.items():
-        found = np.percentile(seconds, [50, 99, 100]).tolist()
-        timing |= dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))
-        timing[f"{what}_mean_s"] = float(seconds.mean(dtype=np.float64))
-    rules = run.scenario.rules
-    timing["ticks"] = len(run.tick_s)
-    timing["overruns"] = int((run.tick_s > rules.dt_s * rules.filter_ticks).sum())
-    return timing
+    timing: dict[str, Any] = {"ticks": run.tick_times.calls, "overruns": run.tick_times.overruns}
+    if run.scenario.safety.filters:
+        timing |= _spread("filter", run.filter_times)
+        timing |= {"filter_calls": run.filter_times.calls, "filter_total_s": run.filter_times.total_s}
+    return timing | _spread("tick", run.tick_times)
+
+
+def _spread(what: str, times: Times) -> dict[str, float]:
+    """Quantiles to 1.2 %, exact mean, standard deviation and maximum; none without times [s]."""
+    if not times.calls:
+        return {}
+    return {
+        f"{what}_p50_s": times.quantile(0.5),
+        f"{what}_p99_s": times.quantile(0.99),
+        f"{what}_max_s": times.max_s,
+        f"{what}_mean_s": times.mean_s,
+        f"{what}_std_s": times.std_s,
+    }
 
 
 def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
@@ -151,6 +168,11 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         claims["chain"] = _chain(run, cover, parts, complete=certified == steps, left=left)
         if left:
             limits = f"The flights had {', '.join(left)}, which the proof leaves out."
+    elif names[-1] in HOLDS and run.scenario.mission.kind == "pilot":
+        beforehand, left = HOLDS[names[-1]], left_out(run.scenario)
+        claims |= {"as_modelled": not left, "proven": False}
+        if left:
+            limits = f"The vehicle differed from the filter's model: {', '.join(left)}."
     else:
         beforehand = (
             f"{' and '.join(names)} decide tick by tick; nothing was guaranteed beforehand for this vehicle."
@@ -169,13 +191,17 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
 
 
 def left_out(scenario: WorldScenario) -> list[str]:
-    """What flights have and the model of a shield leaves out, in words.
+    """What flights have and the model of their last filter leaves out, in words.
 
     Args:
         scenario: completed.
     """
     table, known = scenario.vehicle, scenario.estimation
     own, assumed = table.disturbance, table.assumed
+    by_sticks = table.interface == "sticks"
+    mass = _changed(mass_scale=table.mass_scale, thrust_scale=table.thrust_scale)
+    gain, sag = _changed(rate_gain_scale=table.rate_gain_scale), own.sag_share or 0.0
+    delay_s, most_s = known.delay_s or 0.0, _latency_s(scenario)
     found = {
         "drag": any(own.linear_drag_n_s_m or ()) or any(own.quadratic_drag_n_s2_m2 or ()),
         "wind": any(own.wind_m_s or ()) or any(own.gust_m_s or ()),
@@ -185,15 +211,33 @@ def left_out(scenario: WorldScenario) -> list[str]:
                 *(known.attitude_noise_rad, known.rate_noise_rad_s),
             )
         ),
-        "lost measurements": known.lost_share > 0 or known.lost_from_s is not None,
-        "a mass or thrust other than the model's": table.mass_scale != 1 or table.thrust_scale != 1,
-        "a motor lag other than assumed": (own.motor_time_constant_s or 0.0)
-        != (assumed.motor_time_constant_s or 0.0),
-        "a delay other than assumed": (known.delay_s or 0.0) != (assumed.delay_s or 0.0),
+        # A geofence tells when measurements are missing, and a racer has no rotors.
+        "lost measurements": not by_sticks and (known.lost_share > 0 or known.lost_from_s is not None),
+        f"a mass or thrust other than the model's ({mass})": mass,
+        "a motor lag other than assumed": not by_sticks
+        and (own.motor_time_constant_s or 0.0) != (assumed.motor_time_constant_s or 0.0),
+        f"a delay other than assumed (delay_s {exact(delay_s)})": delay_s > most_s
+        if by_sticks
+        else delay_s != (assumed.delay_s or 0.0),
+        f"a rate loop other than the model's ({gain})": gain
+        if table.interface in ("sticks", "body-rates")
+        else "",
+        f"a battery that sags (sag_share {exact(sag)})": by_sticks and sag > 0,
         "a rate loop": table.interface == "body-rates",
         "the vehicle's own cascade": table.interface in ("velocity", "acceleration"),
     }
     return [words for words, has in found.items() if has]
+
+
+def _changed(**scales: float) -> str:
+    """Names and values of the scales that are not 1."""
+    return ", ".join(f"{name} {exact(value)}" for name, value in scales.items() if value != 1)
+
+
+def _latency_s(scenario: WorldScenario) -> float:
+    """The delay that the geofence of a pilot makes up for [s]; 0 without one."""
+    name = fence_filter_of(scenario)
+    return 0.0 if name is None else float(scenario.safety.parameters(name).latency_s)  # type: ignore[union-attr]
 
 
 def _chain(

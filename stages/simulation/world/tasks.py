@@ -13,19 +13,18 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
 from alula.schemas.world import WorldScenario
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.simulation.planned import count_planned, plans_of
+from alula.stages.simulation.world.piloted import pilots_starts
 from alula.stages.simulation.world.world import StaticWorld, require_clear
 
 _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
-_DRAWS = 2000  # of random starts of a pilot
 
 Clearance = Callable[[FloatArray], FloatArray]
 
@@ -37,7 +36,7 @@ class Missions:
     Attributes:
         tasks: native.
         missions: what makes the nominal command of each, as in its task.
-        start, goal: shapes (N, 3), world frame [m].
+        start, goal: shapes (N, 3), world frame [m]; the goal of a pilot is its start.
         curves: reference of each trial; None where it flies without one.
         plans: plan of each trial; None without one.
         counts: of sampled points and pairs, by the keys of the summary.
@@ -63,7 +62,7 @@ def missions_of(
     plan: Artifact | None,
     cover: Artifact | None,
     given: Pairs | None,
-    is_safe: Callable[[FloatArray], FloatArray] | None,
+    geofence: _core.Geofence | None,
     start_value: Clearance | None,
     jobs: int,
     progress: Progress | None = None,
@@ -80,7 +79,7 @@ def missions_of(
         plan: that the scenario names, or None.
         cover: to plan in.
         given: starts and goals of another run, or None.
-        is_safe: h_I of a pilot's start states, shape (S, 13) to (S,), where a geofence flies.
+        geofence: in which a pilot's start is safe; None without a pilot.
         start_value: barrier of the filter at points, shape (N, 3) to (N,), which starts must satisfy too [m].
         jobs: threads.
         progress: of planning.
@@ -93,7 +92,8 @@ def missions_of(
     plans: list[Artifact | None]
     counts: dict[str, int]
     if mission.kind == "pilot":
-        return _piloted(scenario, world, count, is_safe, jobs)
+        assert geofence is not None
+        return _piloted(scenario, world, count, geofence, jobs)
     if mission.kind == "hover":
         assert mission.start_m is not None
         return _hovering(scenario, world, np.array(mission.start_m), count, speed_m_s, jobs)
@@ -266,10 +266,10 @@ def _piloted(
     scenario: WorldScenario,
     world: StaticWorld,
     count: int,
-    is_safe: Callable[[FloatArray], FloatArray] | None,
+    geofence: _core.Geofence,
     jobs: int,
 ) -> Missions:
-    mission, table = scenario.mission, scenario.mission.pilot
+    table = scenario.mission.pilot
     pilot = _core.Pilot(
         kind=table.kind,
         heading_rad=math.radians(table.heading_deg),
@@ -278,60 +278,11 @@ def _piloted(
         silent_after_s=table.silent_after_s,
     )
     allowed = scenario.rules.max_time_s or _HOLD_S
-    if mission.start_m is not None:
-        state = _at_rest(np.array(mission.start_m), math.radians(mission.start_yaw_deg))
-        if mission.start_velocity_m_s is not None:
-            state[6:9] = mission.start_velocity_m_s
-        require_clear(world, state[None, :3], "`$.mission.start_m`: the start", jobs)
-        states = np.tile(state, (count, 1))
-    else:
-        states = np.array([_drawn(scenario, world, i, is_safe, jobs) for i in range(count)])
+    states = pilots_starts(scenario, world, geofence, count, jobs)
     flown = _core.Mission.by_sticks()
     tasks = [_core.Task(state, flown, pilot=pilot, max_time_s=allowed) for state in states]
     start = states[:, :3]
     return Missions(tasks, [flown] * count, start, start, [None] * count, [None] * count, {})
-
-
-def _drawn(
-    scenario: WorldScenario,
-    world: StaticWorld,
-    trial: int,
-    is_safe: Callable[[FloatArray], FloatArray] | None,
-    jobs: int,
-) -> FloatArray:
-    """A random start in the box: clear, and with h_I above 0 where a geofence flies."""
-    mission = scenario.mission
-    assert mission.start_box_m is not None
-    box = np.array(mission.start_box_m)
-    key = np.array([scenario.rules.seed, trial], np.uint64)
-    generator = np.random.Generator(np.random.Philox(key=key))
-    draws = generator.random((_DRAWS, 6))
-    directions = generator.normal(size=(_DRAWS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    states = np.zeros((_DRAWS, 12))
-    states[:, :3] = box[:3] + draws[:, :3] * (box[3:] - box[:3])
-    states[:, 6:9] = mission.start_speed_m_s * draws[:, 3:4] * directions
-    # A tilt about a horizontal axis, as Modified Rodrigues Parameters.
-    angle, towards = math.radians(mission.start_tilt_deg) * draws[:, 4], 2 * math.pi * draws[:, 5]
-    axis = np.column_stack([np.cos(towards), np.sin(towards), np.zeros(_DRAWS)])
-    states[:, 3:6] = np.tan(angle / 4)[:, None] * axis
-    clear = world.clearance(states[:, :3], states[:, :3], world.radius_m + 1e-3, jobs) >= world.radius_m
-    for state in states[clear]:
-        if is_safe is None or is_safe(racer_states(state[None]))[0] > 0:
-            return np.asarray(state)
-    raise UsageError("`$.mission.start_box_m`: no start in the box is clear and safe")
-
-
-def racer_states(states: FloatArray) -> FloatArray:
-    """States (p, MRP, v, omega) of shape (N, 12) as (p, v, q wxyz, omega), shape (N, 13).
-
-    Args:
-        states: of rigid bodies.
-    """
-    sigma = states[:, 3:6]
-    n = (sigma**2).sum(axis=1, keepdims=True)
-    q = np.concatenate([(1 - n) / (1 + n), 2 * sigma / (1 + n)], axis=1)
-    return np.concatenate([states[:, :3], states[:, 6:9], q, states[:, 9:]], axis=1)
 
 
 def _at_rest(position: FloatArray, yaw_rad: float) -> FloatArray:

@@ -111,7 +111,7 @@ class StaticWorld:
         """
         if len(self.faces) == 0:
             return np.full(len(points), np.inf)
-        least: FloatArray = (self.faces[:, 3] - points @ self.faces[:, :3].T).min(axis=1)
+        least: FloatArray = (self.faces[:, 3:] - self.faces[:, :3] @ points.T).min(axis=0)
         return least
 
     def room(self, paths: list[FloatArray]) -> tuple[tuple[float, ...], tuple[float, ...]]:

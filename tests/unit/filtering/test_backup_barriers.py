@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from support import racer_model as model
+from support.fence_flights import fly_in
 
 
 def pendulum_backup(x, k=3.0, largest=1.0, d=0.1, cap=0.1):
@@ -147,10 +147,7 @@ def test_the_program_on_the_drone_is_the_least_change_that_keeps_the_rows(geofen
 
 def test_the_programs_flights_stay_inside_and_are_more_cautious(geofence):
     start = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
-    logs = [
-        fly_trials(FenceFlights(start=start, duration_s=4, rule=rule), geofence)[0]
-        for rule in ("geofence", "backup-qp")
-    ]
+    logs = [fly_in(geofence, start=start, duration_s=4, rule=rule)[0] for rule in ("geofence", "backup-qp")]
     assert min(log["min_distance_m"] for log in logs) > -0.01
     assert logs[1]["max_speed_m_s"] < logs[0]["max_speed_m_s"]
 

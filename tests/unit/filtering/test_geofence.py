@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from alula.stages.vehicles.fence import fence
 from support import covers
 from support import racer_model as model
 from support.effort import examples
+from support.fence_flights import fly_in
 
 HOVERING = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
 
@@ -48,14 +48,16 @@ def test_h_i_is_a_lower_bound_of_the_exact_flow_and_a_tight_one():
 def test_what_is_flown_stays_above_the_prediction(tilt, seed):
     """u_B held for ticks of 2.5 ms on the plant, from fast states, also upside down: never below h_I."""
     geofence = filter_in()
-    flights = FenceFlights(
-        start_box=((-30.0, -30, 5), (30.0, 30, 55)),
-        start_speed_m_s=30,
-        start_tilt_rad=tilt,
+    logs = fly_in(
+        geofence,
+        starts=((-30.0, -30, 5), (30.0, 30, 55)),
+        speed_m_s=30,
+        tilt_rad=tilt,
         duration_s=3,
         losses=_core.Losses(radio_from_s=0, radio_for_s=9),
+        count=120,
+        seed=seed,
     )
-    logs = fly_trials(flights, geofence, count=120, seed=seed)
     values, _ = geofence.evaluate(np.array([log["start"] for log in logs]))
     least = np.array([log["min_distance_m"] for log in logs])
     decided_by_distance = values[:, 0] < values[:, 4]
@@ -105,13 +107,15 @@ def test_a_cover_keeps_out_and_h_i_is_below_its_distance_along_the_flow(cover):
     low, high = hulls.vertices_world.min(axis=0), hulls.vertices_world.max(axis=0)
     where = fence(box=(tuple(low - 6), tuple(high + 6)), cover=cover)
     geofence = _core.Geofence(where)
-    flights = FenceFlights(
-        start_box=(tuple(low - 4), tuple(high + 4)),
-        start_speed_m_s=6,
+    logs = fly_in(
+        geofence,
+        starts=(tuple(low - 4), tuple(high + 4)),
+        speed_m_s=6,
         pilot=_core.Pilot("aggressive"),
         duration_s=4,
+        count=12,
+        seed=2,
     )
-    logs = fly_trials(flights, geofence, count=12, seed=2)
     assert min(log["min_distance_m"] for log in logs) > 0
     assert sum(log["interventions"] for log in logs) > 10
     starts = np.array([log["start"] for log in logs])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from support import racer_model as model
+from support.fence_flights import fly_in
 
 ROOM, STARTS = ((-40.0, -40, 0.5), (40.0, 40, 60)), ((-39.0, -39, 1.5), (39.0, 39, 59))
 PILOTS = ("aggressive", "sticks", "straight", "silent")
@@ -17,15 +17,18 @@ def conditions(**parameters):
 
 def distances(parameters, pilot, *, count, seed, duration_s=4.0):
     """Minimum distance of flights from random starts with h_I > 0, fast and at any attitude."""
-    flights = FenceFlights(
+    geofence = _core.Geofence(_core.Fence(box=ROOM), _core.RacerModel(), parameters)
+    logs = fly_in(
+        geofence,
         pilot=_core.Pilot(pilot),
         duration_s=duration_s,
-        start_box=STARTS,
-        start_speed_m_s=30.0,
-        start_tilt_rad=np.pi,
+        starts=STARTS,
+        speed_m_s=30.0,
+        tilt_rad=np.pi,
+        count=count,
+        seed=seed,
     )
-    geofence = _core.Geofence(_core.Fence(box=ROOM), _core.RacerModel(), parameters)
-    return [log["min_distance_m"] for log in fly_trials(flights, geofence, count=count, seed=seed)]
+    return [log["min_distance_m"] for log in logs]
 
 
 @pytest.mark.parametrize(

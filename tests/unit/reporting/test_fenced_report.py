@@ -1,5 +1,7 @@
 """Reports on flights in a fence: rows, columns, windows, the closest flight."""
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
@@ -21,19 +23,24 @@ from alula.stages.runlog.maps import SHOWN_BEYOND_M
 FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 
 
-def trial(index, distance):
+def trial(index, distance, version=1):
     fence = FenceResult(
         passed_steps=60, blended_steps=30, backup_steps=10, no_pilot_steps=0, hand_over_steps=0,
         refused_steps=0, interventions=1, altered_passes=0, out_of_range=0, longest_backup_s=0.1,
         min_lambda=0.0, min_h_i_m=-0.1, brake_distance_m=6.0, stop_distance_m=None,
     )  # fmt: skip
-    return TrialResult(
+    found = TrialResult(
         index=index, start_m=[0, 0, 5], goal_m=[9, 0, 5], outcome="outside" if distance < 0 else "inside",
         collision=distance < 0, steps=100, duration_s=1.0, path_length_m=9.5, straight_length_m=9.0,
         map_clearance_m=distance, scene_clearance_m=None, max_speed_m_s=10.0, filtered_steps=40,
         shortened_steps=0, infeasible_steps=0, fallback_steps=10, mean_jerk_m_s3=1.0, max_jerk_m_s3=2.0,
         fence=fence,
     )  # fmt: skip
+    if version == 1:
+        return found
+    return msgspec.structs.replace(
+        found, outcome="held", map_clearance_m=None, fence_clearance_m=distance, stale_steps=0
+    )
 
 
 def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
@@ -45,8 +52,9 @@ def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
     )  # fmt: skip
 
 
-def run_of(distances, fence=FENCE, flights=None):
-    trials = [trial(index, distance) for index, distance in enumerate(distances)]
+def run_of(distances, fence=FENCE, flights=None, version=1):
+    """A run; `version` is that of its scenario."""
+    trials = [trial(index, distance, version) for index, distance in enumerate(distances)]
     out = sum(t.collision for t in trials)
     summary = {
         "violations": out, "min_distance_m": min(distances), "worst_trial": int(np.argmin(distances)),
@@ -54,8 +62,14 @@ def run_of(distances, fence=FENCE, flights=None):
         "backup": 10 * len(trials), "ticks": 100 * len(trials), "max_speed_km_h": 36.0,
         "interventions": len(trials), "engaged_trials": len(trials), "collisions": out,
     }  # fmt: skip
+    parameters = {"fence": fence}
+    if version == 2:
+        others = ("success_rate", "success_interval", "collisions", "worst_trial")
+        figures = {key: value for key, value in summary.items() if key not in (*others, "ticks")}
+        summary = {key: summary[key] for key in others} | {"fence": figures}
+        parameters = {"world": {"fence": fence}, "safety": {"filters": ["geofence"]}}
     made = Provenance(
-        schema="alula/run", version="1.0", producer=producer(), parameters={"fence": fence}, seed=0, inputs=[]
+        schema="alula/run", version="1.0", producer=producer(), parameters=parameters, seed=0, inputs=[]
     )
     record = RunRecord(
         schema="alula/run", version="1.0", provenance=made, name="r", filter="geofence", vehicle="racer",
@@ -75,15 +89,38 @@ def test_a_fence_that_was_left_is_no_collision_but_outside():
     assert (found[1].value, found[1].good) == ("-1 m", False)
 
 
-def test_tables_have_the_rows_of_a_fence_and_no_others():
-    run = run_of([1.0, -1.0, 2.0])
+def test_a_fence_that_was_left_by_the_combined_loop_is_a_collision():
+    run = run_of([1.0, -1.0, 2.0], version=2)
+    assert is_fenced(run)
+    assert [outcome_of(t) for t in run.record.trials] == ["held", "collision", "held"]
+    assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
+    assert cards(Material("t", runs=(run,))) == cards(Material("t", runs=(run_of([1.0, -1.0, 2.0]),)))
+    record = msgspec.structs.replace(run.record, summary=run.record.summary | {"collisions": 2})
+    ((_, found),) = cards(Material("t", runs=(Run("r", record, run.flights),)))
+    assert (found[-1].label, found[-1].value, found[-1].good) == ("collisions", "2", False)
+
+
+def test_a_log_tells_the_distance_beside_the_margin_of_the_filter():
+    with_margin = flight(11.0)
+    told = dataclasses.replace(
+        with_margin, margin=np.zeros(5), margin_unit="of h", fence_distance_m=with_margin.margin
+    )
+    run = run_of([1.0, -1.0], flights={1: told}, version=2)
+    (closest,) = closest_flights([run])
+    assert closest.distance_m.min() == pytest.approx(-1)
+    assert closest.is_closest
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_tables_have_the_rows_of_a_fence_and_no_others(version):
+    run = run_of([1.0, -1.0, 2.0], version=version)
     rows = dict(row for row in runs_table(Material("t", runs=(run,))).rows)
     assert rows["left the fence"] == 1
     assert rows["fraction of ticks: passed"] == pytest.approx(0.6)
     assert "success rate" not in rows
     assert fence_rows(run)["fraction of ticks: no pilot"] is None  # not reported
     table = trials_table(run, "trials")
-    assert table.rows[1][:4] == (1, "outside", -1.0, 36.0)
+    assert table.rows[1][:4] == (1, "outside" if version == 1 else "collision", -1.0, 36.0)
     assert len(table.columns) == len(table.rows[0])
     assert [t.name for t in all_tables(Material("t", runs=(run,)))] == [
         "runs",
@@ -107,8 +144,9 @@ def test_the_closest_of_the_logged_flights_is_drawn():
     assert closest_flights([run_of([1.0], flights={})]) == []
 
 
-def test_figures_show_fence_flight_and_modes():
-    material = Material("t", runs=(run_of([1.0, -1.0, 2.0]),))
+@pytest.mark.parametrize("version", [1, 2])
+def test_figures_show_fence_flight_and_modes(version):
+    material = Material("t", runs=(run_of([1.0, -1.0, 2.0], version=version),))
     figures = {figure.name: figure for figure in all_figures(material)}
     assert figures.keys() == {"map-1", "side-1", "fence-1", "clearance"}
     assert "backup alone in 40 %" in figures["fence-1"].alt

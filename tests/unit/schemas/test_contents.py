@@ -10,7 +10,7 @@ from alula.stages.reporting.inspect import manifest_facts
 from support.fabricate import make_trial
 
 FENCE = {
-    **{"min_distance_m": 0.5, "violations": 0, "passed": 3, "ticks": 4, "worst_trial": 0},
+    **{"min_distance_m": 0.5, "violations": 0, "passed": 3},
     **{"max_speed_km_h": 90.0, "interventions": 1, "engaged_trials": 1},
 }
 
@@ -29,7 +29,8 @@ class _Asked(dict):
 
 def test_every_key_that_a_table_of_fences_reads_is_checked():
     summary = _Asked(FENCE)
-    fence_rows(SimpleNamespace(record=SimpleNamespace(summary=summary, trials=[make_trial(0)])))
+    record = SimpleNamespace(summary={"fence": summary, "worst_trial": 0}, trials=[make_trial(0)])
+    fence_rows(SimpleNamespace(record=record))
     check(FENCE, FenceSummary, "summary")
     assert {"hand_over", "longest_backup_s"} <= summary.keys_read
     for key in summary.keys_read:

@@ -265,15 +265,17 @@ void bind_pilots(nb::module_& m) {
   m.def(
       "safe_racer_start",
       [](const Geofence& geofence, const Corners& box, double speed, double tilt, std::uint64_t seed,
-         std::uint32_t trial) {
-        return to_array(safe_start(geofence, {box_of(box), speed, tilt}, RandomStream{seed, trial}));
+         std::uint32_t trial, const ObstacleMap* others) {
+        return to_array(safe_start(geofence, {box_of(box), speed, tilt}, RandomStream{seed, trial}, others));
       },
       "geofence"_a, "box"_a, nb::kw_only(), "speed_m_s"_a = RacerStarts{}.speed_m_s,
-      "tilt_rad"_a = RacerStarts{}.tilt_rad, "seed"_a = 0, "trial"_a = 0,
+      "tilt_rad"_a = RacerStarts{}.tilt_rad, "seed"_a = 0, "trial"_a = 0, "others"_a.none() = nb::none(),
       nb::sig("def safe_racer_start(geofence: Geofence, box: tuple[collections.abc.Sequence[float], "
               "collections.abc.Sequence[float]], *, speed_m_s: float = 10.0, tilt_rad: float = 1.0, seed: int = 0, "
-              "trial: int = 0) -> NDArray[numpy.float64]"),
-      "Random start (13) in a box (lower, upper) with h_I > 0, at most so fast [m/s] and tilted [rad].");
+              "trial: int = 0, others: ObstacleMap | None = None) -> NDArray[numpy.float64]"),
+      "Random start (13) in a box (lower, upper) with h_I > 0 and clear of other obstacles, at most so fast [m/s] "
+      "and\n"
+      "tilted [rad].");
 }
 
 }  // namespace

@@ -372,7 +372,8 @@ void bind_specs(nb::module_& m) {
           "stop_distance_m"_a = 0.05, "expected_velocity_m_s"_a = nb::none(),
           "start: position, attitude (MRP), velocity, body rates, or of a racer position, velocity, attitude (unit\n"
           "quaternion w, x, y, z), body rates; expected_velocity_m_s: by which obstacles are drawn to meet the\n"
-          "vehicle, else the mean velocity of the mission.");
+          "vehicle, else the mean velocity of the mission.")
+      .def_ro("max_time_s", &Task::max_time_s, "Maximum duration [s].");
   nb::class_<SimulationSpec>(m, "SimulationSpec", "All parts of simulated flights but the tasks and the filters.")
       .def(
           "__init__",

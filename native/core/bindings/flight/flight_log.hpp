@@ -43,16 +43,13 @@ inline void add_metrics(LogDict& d, EncounterLog&& log) {
 
 inline LogDict to_dict(FenceLog&& log) {
   LogDict d;
-  d["min_distance_m"] = log.min_distance_m, d["max_speed_m_s"] = log.max_speed_m_s;
-  d["min_lambda"] = log.min_lambda, d["min_h_i"] = log.min_h_i;
+  d["min_distance_m"] = log.min_distance_m, d["min_lambda"] = log.min_lambda, d["min_h_i"] = log.min_h_i;
   d["brake_distance_m"] = log.brake_distance_m, d["stop_distance_m"] = log.stop_distance_m;
   d["ticks"] = log.ticks, d["passed"] = log.passed, d["blended"] = log.blended, d["backup"] = log.backup;
   d["no_pilot"] = log.no_pilot, d["hand_over"] = log.hand_over, d["refused"] = log.refused;
   d["interventions"] = log.interventions, d["altered_passes"] = log.altered_passes;
   d["out_of_range"] = log.out_of_range, d["longest_backup_s"] = log.longest_backup_s;
-  d["mean_jerk_m_s3"] = log.mean_jerk_m_s3, d["max_jerk_m_s3"] = log.max_jerk_m_s3;
-  const std::size_t ticks = log.tick_s.size(), rows = log.status.size();
-  d["tick_s"] = to_numpy(std::move(log.tick_s), {ticks});
+  const std::size_t rows = log.status.size();
   d["figure"] = to_numpy(std::move(log.figure), {rows, 5});
   d["distance"] = to_numpy(std::move(log.distance), {rows});
   d["status"] = to_numpy(std::move(log.status), {rows});

@@ -42,16 +42,20 @@ RacerState drawn(const RacerStarts& starts, const RandomStream& random, std::uin
 
 }  // namespace
 
-RacerState safe_start(const Geofence& geofence, const RacerStarts& starts, const RandomStream& random) {
+RacerState safe_start(const Geofence& geofence, const RacerStarts& starts, const RandomStream& random,
+                      const ObstacleMap* others) {
+  const double radius = geofence.config().radius_m;
+  MapMemory memory = others == nullptr ? MapMemory{} : others->memory();
   for (std::uint64_t draw = 0; draw < kDraws; ++draw) {
     const RacerState x = drawn(starts, random, draw);
+    if (others != nullptr && others->distance(x.p, radius, memory) < radius) continue;
     if (geofence.evaluate(x).h_i > 0) return x;
   }
   throw std::invalid_argument("no start in the box is safe");
 }
 
-void FenceRecorder::note(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report,
-                         float took) {
+void FenceRecorder::note(const RacerState& x, const std::optional<RacerCommand>& pilot,
+                         const GeofenceReport& report) {
   const alula_geofence_result& r = report.detail;
   ++log_.ticks;
   std::int64_t* const count[] = {&log_.passed,   &log_.blended,   &log_.backup,
@@ -62,8 +66,6 @@ void FenceRecorder::note(const RacerState& x, const std::optional<RacerCommand>&
   if (!is_in_limits(report.command, config_.model) || !(r.lambda >= 0 && r.lambda <= 1)) ++log_.out_of_range;
   if (report.status < ALULA_GEOFENCE_HAND_OVER) log_.min_h_i = std::min(log_.min_h_i, double{r.h_i});
   if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, report);
-  note_jerk(x);
-  log_.tick_s.push_back(took);
   if (!keeps_ticks_) return;
   log_.figure.insert(log_.figure.end(), {r.lambda, r.h_i, r.distance_m, r.margin_m, r.v_towards});
   log_.distance.push_back(distance_);
@@ -88,27 +90,9 @@ void FenceRecorder::note_lambda(const RacerState& x, const GeofenceReport& repor
   log_.longest_backup_s = std::max(log_.longest_backup_s, backup_s_);
 }
 
-void FenceRecorder::note_jerk(const RacerState& x) {
-  const Vec3 change = x.v - velocity_, bend = change - change_;
-  const double dt = config_.tick_s;
-  if (log_.ticks > 2) {
-    const double jerk = geometry::norm(bend) / (dt * dt);
-    log_.mean_jerk_m_s3 += jerk;  // the sum, until `finish`
-    log_.max_jerk_m_s3 = std::max(log_.max_jerk_m_s3, jerk);
-  }
-  velocity_ = x.v, change_ = change;
-}
-
 void FenceRecorder::advance(Vec3 before, Vec3 after) {
   distance_ = fence_.clearance(before, after) - config_.radius_m;
   log_.min_distance_m = std::min(log_.min_distance_m, distance_);
-}
-
-void FenceRecorder::end_tick(Vec3 v) { log_.max_speed_m_s = std::max(log_.max_speed_m_s, geometry::norm(v)); }
-
-FenceLog FenceRecorder::finish() {
-  if (log_.ticks > 2) log_.mean_jerk_m_s3 /= static_cast<double>(log_.ticks - 2);
-  return std::move(log_);
 }
 
 }  // namespace alula::flight

@@ -181,7 +181,7 @@ void Trial::watch(const Observation& seen, const Decision& decision, double now)
   if (log_.ticks % spec_.options.filter_ticks != 0) return;
   const std::span<const FilterRecord> records = flight_.records();
   if (fence_ && !records.empty() && records.back().report.fence)
-    fence_->note(vehicle_.racer(), seen.sticks, *records.back().report.fence, records.back().seconds);
+    fence_->note(vehicle_.racer(), seen.sticks, *records.back().report.fence);
   const auto last = std::find_if(records.rbegin(), records.rend(), [](const auto& r) { return r.report.moving; });
   if (last == records.rend()) return;
   const Command& c = decision.command;
@@ -270,7 +270,6 @@ SimulatedFlight Trial::fly() {
     vehicle_.command(decision.command);
     for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
     vehicle_.end_tick();
-    if (fence_) fence_->end_tick(vehicle_.state().v);
     const Vec3 v = vehicle_.state().v;
     if (log_.ticks > 0) {
       const double change = norm(v - 2 * last_v + older_v) / (dt * dt);

@@ -21,13 +21,14 @@ def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):
         index=index,
         start_m=[0.0, 0.0, 10.0],
         goal_m=[1.0, 0.0, 10.0],
-        outcome="outside" if least < 0 else "inside",
+        outcome="held",
         collision=least < 0,
         steps=sum(shares.values()),
         duration_s=1.0,
         path_length_m=4.0,
         straight_length_m=1.0,
-        map_clearance_m=least,
+        map_clearance_m=None,
+        fence_clearance_m=least,
         scene_clearance_m=None,
         max_speed_m_s=speed,
         filtered_steps=0,
@@ -52,10 +53,10 @@ def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):
 
 def flown(scenario, variant, trials, ticks=None, name="geofence", **changed):
     tree = {
-        "vehicle": {"radius_m": None, "mass_scale": 1.0, "wind_m_s": None},
+        "vehicle": {"radius_m": None, "mass_scale": 1.0, "disturbance": {"wind_m_s": None}},
         "vehicle_file": {"body": {"radius_m": 0.25}},
-        "filter": {"name": name, "parameters": {"reserve_m": 0.0, "latency_s": 0.0, "beta": 1.5}},
-        "run": {"stale_from_s": None, "stale_for_s": None},
+        "safety": {"geofence": {"reserve_m": 0.0, "latency_s": 0.0, "beta": 1.5}},
+        "estimation": {"lost_from_s": None, "lost_for_s": None},
     }
     for key, value in changed.items():
         *parents, last = key.split("__")
@@ -191,7 +192,7 @@ def reserves(name, left_at, **changed):
             "robustness",
             f"{name}_{reserve:g}",
             [trial(i, -0.1 if reserve in left_at and i == 0 else reserve + 0.01) for i in range(5)],
-            filter__parameters__reserve_m=reserve,
+            safety__geofence__reserve_m=reserve,
             **changed,
         )
         for reserve in (0.0, 0.5, 1.0, 2.0)
@@ -202,7 +203,7 @@ def test_the_least_reserve_is_that_above_which_no_flight_left():
     runs = [
         *reserves("nominal", ()),
         *reserves("mass", (0.0, 1.0), vehicle__mass_scale=1.2),  # 0.5 m was lucky
-        *reserves("gale", (2.0,), vehicle__wind_m_s=[20.0, 0.0, 0.0]),
+        *reserves("gale", (2.0,), vehicle__disturbance__wind_m_s=[20.0, 0.0, 0.0]),
     ]
     enough = {group.name: group.enough for group in geofencing.disturbed(runs)}
     assert enough["nominal"].reserve_m == 0

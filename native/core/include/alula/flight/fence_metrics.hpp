@@ -6,10 +6,12 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "alula/base/random.hpp"
 #include "alula/filters/geofence.hpp"
+#include "alula/geometry/obstacle_map.hpp"
 
 namespace alula::flight {
 
@@ -19,14 +21,14 @@ struct RacerStarts {
   double speed_m_s = 10, tilt_rad = 1;  // at most
 };
 
-// The first random draw from which the backup controller stays inside: h_I > 0. Throws std::invalid_argument when
-// there is none among many draws.
-RacerState safe_start(const Geofence& geofence, const RacerStarts& starts, const RandomStream& random);
+// The first random draw from which the backup controller stays inside, h_I > 0, and that is the radius away from
+// `others`, where there are any. Throws std::invalid_argument when there is none among many draws.
+RacerState safe_start(const Geofence& geofence, const RacerStarts& starts, const RandomStream& random,
+                      const ObstacleMap* others = nullptr);
 
-// Metrics of a flight. All but the distance and the speed are of its last filter, one of sticks.
+// Metrics of a flight. All but the distance are of its last filter, one of sticks.
 struct FenceLog {
   double min_distance_m = std::numeric_limits<double>::infinity();  // minus the radius; below 0 is a violation
-  double max_speed_m_s = 0;                                         // at the ends of ticks
   double min_lambda = 1;
   double min_h_i = std::numeric_limits<double>::infinity();
   // Distance to what the vehicle brakes for (Fence::braked_for) when first lambda < 1/2, and to the same when first
@@ -38,8 +40,6 @@ struct FenceLog {
   std::int64_t altered_passes = 0;  // commands of PASSED that differ from the pilot's bits; must be 0
   std::int64_t out_of_range = 0;    // commands outside the model's limits or lambda outside [0, 1]; must be 0
   double longest_backup_s = 0;      // longest time with u_B alone
-  double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second difference of the velocity over the beginnings of ticks
-  std::vector<float> tick_s;                     // measured time of the filter in each tick
   // Rows of ticks, for the time at their beginning.
   std::vector<double> figure;        // (ticks, 5): lambda, h_i, distance, margin, v_towards
   std::vector<double> distance;      // (ticks): the true one over the last step of the plant, minus the radius
@@ -55,15 +55,13 @@ class FenceRecorder {
 
   void begin(Vec3 p) { advance(p, p); }
   // The filter's report in the tick that begins; `x` is the truth.
-  void note(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report, float took);
+  void note(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report);
   void advance(Vec3 before, Vec3 after);  // a step of the plant
-  void end_tick(Vec3 v);
 
-  FenceLog finish();
+  FenceLog finish() { return std::move(log_); }
 
  private:
   void note_lambda(const RacerState& x, const GeofenceReport& report);
-  void note_jerk(const RacerState& x);
 
   const Fence& fence_;
   const alula_geofence_config& config_;
@@ -71,7 +69,6 @@ class FenceRecorder {
   std::uint32_t braked_for_ = ALULA_GEOFENCE_NONE;
   bool keeps_ticks_, is_free_ = true;
   double distance_ = 0, backup_s_ = 0;
-  Vec3 velocity_, change_;
 };
 
 }  // namespace alula::flight

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.stages.simulation.geofence.flights import FenceFlights, fly_trials
 from support import racer_model as model
+from support.fence_flights import fly_in
 
 WALL = ((-100.0, -100.0, 0.0), (40.0, 100.0, 100.0))
 GROUND = ((-100.0, -100.0, 0.5), (100.0, 100.0, 200.0))
@@ -20,16 +20,17 @@ def fly(box, pilot="straight", *, start=None, starts=None, options=None, rules=N
     kind, details = pilot if isinstance(pilot, tuple) else (pilot, {})
     given = rules or {}
     losses = {key: value for key, value in given.items() if key.endswith(("from_s", "for_s"))}
-    flights = FenceFlights(
+    geofence = _core.Geofence(_core.Fence(box=box), _core.RacerModel(), parameters or {})
+    return fly_in(
+        geofence,
         options=_core.RacerOptions(**(options or {})),
         pilot=_core.Pilot(kind, **details),
         losses=_core.Losses(**losses),
         start=start,
-        start_box=starts,
+        starts=starts,
         **{key: value for key, value in given.items() if key not in losses},
+        **how,
     )
-    geofence = _core.Geofence(_core.Fence(box=box), _core.RacerModel(), parameters or {})
-    return fly_trials(flights, geofence, **how)
 
 
 def tilt_deg(states):
@@ -43,7 +44,7 @@ def wall():
 
 def test_the_wall_of_the_paper_is_met_at_100_km_h_and_not_passed(wall):
     """40 m ahead, 72 degrees; the paper: 104 to 107 km/h, braked from 15 m near 90 degrees, 0.12 m left."""
-    states, lambdas = wall["state"], wall["figure"][:, 0]
+    states, lambdas = wall["racer"], wall["figure"][:, 0]
     assert 104 < wall["max_speed_m_s"] * 3.6 < 120
     assert wall["min_distance_m"] >= 0.25  # the reserve; the margin is what is left of it
     assert wall["min_distance_m"] < 0.6
@@ -58,7 +59,7 @@ def test_braking_is_measured_to_the_wall_and_not_to_the_floor_that_is_nearer():
     """The floor is 20 m below the start, the wall 40 m ahead of it."""
     log = fly(((-100.0, -100, 0), (40.0, 100, 100)), start=at(0, 20), keeps_ticks=True)[0]
     first = int(np.argmax(log["figure"][:, 0] < 0.5))
-    x, z = log["state"][first, 0], log["state"][first, 2]
+    x, z = log["racer"][first, 0], log["racer"][first, 2]
     assert log["brake_distance_m"] == pytest.approx(40 - x, abs=1e-9)
     assert z < 40 - x - 1
     assert log["stop_distance_m"] < 1
@@ -83,7 +84,7 @@ def test_the_fall_from_70_m_ends_above_the_ground(reserve):
     assert log["max_speed_m_s"] * 3.6 > 60
     assert log["min_distance_m"] > reserve
     assert log["min_distance_m"] < reserve + 0.3
-    rest = log["state"][-1]
+    rest = log["racer"][-1]
     assert abs(rest[5]) < 0.05
     # the blend hovers where u_B asks for more than hovering: not quite at the reserve
     assert 0.1 < rest[2] - 0.5 - reserve < 0.4
@@ -92,7 +93,7 @@ def test_the_fall_from_70_m_ends_above_the_ground(reserve):
 def test_commands_of_the_trace_are_the_blend_and_those_passed_are_the_pilots_bits(wall):
     passed = wall["status"] == 0
     assert passed.sum() == wall["passed"] > 50
-    assert wall["pilot"][passed].tobytes() == wall["command"][passed].tobytes()
+    assert wall["sticks"][passed].tobytes() == wall["command"][passed, 7:].tobytes()
     assert wall["altered_passes"] == wall["out_of_range"] == 0
     assert (wall["figure"][passed, 0] == 1).all()
     assert (wall["figure"][~passed, 0] < 1).all()
@@ -142,7 +143,7 @@ def test_flights_are_a_function_of_seed_and_trial():
     again = fly(ROOM, "aggressive", starts=STARTS, count=2, first=4, seed=3, rules={"duration_s": 2}, jobs=1)
     for a, b in zip(whole[4:], again, strict=True):
         assert a.keys() == b.keys()
-        for key in a.keys() - {"tick_s"}:  # which is measured
+        for key in a.keys() - {"tick_s", "filter_s", "active_tick_s", "command_s"}:  # which are measured
             np.testing.assert_array_equal(a[key], b[key])
     other = fly(ROOM, "aggressive", starts=STARTS, count=1, seed=4, rules={"duration_s": 2})[0]
     assert other["min_distance_m"] != whole[0]["min_distance_m"]
@@ -152,8 +153,8 @@ def test_the_radio_comes_back():
     log = fly(WALL, start=at(0, 50), keeps_ticks=True, rules={"radio_from_s": 0.8, "radio_for_s": 2.0})[0]
     status = log["status"]
     assert log["no_pilot"] == (status == 3).sum() == 800
-    assert np.isnan(log["pilot"][status == 3]).all()
-    speed = np.linalg.norm(log["state"][:, 3:6], axis=1)
+    assert np.isnan(log["sticks"][status == 3]).all()
+    speed = np.linalg.norm(log["racer"][:, 3:6], axis=1)
     assert speed[319] > 15
     assert speed[1100] < 2
     assert log["interventions"] == 1  # he flies to the wall after all
@@ -167,8 +168,8 @@ def test_a_short_outage_of_navigation_is_bridged_and_a_long_one_handed_over():
     long = fly(WALL, start=at(-50, 50), keeps_ticks=True, rules={"from_s": 1.0, "for_s": 3.0})[0]
     assert long["hand_over"] == pytest.approx((3.0 - 0.3) / 0.0025, abs=2)
     blind = long["status"] == 4
-    assert tilt_deg(long["state"][blind])[400:].max() < 1
-    sinking = long["state"][blind][400:, 5]
+    assert tilt_deg(long["racer"][blind])[400:].max() < 1
+    sinking = long["racer"][blind][400:, 5]
     assert (np.diff(sinking) < 0).all()
 
 

@@ -1,1 +1,0 @@
-"""Flights of a racing drone inside a geofence."""
