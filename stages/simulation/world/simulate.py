@@ -26,10 +26,12 @@ from alula.schemas.world_defaults import completed
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
+from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
+from alula.stages.simulation.world.among_hulls import note_of_psi
 from alula.stages.simulation.world.filters import filter_world, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.tasks import Missions, missions_of
@@ -43,6 +45,7 @@ _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
 _PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
+_PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
@@ -71,6 +74,7 @@ class WorldRun:
         world: static obstacles.
         counts: of sampled points and pairs.
         notes: for the summary.
+        filter_kind: whether all filters are native, in words.
         filter_s: time of all filters per tick, shape (T,) [s].
         tick_s: time of a tick on board, shape (T,) [s].
     """
@@ -82,6 +86,7 @@ class WorldRun:
     world: StaticWorld
     counts: dict[str, int]
     notes: list[str]
+    filter_kind: str
     filter_s: NDArray[np.float32]
     tick_s: NDArray[np.float32]
 
@@ -98,9 +103,11 @@ class PreparedRun:
         vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
         filters: native, in their order.
-        names: of the filters, in their order.
+        names: of the scenario's filters, in their order.
         judge: of the flights.
         plans: judges of the plans, by trial.
+        among: barrier of the hulls, where the vehicle is flown by velocities among them.
+        start_margin_m: psi less what filters keep, at the start of each trial, with that barrier [m].
         notes: for the summary.
     """
 
@@ -115,6 +122,8 @@ class PreparedRun:
     names: list[str]
     judge: WorldJudge
     plans: Callable[[int], PlanJudge | None]
+    among: _core.PolytopeCbf | None
+    start_margin_m: FloatArray | None
     notes: list[str] = field(default_factory=list)
 
     def fly(
@@ -130,7 +139,7 @@ class PreparedRun:
 
         Raises:
             UsageError: an obstacle cannot meet the vehicle.
-            InputError: the motion diverges, or a filter in Python returned no command.
+            InputError: the motion diverges, or a filter returned no command or one beyond the limits.
         """
         try:
             return _core.simulate(
@@ -143,6 +152,8 @@ class PreparedRun:
                 progress=progress,
             )
         except ValueError as error:
+            if not self.scenario.world.moving:
+                raise InputError(str(error)) from error
             raise UsageError(f"`$.world.moving`: {error}") from error
         except OverflowError as error:
             raise InputError(str(error)) from error
@@ -165,7 +176,22 @@ class PreparedRun:
         goal = self.missions.goal[index]
         if self.scenario.mission.kind == "pilot":
             goal = flown["path"][-1]
-        return self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+        margin = math.inf if self.start_margin_m is None else float(self.start_margin_m[index])
+        trial = self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+        return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
+
+    def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
+        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf.
+
+        Args:
+            index: number of the trial.
+            flown: its native log.
+        """
+        if self.among is not None and not self.filters:
+            smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
+            flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
+        rules = self.scenario.rules
+        return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz)
 
 
 def prepare(
@@ -221,13 +247,9 @@ def prepare(
     told = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
     of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
     filters = safety_filters(full, of_what)
-    psi = None
-    if "polytope-cbf" in names:
-        bare = barrier(of_what)
-
-        def psi(points: FloatArray) -> FloatArray:
-            return np.asarray(bare.psi(points)[1])
-
+    among = None
+    if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
+        among = barrier(of_what)
     missions = missions_of(
         full,
         world,
@@ -239,7 +261,7 @@ def prepare(
         cover=cover,
         given=pairs,
         is_safe=_safety_of_starts(full, vehicle, names, world),
-        start_value=psi,
+        psi=None if among is None else lambda points: among.psi(points, jobs=jobs)[1],
         jobs=jobs,
         progress=progress,
     )
@@ -262,7 +284,7 @@ def prepare(
         spec,
         options=flight,
         rules=_core.SimulationRules(
-            plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
+            plant_steps=rules.plant_steps or _plant_steps(full, is_point=is_point),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
@@ -285,6 +307,7 @@ def prepare(
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
+        is_point=is_point,
         jobs=jobs,
     )
     flown_plan = judge.of_plan(plan if mission.kind == "plan" else None)
@@ -292,15 +315,38 @@ def prepare(
     if flown_plan is not None and names:
         sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
         keeps: list[float | None] = [
-            world.hull_keep_m if each is world.polytopes else world.keep_m for each in sets
+            world.hull_keep_m
+            if each is world.polytopes
+            else None
+            if names == ["polytope-cbf"]  # it does not see them
+            else world.keep_m
+            for each in sets
         ]
         notes = require_room(flown_plan, keeps, " + ".join(names), allow_tight=mission.allow_tight)
+        if among is not None and "polytope-cbf" in names and not notes:
+            assert plan is not None
+            notes = note_of_psi(sample_plan(plan, dt_s), among, world.hull_keep_m)
 
     def of_trial(index: int) -> PlanJudge | None:
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
 
     return PreparedRun(
-        full, vehicle, world, missions, spec, flight, simulation, filters, names, judge, of_trial, notes
+        scenario=full,
+        vehicle=vehicle,
+        world=world,
+        missions=missions,
+        vehicle_spec=spec,
+        options=flight,
+        spec=simulation,
+        filters=filters,
+        names=names,
+        judge=judge,
+        plans=of_trial,
+        among=among,
+        start_margin_m=None
+        if among is None
+        else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
+        notes=notes,
     )
 
 
@@ -352,7 +398,7 @@ def simulate_world(
     worst = sorted(trials, key=lambda trial: (worst_clearance(trial), trial.index))[:WORST]
     for trial in sorted((one for one in worst if one.index >= rules.logged), key=lambda one: one.index):
         (log,) = ready.fly(trial.index, 1, jobs=jobs)
-        flights.append(WorldFlight.of(trial.index, log, rules.dt_s, rules.log_rate_hz))
+        flights.append(ready.shown(trial.index, log))
     return WorldRun(
         scenario=ready.scenario,
         vehicle=vehicle,
@@ -361,6 +407,7 @@ def simulate_world(
         world=ready.world,
         counts=ready.missions.counts,
         notes=ready.notes,
+        filter_kind="python filter" if any(one.shares_state for one in ready.filters) else "native",
         filter_s=np.frombuffer(b"".join(chunk.filter_s for chunk in chunks), np.float32),
         tick_s=np.frombuffer(b"".join(chunk.tick_s for chunk in chunks), np.float32),
     )
@@ -374,7 +421,7 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
         filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks].tobytes())
         ticks.append(log["tick_s"][:: rules.filter_ticks].tobytes())
         if index < logged:
-            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz))
+            flights.append(ready.shown(index, log))
     return FlownChunk(
         first=first, trials=trials, filter_s=b"".join(filters), tick_s=b"".join(ticks), flights=flights
     )
@@ -383,21 +430,25 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
     """Peak speed of the references, and limit of velocity commands [m/s]."""
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
+    is_point = vehicle.model == "single-integrator"
     if mission.kind == "plan" and plan is not None:
         peak = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
-        fast = _PLAN_SPEED_FACTOR * peak
+        fast = limit if is_point and limit else _PLAN_SPEED_FACTOR * peak
     else:
-        peak = (
-            mission.speed_m_s
-            or (limit if vehicle.model == "single-integrator" and limit else None)
-            or (DEFAULT_SPEED_M_S)
-        )
-        fast = peak if vehicle.model == "single-integrator" else _PLAN_SPEED_FACTOR * peak
-        if mission.planned and vehicle.model == "single-integrator":
+        peak = mission.speed_m_s or (limit if is_point and limit else None) or (DEFAULT_SPEED_M_S)
+        fast = peak if is_point else _PLAN_SPEED_FACTOR * peak
+        if mission.planned and is_point:
             peak /= _PLAN_SPEED_FACTOR
     if vehicle.model == "double-integrator":
         return peak, math.inf if limit is None else limit
     return peak, fast if limit is None else min(fast, limit)
+
+
+def _plant_steps(scenario: WorldScenario, *, is_point: bool) -> int:
+    """Steps of the plant per tick; one is exact for a point whose velocity is held, where none else moves."""
+    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
+        return 1
+    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
 
 
 def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
@@ -411,8 +462,8 @@ def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
 def _extent(
     scenario: WorldScenario, world: StaticWorld, most: float, pairs: Pairs | None, plan: Artifact | None
 ) -> float:
-    """Bound of the coordinates of all positions [m]."""
-    points = [world.centres]
+    """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
+    points = [world.vertices if scenario.world.has_hulls else world.centres]
     mission = scenario.mission
     given = [mission.start_m, mission.goal_m, *mission.waypoints_m]
     points += [np.array([point]) for point in given if point is not None]
@@ -427,8 +478,11 @@ def _extent(
         )
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
-    seconds = 10 + (scenario.vehicle.velocity_lag_s or 0.0)
-    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + seconds * speed
+    seconds = 1 + (scenario.vehicle.velocity_lag_s or 0.0)
+    radii = _PLANNED_RADII if mission.planned else 1
+    return (
+        2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed
+    )
 
 
 def _safety_of_starts(

@@ -8,18 +8,20 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
+from alula.schemas.filter_options import FILTERS
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
+from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
 
 _COUNTED = (
-    *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
+    *("steps", "filtered_steps", "shortened_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
     *("certified_steps", "certified_moving_steps", "saturated_steps", "refused_steps", "stale_steps"),
 )
 _GOOD: dict[str, tuple[Outcome, ...]] = {
@@ -54,6 +56,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         "mean_speed_m_s": mean(trial.mean_speed_m_s for trial in trials),
         **totals(trials, _COUNTED),
         **run.counts,
+        "filter_kind": run.filter_kind,
     }
     if run.scenario.world.scene is not None:
         summary |= {"sigma": run.world.sigma, "inflation_m": run.world.keep_m - run.world.radius_m}
@@ -61,8 +64,11 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         summary["certified_share_static"] = summary["certified_steps"] / steps
         if run.scenario.world.moving:
             summary["certified_share_moving"] = summary["certified_moving_steps"] / steps
-    if run.notes:
-        summary["notes"] = run.notes
+    notes = run.notes + note_of_starts(trials)
+    if any(trial.start_margin_m is not None for trial in trials):
+        summary["unsafe_starts"] = len(unsafe_starts(trials))
+    if notes:
+        summary["notes"] = notes
     return summary
 
 
@@ -130,9 +136,12 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         "collisions": hits,
         "static_collisions": sum(map(hits_static, trials)),
     }
-    limits = ""
+    among, limits, proof = proof_among_hulls(run.scenario, run.vehicle, cover, trials)
+    claims |= proof
     if not names:
         beforehand = UNFILTERED
+    elif among:
+        beforehand = among
     elif parts:
         shown = "all" if certified == steps else f"{certified} of {steps}"
         kept = " and ".join(_KEPT_FROM[name] for name in parts)
@@ -151,6 +160,8 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         claims["chain"] = _chain(run, cover, parts, complete=certified == steps, left=left)
         if left:
             limits = f"The flights had {', '.join(left)}, which the proof leaves out."
+    elif names[-1] not in FILTERS:
+        beforehand = f"alula does not check what the filter {names[-1]!r} guarantees."
     else:
         beforehand = (
             f"{' and '.join(names)} decide tick by tick; nothing was guaranteed beforehand for this vehicle."

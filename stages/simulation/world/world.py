@@ -63,6 +63,11 @@ class StaticWorld:
     centres: FloatArray
 
     @property
+    def vertices(self) -> FloatArray:
+        """Vertices of the hulls, shape (N, 3) [m]."""
+        return np.empty((0, 3)) if self.hulls is None else self.hulls.vertices_world
+
+    @property
     def map(self) -> _core.ObstacleMap | None:
         """All static obstacles; None without any."""
         return self.of(*self.parts)
