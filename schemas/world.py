@@ -176,7 +176,7 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     return Read(decoded(tree, str(path), known), given, tuple(changes or ()), is_old)
 
 
-def decoded(tree: dict[str, Any], where: str, known: set[str] | None = None) -> WorldScenario:
+def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | None = None) -> WorldScenario:
     """Convert and check plain values.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -22,7 +23,7 @@ from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, refusal
-from alula.schemas.world_defaults import completed
+from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
@@ -36,7 +37,7 @@ from alula.stages.simulation.world.filters import filter_world, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
-from alula.stages.simulation.world.world import StaticWorld, static_world
+from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 from alula.stages.vehicles.racer import racer_model
 
 CHUNK = 16  # trials whose full-rate samples are in memory at once
@@ -196,7 +197,7 @@ class PreparedRun:
 
 def prepare(
     scenario: WorldScenario,
-    vehicle: Vehicle,
+    vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
@@ -209,7 +210,7 @@ def prepare(
 
     Args:
         scenario: as read.
-        vehicle: that it names.
+        vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
         plan: that it names.
@@ -224,6 +225,9 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
+    if vehicle is None:
+        vehicle = vehicle_of(scenario, Path())
+    require_named(scenario, cover=cover, scene=scene, plan=plan)
     foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
     if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
@@ -352,7 +356,7 @@ def prepare(
 
 def simulate_world(
     scenario: WorldScenario,
-    vehicle: Vehicle,
+    vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
@@ -370,7 +374,7 @@ def simulate_world(
 
     Args:
         scenario: as read.
-        vehicle: that it names.
+        vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
         plan: that it names.
@@ -401,7 +405,7 @@ def simulate_world(
         flights.append(ready.shown(trial.index, log))
     return WorldRun(
         scenario=ready.scenario,
-        vehicle=vehicle,
+        vehicle=ready.vehicle,
         trials=trials,
         flights=flights,
         world=ready.world,

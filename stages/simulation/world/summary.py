@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,10 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
         vehicle: that it names.
     """
     table = scenario.vehicle
-    return f"{vehicle.name}, {vehicle.model}, by {table.interface}, radius {exact(table.radius_m or 0.0)} m"
+    limit = table.max_speed_m_s
+    fast = "" if limit is None or not math.isfinite(limit) else f", up to {exact(limit)} m/s"
+    radius = exact(table.radius_m or 0.0)
+    return f"{vehicle.name}, {vehicle.model}, by {table.interface}, radius {radius} m{fast}"
 
 
 def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
