@@ -194,7 +194,7 @@ def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None 
     return decoded(tree, where, known | _filters(tree))
 
 
-def decoded(tree: dict[str, Any], where: str, known: set[str] | None = None) -> WorldScenario:
+def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | None = None) -> WorldScenario:
     """Convert and check plain values.
 
     Args:

@@ -83,12 +83,16 @@ def _logged(
     obstacles, tracks, margin = flight.rows("obstacles"), flight.rows("tracks"), flight.rows("margin")
     status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
 
+    def of_margin(k: int, i: int) -> dict[str, Any]:
+        value = number(margin[i, k]) if margin.shape[1] else None
+        if not filters or filters[k] == "polytope-cbf":
+            return {} if value is None else {"h_m": value}
+        return ({} if value is None else {"margin": value}) | {"margin_unit": "of the filter's barrier"}
+
     def of_filter(k: int, i: int) -> dict[str, Any]:
-        which, value = FilterStatus(int(status[i, k])), number(margin[i, k])
-        bits = int(flags[i, k])
+        which, bits = FilterStatus(int(status[i, k])), int(flags[i, k])
         return {
-            **({} if value is None else {"margin": value}),
-            "margin_unit": "of the filter's barrier",
+            **of_margin(k, i),
             "status": int(which),
             "status_name": which.name.lower(),
             "infeasible": bool(bits & INFEASIBLE),
@@ -112,7 +116,8 @@ def _logged(
         )
         what = "u" if interface == "velocity" else "a"
         unit = "m_s" if interface == "velocity" else "m_s2"
-        last = of_filter(len(filters) - 1, i) if filters else {"status": 0, "status_name": "ok"}
+        none = {"status": 0, "status_name": "ok"}
+        last = of_filter(len(filters) - 1, i) if filters else of_margin(-1, i) | none
         flown = command[i, :3]
         if interface in ("velocity", "acceleration"):
             last |= {f"{what}_nom_{unit}": xyz(nominal[i]), f"{what}_safe_{unit}": xyz(flown)}

@@ -46,7 +46,7 @@ def pairs_flown(trials: Sequence[TrialResult], count: int | None) -> Pairs:
         UsageError: there are fewer.
     """
     if count is not None and count > len(trials):
-        raise UsageError(f"--trials {count}: the run of --pairs-from has {len(trials)}")
+        raise UsageError(f"`$.rules.trials`: {count}, but the run of mission.pairs_from has {len(trials)}")
     first = sorted(trials, key=lambda trial: trial.index)[:count]
     start, goal = (np.array([getattr(t, key) for t in first], np.float64) for key in ("start_m", "goal_m"))
     return Pairs(start.reshape(-1, 3), goal.reshape(-1, 3), 0, 0)
@@ -67,8 +67,8 @@ def check_clear(pairs: Pairs, is_clear: Callable[[FloatArray], NDArray[np.bool_]
             i = int(np.argmin(clear))
             where = " ".join(f"{value:.3f}" for value in points[i])
             raise UsageError(
-                f"--pairs-from: trial {i} {what} at ({where}), closer to an obstacle than this run allows; "
-                "take the pairs of a run in the same map with at least this clearance"
+                f"`$.mission.pairs_from`: trial {i} {what} at ({where}), closer to an obstacle than this run "
+                "allows; take the pairs of a run in the same map with at least this clearance"
             )
 
 
@@ -91,7 +91,7 @@ def central_box(
     if given is not None:
         return np.array(given[:3]), np.array(given[3:])
     if len(points) == 0:
-        raise UsageError(f"the map has no {what} to take bounds from; give --bounds")
+        raise UsageError(f"the map has no {what} to take bounds from; set mission.bounds_m")
     lower, upper = np.percentile(points, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
     return lower, upper
 
@@ -105,7 +105,7 @@ def sample_pairs(
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
     is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
     *,
-    keys: str = "--bounds or lower --separation, --margin or --radius",
+    keys: str = "mission.bounds_m or lower mission.separation, mission.margin_m or vehicle.radius_m",
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 

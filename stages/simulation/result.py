@@ -105,11 +105,13 @@ class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
 class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     """Samples of a flight behind f filters, with n moving obstacles around it.
 
+    The samples end with the end of the flight: there `state` is of the end, all else of the tick before.
     `state` has position, attitude (MRP), velocity and rates, shape (T, 12), `estimate` what the filters got;
     `nominal` the mission's velocity or acceleration, shape (T, 3); `command` velocity, acceleration or rates
     (3), wrench (4) and sticks (4); `sticks` the pilot's, shape (T, 4), NaN without; `obstacles` and `tracks`
-    positions, shape (T, n, 3), NaN without a track; `margin` of each filter, shape (T, f); `each_status` and
-    `each_flags` a byte for each filter, the bits of `SimulatedFlight` in native/core.
+    positions, shape (T, n, 3), NaN without a track; `margin` of each filter, shape (T, f), or of the hulls
+    without one; `each_status` and `each_flags` a byte for each filter, the bits of `SimulatedFlight` in
+    native/core.
 
     Of a pilot's flight in a fence, else of shape (T, 0): `figure` lambda, h_I, the filter's distance, its
     margin and speed towards the fence, shape (T, 5); `distance` the minimum true one since the sample before,
@@ -148,24 +150,26 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             rate_hz: samples per second.
             filter_ticks: ticks for which the filters' command is held.
         """
-        sample = logged_ticks(len(flown["mark"]) - 1, dt_s, rate_hz)
-        status = flown["status"][sample]
+        ticks = len(flown["mark"])
+        sample = logged_ticks(ticks, dt_s, rate_hz)
+        held = np.minimum(sample, ticks - 1)
+        status = flown["status"][held]
         last = status[:, -1] if status.shape[1] else np.zeros(len(sample), np.uint8)
         return cls(
             trial=trial,
             tick=sample.tobytes(),
             status=np.ascontiguousarray(last).tobytes(),
             state=flown["state"][sample].tobytes(),
-            estimate=flown["estimate"][sample].tobytes(),
-            nominal=flown["nominal"][sample].tobytes(),
-            command=flown["command"][sample].tobytes(),
-            sticks=flown["sticks"][sample].tobytes(),
-            obstacles=flown["obstacle"][sample].tobytes(),
-            tracks=flown["track"][sample].tobytes(),
-            margin=flown["margin"][sample].tobytes(),
+            estimate=flown["estimate"][held].tobytes(),
+            nominal=flown["nominal"][held].tobytes(),
+            command=flown["command"][held].tobytes(),
+            sticks=flown["sticks"][held].tobytes(),
+            obstacles=flown["obstacle"][held].tobytes(),
+            tracks=flown["track"][held].tobytes(),
+            margin=flown["margin"][held].tobytes(),
             each_status=status.tobytes(),
-            each_flags=flown["flags"][sample].tobytes(),
-            **(_fence_samples(flown["fence"], sample // filter_ticks) if "fence" in flown else {}),
+            each_flags=flown["flags"][held].tobytes(),
+            **(_fence_samples(flown["fence"], held // filter_ticks) if "fence" in flown else {}),
         )
 
     def mode(self) -> NDArray[np.uint8]:

@@ -42,6 +42,7 @@ class WorldJudge:
         obstacle_radii_m: of the moving obstacles [m].
         via_tolerance_m: distance within which a via point counts as passed [m].
         dt_s: duration of a tick [s].
+        is_point: whether the vehicle is moved by velocities, whose first one is that of the first command.
         jobs: threads; the result does not depend on it.
     """
 
@@ -50,6 +51,7 @@ class WorldJudge:
     obstacle_radii_m: list[float]
     via_tolerance_m: float
     dt_s: float
+    is_point: bool
     jobs: int
 
     def of_plan(self, plan: Artifact | None) -> PlanJudge | None:
@@ -95,14 +97,14 @@ class WorldJudge:
             for one, radius in zip(met, self.obstacle_radii_m, strict=True)
         )
         followed = None if along is None else along.result(path)
-        velocity = state[:, 6:9]
+        velocity = state[1 if self.is_point else 0 :, 6:9]
         jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
         jerk = jerk[np.isfinite(jerk)]
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
         length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]
         last = each[-1] if each else None
-        status, mark = flown["status"], flown["mark"]
+        status, mark, infeasible = flown["status"], flown["mark"], flown["flags"] & INFEASIBLE > 0
         duration = steps * self.dt_s
         reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
         return TrialResult(
@@ -120,7 +122,7 @@ class WorldJudge:
             max_speed_m_s=_most(np.linalg.norm(velocity, axis=1)),
             filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()) if self.filters else 0,
             shortened_steps=int((status == FilterStatus.SHORTENED).sum()),
-            infeasible_steps=sum(one.infeasible for one in each),
+            infeasible_steps=int((infeasible | (status == FilterStatus.REFUSED)).any(axis=1).sum()),
             fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()) if self.filters else 0,
             mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
             max_jerk_m_s3=_most(jerk),

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import UsageError
+from alula.schemas.errors import InputError, UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
@@ -20,21 +22,23 @@ from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import refusal
-from alula.schemas.world_defaults import completed
+from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.durations import Times
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
+from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.chunks import FlownTrials, TrialJournal
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
+from alula.stages.simulation.world.among_hulls import note_of_psi
 from alula.stages.simulation.world.filters import filter_world, needs_image, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
-from alula.stages.simulation.world.world import StaticWorld, static_world
+from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
 CHUNK, CHUNK_TICKS = 16, 100_000  # maximum number of trials and ticks whose samples are in memory at once
 WORST = 3  # flights with the least clearance, which are always in the log
@@ -42,6 +46,7 @@ _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
 _FAR_M = 1e9  # beyond every position
+_PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
@@ -71,6 +76,7 @@ class WorldRun:
         counts: of sampled points and pairs.
         notes: for the summary.
         start_h_i_m: see `start_h_i` [m].
+        filter_kind: whether all filters are native, in words.
         filter_times: of all filters per tick.
         tick_times: of a tick on board.
     """
@@ -83,6 +89,7 @@ class WorldRun:
     counts: dict[str, int]
     notes: list[str]
     start_h_i_m: float | None
+    filter_kind: str
     filter_times: Times
     tick_times: Times
 
@@ -99,10 +106,12 @@ class PreparedRun:
         vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
         filters: native, in their order.
-        names: of the filters, in their order.
+        names: of the scenario's filters, in their order.
         judge: of the flights.
         plans: judges of the plans, by trial.
         start_h_i_m: see `start_h_i` [m].
+        among: barrier of the hulls, where the vehicle is flown by velocities among them.
+        start_margin_m: psi less what filters keep, at the start of each trial, with that barrier [m].
         notes: for the summary.
     """
 
@@ -118,6 +127,8 @@ class PreparedRun:
     judge: WorldJudge
     plans: Callable[[int], PlanJudge | None]
     start_h_i_m: float | None
+    among: _core.PolytopeCbf | None
+    start_margin_m: FloatArray | None
     notes: list[str] = field(default_factory=list)
 
     def fly(
@@ -133,7 +144,7 @@ class PreparedRun:
 
         Raises:
             UsageError: an obstacle cannot meet the vehicle, or the motion diverges.
-            InputError: a filter in Python returned no command.
+            InputError: a filter returned no command or one beyond the limits.
         """
         try:
             return _core.simulate(
@@ -146,6 +157,8 @@ class PreparedRun:
                 progress=progress,
             )
         except ValueError as error:
+            if not self.scenario.world.moving:
+                raise InputError(str(error)) from error
             raise UsageError(f"`$.world.moving`: {error}") from error
         except OverflowError as error:
             raise UsageError(f"`$.vehicle`: {error}") from error
@@ -168,12 +181,27 @@ class PreparedRun:
         goal = self.missions.goal[index]
         if self.scenario.mission.kind == "pilot":
             goal = flown["path"][-1]
-        return self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+        margin = math.inf if self.start_margin_m is None else float(self.start_margin_m[index])
+        trial = self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+        return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
+
+    def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
+        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf.
+
+        Args:
+            index: number of the trial.
+            flown: its native log.
+        """
+        if self.among is not None and not self.filters:
+            smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
+            flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
+        rules = self.scenario.rules
+        return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz, rules.filter_ticks)
 
 
 def prepare(
     scenario: WorldScenario,
-    vehicle: Vehicle,
+    vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
@@ -186,7 +214,7 @@ def prepare(
 
     Args:
         scenario: as read.
-        vehicle: that it names.
+        vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
         plan: that it names.
@@ -201,6 +229,9 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
+    if vehicle is None:
+        vehicle = vehicle_of(scenario, Path())
+    require_named(scenario, cover=cover, scene=scene, plan=plan)
     foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
     if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
@@ -228,13 +259,9 @@ def prepare(
     judging = geofence if is_fenced(full, of_what) else None
     if judging is not None and not filters:
         filters = [_core.FenceFilter(judging, is_bare=True)]  # tells the figures of a flight without a filter
-    psi = None
-    if "polytope-cbf" in names:
-        bare = barrier(of_what)
-
-        def psi(points: FloatArray) -> FloatArray:
-            return np.asarray(bare.psi(points)[1])
-
+    among = None
+    if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
+        among = barrier(of_what)
     missions = missions_of(
         full,
         world,
@@ -246,7 +273,7 @@ def prepare(
         cover=cover,
         given=pairs,
         geofence=geofence,
-        start_value=psi,
+        psi=None if among is None else lambda points: among.psi(points, jobs=jobs)[1],
         jobs=jobs,
         progress=progress,
     )
@@ -269,7 +296,7 @@ def prepare(
         spec,
         options=flight,
         rules=_core.SimulationRules(
-            plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
+            plant_steps=rules.plant_steps or _plant_steps(full, is_point=is_point),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
@@ -294,6 +321,7 @@ def prepare(
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
+        is_point=is_point,
         jobs=jobs,
     )
     flown_plan = judge.of_plan(plan if mission.kind == "plan" else None)
@@ -301,9 +329,17 @@ def prepare(
     if flown_plan is not None and names:
         sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
         keeps: list[float | None] = [
-            world.hull_keep_m if each is world.polytopes else world.keep_m for each in sets
+            world.hull_keep_m
+            if each is world.polytopes
+            else None
+            if names == ["polytope-cbf"]  # it does not see them
+            else world.keep_m
+            for each in sets
         ]
         notes = require_room(flown_plan, keeps, " + ".join(names), allow_tight=mission.allow_tight)
+        if among is not None and "polytope-cbf" in names and not notes:
+            assert plan is not None
+            notes = note_of_psi(sample_plan(plan, dt_s), among, world.hull_keep_m)
 
     def of_trial(index: int) -> PlanJudge | None:
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
@@ -321,13 +357,17 @@ def prepare(
         judge=judge,
         plans=of_trial,
         start_h_i_m=start_h_i(full, geofence),
+        among=among,
+        start_margin_m=None
+        if among is None
+        else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
         notes=notes,
     )
 
 
 def simulate_world(
     scenario: WorldScenario,
-    vehicle: Vehicle,
+    vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
@@ -345,7 +385,7 @@ def simulate_world(
 
     Args:
         scenario: as read.
-        vehicle: that it names.
+        vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
         plan: that it names.
@@ -373,16 +413,17 @@ def simulate_world(
     worst = sorted(trials, key=lambda trial: (worst_clearance(trial), trial.index))[:WORST]
     for trial in sorted((one for one in worst if one.index >= rules.logged), key=lambda one: one.index):
         (log,) = ready.fly(trial.index, 1, jobs=jobs)
-        flights.append(WorldFlight.of(trial.index, log, rules.dt_s, rules.log_rate_hz, rules.filter_ticks))
+        flights.append(ready.shown(trial.index, log))
     return WorldRun(
         scenario=ready.scenario,
-        vehicle=vehicle,
+        vehicle=ready.vehicle,
         trials=trials,
         flights=flights,
         world=ready.world,
         counts=ready.missions.counts,
         notes=ready.notes,
         start_h_i_m=ready.start_h_i_m,
+        filter_kind="python filter" if any(one.shares_state for one in ready.filters) else "native",
         filter_times=Times.joined([chunk.filter_times for chunk in chunks]),
         tick_times=Times.joined([chunk.tick_times for chunk in chunks]),
     )
@@ -406,7 +447,7 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
         filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks])
         ticks.append(log["tick_s"][:: rules.filter_ticks])
         if index < logged:
-            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz, rules.filter_ticks))
+            flights.append(ready.shown(index, log))
     held_s = rules.dt_s * rules.filter_ticks
     return FlownChunk(
         first=first,
@@ -420,21 +461,25 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
     """Peak speed of the references, and limit of velocity commands [m/s]."""
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
+    is_point = vehicle.model == "single-integrator"
     if mission.kind == "plan" and plan is not None:
         peak = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
-        fast = PLAN_SPEED_FACTOR * peak
+        fast = limit if is_point and limit else PLAN_SPEED_FACTOR * peak
     else:
-        peak = (
-            mission.speed_m_s
-            or (limit if vehicle.model == "single-integrator" and limit else None)
-            or (DEFAULT_SPEED_M_S)
-        )
-        fast = peak if vehicle.model == "single-integrator" else PLAN_SPEED_FACTOR * peak
-        if mission.planned and vehicle.model == "single-integrator":
+        peak = mission.speed_m_s or (limit if is_point and limit else None) or (DEFAULT_SPEED_M_S)
+        fast = peak if is_point else PLAN_SPEED_FACTOR * peak
+        if mission.planned and is_point:
             peak /= PLAN_SPEED_FACTOR
     if vehicle.model == "double-integrator":
         return peak, math.inf if limit is None else limit
     return peak, fast if limit is None else min(fast, limit)
+
+
+def _plant_steps(scenario: WorldScenario, *, is_point: bool) -> int:
+    """Steps of the plant per tick; one is exact for a point whose velocity is held, where none else moves."""
+    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
+        return 1
+    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
 
 
 def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
@@ -448,8 +493,8 @@ def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
 def _extent(
     scenario: WorldScenario, world: StaticWorld, most: float, pairs: Pairs | None, plan: Artifact | None
 ) -> float:
-    """Bound of the coordinates of all positions [m]."""
-    points = [world.centres]
+    """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
+    points = [world.vertices if scenario.world.has_hulls else world.centres]
     mission = scenario.mission
     given = [mission.start_m, mission.goal_m, *mission.waypoints_m]
     points += [np.array([point]) for point in given if point is not None]
@@ -464,8 +509,11 @@ def _extent(
         )
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
-    seconds = 10 + (scenario.vehicle.velocity_lag_s or 0.0)
-    return float(np.abs(np.concatenate(points)).max(initial=1.0)) + 6 * world.radius_m + seconds * speed
+    seconds = 1 + (scenario.vehicle.velocity_lag_s or 0.0)
+    radii = _PLANNED_RADII if mission.planned else 1
+    return (
+        2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed
+    )
 
 
 def _losses(scenario: WorldScenario) -> _core.Losses:

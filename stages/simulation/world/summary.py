@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
+from alula.schemas.filter_options import FILTERS
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome
 from alula.schemas.vehicle import Vehicle
@@ -14,13 +16,14 @@ from alula.schemas.world_check import is_random
 from alula.stages.durations import Times
 from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
+from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
 
 _COUNTED = (
-    *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
+    *("steps", "filtered_steps", "shortened_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
     *("certified_steps", "certified_moving_steps", "saturated_steps", "refused_steps", "stale_steps"),
 )
 _GOOD: dict[str, tuple[Outcome, ...]] = {
@@ -39,7 +42,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
     Args:
         run: all trials.
     """
-    trials, notes = run.trials, list(run.notes)
+    trials = run.trials
     good = ("reached", *_GOOD.get(run.scenario.mission.kind, ()))
     steps = sum(trial.steps for trial in trials)
     outcomes = (*outcomes_of(trials), "passed", "held")
@@ -58,6 +61,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         "mean_speed_m_s": mean(trial.mean_speed_m_s for trial in trials),
         **totals(trials, _COUNTED),
         **run.counts,
+        "filter_kind": run.filter_kind,
     }
     if run.scenario.world.scene is not None:
         summary |= {"sigma": run.world.sigma, "inflation_m": run.world.keep_m - run.world.radius_m}
@@ -67,6 +71,9 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
             summary["certified_share_moving"] = summary["certified_moving_steps"] / steps
     if not is_random(run.scenario, run.vehicle):
         summary["success_interval"] = None
+    notes = run.notes + note_of_starts(trials)
+    if any(trial.start_margin_m is not None for trial in trials):
+        summary["unsafe_starts"] = len(unsafe_starts(trials))
     if (fence := fence_summary(trials, run.start_h_i_m)) is not None:
         summary["fence"] = fence
         notes += fence_notes(fence, fence_filter_of(run.scenario))
@@ -126,7 +133,10 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
         vehicle: that it names.
     """
     table = scenario.vehicle
-    return f"{vehicle.name}, {vehicle.model}, by {table.interface}, radius {exact(table.radius_m or 0.0)} m"
+    limit = table.max_speed_m_s
+    fast = "" if limit is None or not math.isfinite(limit) else f", up to {exact(limit)} m/s"
+    radius = exact(table.radius_m or 0.0)
+    return f"{vehicle.name}, {vehicle.model}, by {table.interface}, radius {radius} m{fast}"
 
 
 def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
@@ -147,9 +157,12 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         "collisions": hits,
         "static_collisions": sum(map(hits_static, trials)),
     }
-    limits = ""
+    among, limits, proof = proof_among_hulls(run.scenario, run.vehicle, cover, trials)
+    claims |= proof
     if not names:
         beforehand = UNFILTERED
+    elif among:
+        beforehand = among
     elif parts:
         shown = "all" if certified == steps else f"{certified} of {steps}"
         kept = " and ".join(_KEPT_FROM[name] for name in parts)
@@ -173,6 +186,8 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         claims |= {"as_modelled": not left, "proven": False}
         if left:
             limits = f"The vehicle differed from the filter's model: {', '.join(left)}."
+    elif names[-1] not in FILTERS:
+        beforehand = f"alula does not check what the filter {names[-1]!r} guarantees."
     else:
         beforehand = (
             f"{' and '.join(names)} decide tick by tick; nothing was guaranteed beforehand for this vehicle."

@@ -15,6 +15,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
 from alula.schemas.world import WorldScenario
+from alula.stages.clearance import segment_clearance
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.simulation.planned import count_planned, plans_of
@@ -63,7 +64,7 @@ def missions_of(
     cover: Artifact | None,
     given: Pairs | None,
     geofence: _core.Geofence | None,
-    start_value: Clearance | None,
+    psi: Clearance | None,
     jobs: int,
     progress: Progress | None = None,
 ) -> Missions:
@@ -80,7 +81,8 @@ def missions_of(
         cover: to plan in.
         given: starts and goals of another run, or None.
         geofence: in which a pilot's start is safe; None without a pilot.
-        start_value: barrier of the filter at points, shape (N, 3) to (N,), which starts must satisfy too [m].
+        psi: of the hulls at points, shape (N, 3) to (N,), where the vehicle is flown by velocities among
+            them; pairs are then drawn around the hulls, by psi instead of the distance from them [m].
         jobs: threads.
         progress: of planning.
 
@@ -89,6 +91,7 @@ def missions_of(
         InfeasibleError: no clear pairs were found.
     """
     mission = scenario.mission
+    around = world.centres if psi is None else world.vertices
     plans: list[Artifact | None]
     counts: dict[str, int]
     if mission.kind == "pilot":
@@ -104,7 +107,7 @@ def missions_of(
         pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
         plans = [plan]
     else:
-        pairs, counts = _pairs(scenario, world, count, given, start_value, jobs)
+        pairs, counts = _pairs(scenario, world, around, count, given, psi, jobs)
         plans = [None] * len(pairs.start)
         if mission.planned:
             assert cover is not None
@@ -112,12 +115,12 @@ def missions_of(
                 pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
             )
             counts |= count_planned(plans)
-    return _along(scenario, world, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point)
+    return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point)
 
 
 def _along(
     scenario: WorldScenario,
-    world: StaticWorld,
+    around: FloatArray,
     pairs: Pairs,
     plans: list[Artifact | None],
     count: int,
@@ -145,7 +148,7 @@ def _along(
             curve = _core.ReferenceCurve(*rest_to_rest(start, goal, speed_m_s, yaw_rad=yaw))
         if curve is None:
             flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=max_speed_m_s)
-            allowed = 5 * _diagonal(scenario, world, pairs) / max_speed_m_s + _EXTRA_TIME_S
+            allowed = 5 * _diagonal(scenario, around, pairs) / max_speed_m_s + _EXTRA_TIME_S
         else:
             flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=max_speed_m_s)
             slow = curve.duration_s + _EXTRA_TIME_S if by_velocity else _TIME_FACTOR * curve.duration_s
@@ -177,12 +180,12 @@ def _along(
     )
 
 
-def _diagonal(scenario: WorldScenario, world: StaticWorld, pairs: Pairs) -> float:
+def _diagonal(scenario: WorldScenario, around: FloatArray, pairs: Pairs) -> float:
     """Diagonal of the box of starts and goals [m]."""
     mission = scenario.mission
     if mission.start_m is not None and mission.goal_m is not None:
         return max(1.0, math.dist(mission.start_m, mission.goal_m))
-    points = world.centres if len(world.centres) else np.concatenate([pairs.start, pairs.goal])
+    points = around if len(around) else np.concatenate([pairs.start, pairs.goal])
     lower, upper = central_box(points, mission.bounds_m, "obstacles")
     return float(np.linalg.norm(upper - lower))
 
@@ -190,9 +193,10 @@ def _diagonal(scenario: WorldScenario, world: StaticWorld, pairs: Pairs) -> floa
 def _pairs(
     scenario: WorldScenario,
     world: StaticWorld,
+    around: FloatArray,
     count: int,
     given: Pairs | None,
-    start_value: Clearance | None,
+    psi: Clearance | None,
     jobs: int,
 ) -> tuple[Pairs, dict[str, int]]:
     mission = scenario.mission
@@ -200,6 +204,17 @@ def _pairs(
 
     def distance(points: FloatArray) -> FloatArray:
         return world.clearance(points, points, keep + mission.margin_m + 1e-3, jobs)
+
+    def is_clear(points: FloatArray, apart: FloatArray, margin_m: float) -> NDArray[np.bool_]:
+        if psi is None:
+            return np.asarray(apart >= keep + margin_m)
+        clear = (apart >= world.hull_keep_m + margin_m) & (world.inside(points) >= world.radius_m + margin_m)
+        if world.ellipsoids is not None and clear.any():
+            needed, left = world.keep_m + margin_m, np.ascontiguousarray(points[clear])
+            clear[clear] = segment_clearance(left, left, world.ellipsoids, jobs, needed) >= needed
+        return clear
+
+    apart_of = distance if psi is None else psi
 
     def is_blocked(start: FloatArray, goal: FloatArray) -> NDArray[np.bool_]:
         return np.asarray(world.clearance(start, goal, keep, jobs) < keep)
@@ -212,30 +227,24 @@ def _pairs(
         require_clear(world, start, "`$.mission.start_m`: the start", jobs)
         return Pairs(start, np.array([goal]), 0, 0), {}
     if given is not None:
-        check_clear(given, lambda points: np.asarray(distance(points) >= keep))
+        check_clear(given, lambda points: is_clear(points, apart_of(points), 0.0))
         found = given
     else:
-        lower, upper = central_box(world.centres, mission.bounds_m, "obstacles")
-
-        def is_clear(points: FloatArray, apart: FloatArray) -> NDArray[np.bool_]:
-            clear = np.asarray(apart >= keep + mission.margin_m)
-            if start_value is not None and clear.any():
-                clear[clear] = start_value(np.ascontiguousarray(points[clear])) >= keep
-            return clear
-
+        lower, upper = central_box(around, mission.bounds_m, "obstacles")
         found = sample_pairs(
             count,
             scenario.rules.seed,
             (lower, upper),
             mission.separation * float(np.linalg.norm(upper - lower)),
-            distance,
-            is_clear,
+            apart_of,
+            lambda points, apart: is_clear(points, apart, mission.margin_m),
             is_blocked if mission.which == "blocked" else None,
-            keys="mission.bounds_m or lower mission.separation, mission.margin_m or vehicle.radius_m",
         )
     counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}
     if given is None:
         counts |= {"sampled_points": found.sampled, "sampled_pairs": found.candidates}
+        if psi is not None:
+            counts["sampled_inside_hulls"] = found.sampled_inside_hulls
     return found, counts
 
 

@@ -63,6 +63,11 @@ class StaticWorld:
     centres: FloatArray
 
     @property
+    def vertices(self) -> FloatArray:
+        """Vertices of the hulls, shape (N, 3) [m]."""
+        return np.empty((0, 3)) if self.hulls is None else self.hulls.vertices_world
+
+    @property
     def map(self) -> _core.ObstacleMap | None:
         """All static obstacles; None without any."""
         return self.of(*self.parts)
@@ -124,6 +129,34 @@ class StaticWorld:
         return tuple(points.min(axis=0) - _BEYOND_M), tuple(points.max(axis=0) + _BEYOND_M)
 
 
+def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
+    """Check the files that were read for a scenario.
+
+    Args:
+        scenario: any.
+        files: by role: cover, scene, plan; None where there is none.
+
+    Raises:
+        UsageError: the scenario names another set of files.
+        InputError: one is not metric, or they are not in one frame.
+    """
+    named = {"cover": scenario.world.cover, "scene": scenario.world.scene, "plan": scenario.mission.plan}
+    for role, file in files.items():
+        key = f"{'mission' if role == 'plan' else 'world'}.{role}"
+        if file is None and named[role] is not None:
+            raise UsageError(
+                f"`$.{key}`: the {role} {named[role]!r} was not given; give it, or leave the key out"
+            )
+        if file is not None and named[role] is None:
+            raise UsageError(f"`$.{key}`: a {role} was given, which the scenario does not name; set {key}")
+    given = [(role, file) for role, file in files.items() if file is not None]
+    for role, file in given:
+        require_metric(role, file)
+        first, frame = given[0][0], given[0][1].manifest.frame
+        if file.manifest.frame != frame:
+            raise InputError(f"the {first} is in frame {frame!r}, the {role} in {file.manifest.frame!r}")
+
+
 def static_world(
     scenario: WorldScenario,
     *,
@@ -144,19 +177,13 @@ def static_world(
         jobs: threads.
 
     Raises:
-        InputError: cover or scene are not metric, or not in one frame.
+        InputError: the cover is not metric.
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         UsageError: the level or the radius is invalid for these ellipsoids.
     """
     table = scenario.world
     if cover is not None:
         require_obstacles(cover, jobs=jobs)
-    if scene is not None:
-        require_metric("scene", scene)
-        if cover is not None and cover.manifest.frame != scene.manifest.frame:
-            raise InputError(
-                f"the cover is in frame {cover.manifest.frame!r}, the scene in {scene.manifest.frame!r}"
-            )
     sigma = table.sigma if table.confidence is None else sigma_of_confidence(table.confidence)
     suggested = 0.0 if scene is None else _suggested(scene)
     inflation = suggested if table.inflation_m is None else table.inflation_m

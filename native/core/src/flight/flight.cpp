@@ -12,6 +12,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using geometry::norm;
 
+constexpr double kRounding = 1 + 1e-12;  // a velocity that was scaled to the limit is not scaled again
+
 Vec3 limited(Vec3 v, double most) {
   const double length = norm(v);
   return length > most ? most / length * v : v;
@@ -330,7 +332,8 @@ void Flight::finish() {
   c.yaw = target_.yaw;
   switch (vehicle_.interface) {
     case Interface::velocity:
-      c.velocity = limited(nominal_.velocity, vehicle_.max_speed);
+      c.velocity = nominal_.velocity;
+      if (norm(c.velocity) > vehicle_.max_speed * kRounding) c.velocity = limited(c.velocity, vehicle_.max_speed);
       break;
     case Interface::acceleration:
       if (level_ == CommandKind::velocity) lower(level_, CommandKind::acceleration);
