@@ -876,6 +876,11 @@ class EllipsoidIndex:
         Centres (N, 3) and matrices A (N, 3, 3) of the grown ellipsoids {y : (y - c)^T A (y - c) <= 1}.
         """
 
+def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
+    """
+    Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
+    """
+
 class Pruning:
     """Selection of the ellipsoids that become rows of a tick."""
 
@@ -1939,11 +1944,6 @@ class FlightTrial:
 def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[ReferenceCurve], filter: SafetyFilter | None, *, guide: SafetyFilter | None = None, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
     Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per tick, the path at the rate of the plant, and the outcome.
-    """
-
-def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
-    """
-    Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
     """
 
 class TrackerOptions:

@@ -279,6 +279,15 @@ void bind_splat_filters(nb::module_& m) {
       .def("grown", &grown,
            "Centres (N, 3) and matrices A (N, 3, 3) of the grown ellipsoids {y : (y - c)^T A (y - c) <= 1}.");
 
+  m.def(
+      "least_gamma",
+      [](const EllipsoidIndex& index, const InRows3<double>& points) {
+        const nb::gil_scoped_release release;
+        return least_gamma(index, as_span(points));
+      },
+      "index"_a, "points"_a,
+      "Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
+
   fields::bind<Pruning>(m, "Pruning", "Selection of the ellipsoids that become rows of a tick.");
 
   nb::class_<SafetyFilter>(m, "SafetyFilter", "Safety filter of one kind of command; one per thread.")

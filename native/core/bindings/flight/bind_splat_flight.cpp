@@ -257,13 +257,4 @@ void bind_splat_flight(nb::module_& m) {
       "seed"_a = 0, "first_trial"_a = 0, "jobs"_a = 0, "progress"_a = nb::none(),
       "Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per "
       "tick, the path at the rate of the plant, and the outcome.");
-
-  m.def(
-      "least_gamma",
-      [](const EllipsoidIndex& index, const InRows3<double>& points) {
-        const nb::gil_scoped_release release;
-        return least_gamma(index, as_span(points));
-      },
-      "index"_a, "points"_a,
-      "Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
 }

@@ -41,6 +41,12 @@ CommandKind innermost(Interface interface) {
   return CommandKind::sticks;
 }
 
+// Of a thrust along the body's axis.
+Vec3 acceleration_of(const Quadrotor& body, const State& x, double thrust) {
+  return thrust / body.mass() * geometry::transposed_times(body_from_inertial(x.sigma), geometry::e3) -
+         body.gravity() * geometry::e3;
+}
+
 bool is_rigid_body(const VehicleSpec& vehicle) {
   return vehicle.model == VehicleModel::quadrotor && vehicle.interface >= Interface::wrench;
 }
@@ -337,9 +343,17 @@ void Flight::finish() {
       break;
     case Interface::acceleration:
       if (level_ == CommandKind::velocity) lower(level_, CommandKind::acceleration);
-      c.acceleration = nominal_.acceleration;
-      for (int i = 0; i < 3 && !is_rigid(); ++i)
-        c.acceleration[i] = std::clamp(c.acceleration[i], -vehicle_.max_acceleration, vehicle_.max_acceleration);
+      decision_.acceleration = c.acceleration = nominal_.acceleration;
+      if (is_rigid()) break;
+      if (has_inner_limits(vehicle_)) {
+        for (int i = 0; i < 3; ++i)
+          c.acceleration[i] = std::clamp(c.acceleration[i], -vehicle_.max_acceleration, vehicle_.max_acceleration);
+      } else {
+        c.acceleration = limited(c.acceleration, vehicle_.max_acceleration);
+      }
+      decision_.is_limited = c.acceleration.x != nominal_.acceleration.x ||
+                             c.acceleration.y != nominal_.acceleration.y ||
+                             c.acceleration.z != nominal_.acceleration.z;
       break;
     case Interface::wrench:
     case Interface::body_rates: {
@@ -351,6 +365,7 @@ void Flight::finish() {
         const RacerCommand u = nominal_.sticks.value_or(RacerCommand{});
         flown_ = {vehicle_.body.mass() * vehicle_.racer.acceleration(u.throttle), {}};
         c.wrench = flown_, c.rates = u.rates;
+        decision_.acceleration.reset();
       } else {
         if (is_turn(held_ticks) || begins_) {
           const Wrench wanted = nominal_.wrench;
@@ -358,8 +373,10 @@ void Flight::finish() {
           decision_.is_limited = flown_.thrust != wanted.thrust || flown_.torque.x != wanted.torque.x ||
                                  flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
           const double held = options_.dt_s * static_cast<double>(held_ticks);
+          decision_.acceleration =
+              by_wrench ? acceleration_of(vehicle_.body, seen_.x, wanted.thrust) : nominal_.acceleration;
           if (decision_.is_stale)
-            c.rates = {};
+            c.rates = {}, decision_.acceleration.reset();
           else if (vehicle_.interface == Interface::body_rates)
             c.rates = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held),
                                  vehicle_.max_rate);

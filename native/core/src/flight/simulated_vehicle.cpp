@@ -84,7 +84,7 @@ SimulatedVehicle::SimulatedVehicle(const VehicleSpec& spec, double dt_s, int pla
       limited_({spec.max_speed, spec.max_jerk, spec.actuation_delay_s}, h_),
       racer_(spec.racer, spec.racer_options, random),
       sensor_(spec.plant.sensor, random),
-      is_limited_(std::isfinite(spec.max_jerk) || std::isfinite(spec.max_speed) || spec.actuation_delay_s > 0) {}
+      is_limited_(has_inner_limits(spec)) {}
 
 void SimulatedVehicle::reset(const State& x, const std::optional<Vec4>& attitude) {
   x_ = x;

@@ -26,6 +26,7 @@ void append(std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v
 void append(std::vector<double>& rows, const State& x) {
   for (const Vec3& part : {x.p, x.sigma, x.v, x.omega}) append(rows, part);
 }
+void append(std::vector<double>& rows, const Wrench& u) { rows.push_back(u.thrust), append(rows, u.torque); }
 void append(std::vector<double>& rows, const RacerCommand& u) { rows.push_back(u.throttle), append(rows, u.rates); }
 
 bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for NaN
@@ -76,6 +77,8 @@ class Trial {
   std::optional<PilotHand> hand_;
   double receded_s_ = 0;
   std::int64_t still_ = 0;
+  std::optional<Vec3> commanded_;  // acceleration of this tick,
+  double error_ = 0;               // and the largest difference from it
   SimulatedFlight log_;
 };
 
@@ -137,11 +140,16 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
     log_.measured.insert(log_.measured.end(), 12, kNaN);
   const Nominal& first = flight_.nominal();
   append(log_.nominal, spec_.vehicle.interface == Interface::velocity ? first.velocity : first.acceleration);
+  append(log_.u_nominal, first.wrench);
+  append(log_.a_command, decision.acceleration.value_or(Vec3{kNaN, kNaN, kNaN}));
   const Command& c = decision.command;
+  const bool by_rotors = c.interface == Interface::wrench || c.interface == Interface::body_rates;
+  const Vec4 rotors = by_rotors ? spec_.vehicle.body.rotor_thrust(c.wrench) : Vec4{};
+  log_.rotor_thrust.insert(log_.rotor_thrust.end(), rotors.begin(), rotors.end());
   append(log_.command, c.interface == Interface::velocity       ? c.velocity
                        : c.interface == Interface::acceleration ? c.acceleration
                                                                 : c.rates);
-  log_.command.push_back(c.wrench.thrust), append(log_.command, c.wrench.torque);
+  append(log_.command, c.wrench);
   append(log_.command, c.sticks);
   append(log_.sticks, seen.sticks.value_or(RacerCommand{kNaN, {kNaN, kNaN, kNaN}}));
   for (const Kinematics& o : world_.truth()) {
@@ -153,7 +161,9 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
   for (const FilterRecord& r : flight_.records()) {
     const FilterReport& report = r.report;
     log_.margin.push_back(report.margin);
+    log_.gate_m.push_back(report.gate_m);
     log_.active.push_back(report.active);
+    log_.candidates.push_back(report.candidates);
     log_.rows.push_back(report.rows);
     log_.iterations.push_back(report.iterations);
     log_.status.push_back(static_cast<std::uint8_t>(report.status));
@@ -193,9 +203,10 @@ void Trial::watch(const Observation& seen, const Decision& decision, double now)
 void Trial::step(std::int64_t index) {
   const double h = spec_.options.dt_s / spec_.rules.plant_steps;
   if (world_.size() > 0 && index % spec_.rules.plant_steps > 0) world_.sense(index, vehicle_.kinematics());
-  const Kinematics before = vehicle_.kinematics();
+  const Kinematics before = world_.size() > 0 ? vehicle_.kinematics() : Kinematics{vehicle_.state().p, {}, {}};
   vehicle_.step();
   const State& x = vehicle_.state();
+  if (spec_.rules.keeps_ticks && commanded_) error_ = std::max(error_, norm(vehicle_.acceleration() - *commanded_));
   log_.path_length_m += norm(x.p - before.p);
   log_.max_speed_m_s = std::max(log_.max_speed_m_s, norm(x.v));
   if (fence_) fence_->advance(before.p, x.p);
@@ -268,8 +279,10 @@ SimulatedFlight Trial::fly() {
     watch(seen, decision, now);
     flight_.sent();
     vehicle_.command(decision.command);
+    commanded_ = decision.acceleration, error_ = commanded_ ? 0 : kNaN;
     for (std::int64_t i = 0; i < steps; ++i) step(log_.ticks * steps + i);
     vehicle_.end_tick();
+    if (keeps_ticks) log_.a_error.push_back(error_);
     const Vec3 v = vehicle_.state().v;
     if (log_.ticks > 0) {
       const double change = norm(v - 2 * last_v + older_v) / (dt * dt);

@@ -11,7 +11,10 @@ namespace alula {
 namespace {
 
 using geometry::Box;
+using geometry::cross;
+using geometry::dot;
 using geometry::Mat3;
+using geometry::norm;
 using Shape = geometry::EllipsoidTree::Shape;
 
 constexpr std::size_t kChunk = 4096;
@@ -279,6 +282,39 @@ double EllipsoidIndex::clearance(geometry::Vec3 point, double cap, std::uint32_t
   });
   if (waits > 0) measure();
   return best;
+}
+
+double least_gamma(const EllipsoidIndex& index, std::span<const double> points) {
+  constexpr std::size_t kPoints = 64;
+  const auto point = [&](std::size_t i) {
+    return geometry::Vec3{points[3 * i], points[3 * i + 1], points[3 * i + 2]};
+  };
+  const std::size_t count = points.size() / 3;
+  std::vector<double> axis(index.size());  // bound on the longest semi-axis: its square is below tr A^-1
+  for (std::size_t k = 0; k < axis.size(); ++k) {
+    const Mat3& a = index.grown(static_cast<std::uint32_t>(k)).a;
+    const geometry::Vec3 x = a.row(0), y = a.row(1), z = a.row(2);
+    const geometry::Vec3 minors{dot(cross(y, z), {1, 0, 0}), dot(cross(z, x), {0, 1, 0}),
+                                dot(cross(x, y), {0, 0, 1})};
+    axis[k] = std::sqrt((minors.x + minors.y + minors.z) / dot(x, cross(y, z))) * (1 + 1e-6);
+  }
+  double smallest = std::numeric_limits<double>::infinity();  // of r^T A r
+  for (std::size_t begin = 0; begin < count; begin += kPoints) {
+    const std::size_t end = std::min(count, begin + kPoints);
+    const geometry::Vec3 middle = point((begin + end) / 2);
+    double around = 0;
+    for (std::size_t i = begin; i < end; ++i) around = std::max(around, norm(point(i) - middle));
+    for (std::size_t k = 0; k < axis.size(); ++k) {
+      const GrownEllipsoid& item = index.grown(static_cast<std::uint32_t>(k));
+      const double away = norm(item.centre - middle) - around;  // r^T A r >= (|r| / longest semi-axis)^2
+      if (away > 0 && away * away >= smallest * axis[k] * axis[k]) continue;
+      for (std::size_t i = begin; i < end; ++i) {
+        const geometry::Vec3 r = item.centre - point(i);
+        smallest = std::min(smallest, dot(r, item.a * r));
+      }
+    }
+  }
+  return smallest - 1;
 }
 
 }  // namespace alula

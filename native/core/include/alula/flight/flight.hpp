@@ -85,7 +85,11 @@ struct Decision {
   Command command;
   bool is_refused = false;  // the last filter refused, or there is no state
   bool is_stale = false;
-  bool is_limited = false;  // the rotors cannot realise what the filters returned
+  bool is_limited = false;  // rotors or limits of a point cannot realise what the filters returned
+  // What the command asks of the body, held with it: of a wrench, that of its thrust along the axis that the filters
+  // saw. Without a value for velocities and sticks. The body's difference from it is FastBridge's realisation error
+  // (eq. 11-12): what attitude, rotors and air leave of the command.
+  std::optional<Vec3> acceleration;
 };
 
 class Flight {

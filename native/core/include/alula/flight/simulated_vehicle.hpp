@@ -12,6 +12,7 @@
 // autopilot does with its own estimate.
 #pragma once
 
+#include <cmath>
 #include <limits>
 #include <optional>
 #include <vector>
@@ -64,6 +65,12 @@ struct VehicleSpec {
 
 // Throws std::invalid_argument where the model does not take the interface, or a number is out of range.
 void check(const VehicleSpec& spec);
+
+// A double integrator with limits of jerk, speed or delay, whose limit of the acceleration is per axis; else it is of
+// the norm.
+inline bool has_inner_limits(const VehicleSpec& spec) {
+  return std::isfinite(spec.max_jerk) || std::isfinite(spec.max_speed) || spec.actuation_delay_s > 0;
+}
 
 // The acceleration of the velocity loop, limited.
 Vec3 velocity_loop(const VehicleSpec& spec, Vec3 commanded, Vec3 v);

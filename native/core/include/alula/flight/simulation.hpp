@@ -76,21 +76,25 @@ struct SimulatedFlight {
   State last;
   EncounterLog encounters;
   std::optional<FenceLog> fence;
-  std::vector<double> path;      // (ticks * plant_steps + 1, 3) [m]
-  std::vector<double> state;     // (ticks + 1, 12): p, sigma, v, omega
-  std::vector<double> attitude;  // (ticks + 1, 4) of a racer: quaternion w, x, y, z
-  std::vector<double> estimate;  // (ticks, 12)
-  std::vector<double> measured;  // (ticks, 12), NaN where it was lost
-  std::vector<double> nominal;   // (ticks, 3): velocity or acceleration of the mission; 0 of a pilot
-  std::vector<double> command;   // (ticks, 11): velocity or acceleration or rates (3), wrench (4), sticks (4)
-  std::vector<double> sticks;    // (ticks, 4) of the pilot, NaN when silent
-  std::vector<double> obstacle;  // (ticks, n, 3)
-  std::vector<double> track;     // (ticks, n, 3), NaN without one
+  std::vector<double> path;          // (ticks * plant_steps + 1, 3) [m]
+  std::vector<double> state;         // (ticks + 1, 12): p, sigma, v, omega
+  std::vector<double> attitude;      // (ticks + 1, 4) of a racer: quaternion w, x, y, z
+  std::vector<double> estimate;      // (ticks, 12)
+  std::vector<double> measured;      // (ticks, 12), NaN where it was lost
+  std::vector<double> nominal;       // (ticks, 3): velocity or acceleration of the mission; 0 of a pilot
+  std::vector<double> u_nominal;     // (ticks, 4): T and tau of the mission's controller; 0 of points [N, N m]
+  std::vector<double> a_command;     // (ticks, 3): `Decision::acceleration`, NaN without one
+  std::vector<double> a_error;       // (ticks): largest |a - a_command| at the ends of the plant's steps
+  std::vector<double> rotor_thrust;  // (ticks, 4) of the command, as model; 0 without a wrench [N]
+  std::vector<double> command;       // (ticks, 11): velocity or acceleration or rates (3), wrench (4), sticks (4)
+  std::vector<double> sticks;        // (ticks, 4) of the pilot, NaN when silent
+  std::vector<double> obstacle;      // (ticks, n, 3)
+  std::vector<double> track;         // (ticks, n, 3), NaN without one
   // (ticks, filters); flags: 1 capped, 2 infeasible, 4 certified, 8 certified against tubes,
   // and 16 times the mode of a filter among moving obstacles
-  std::vector<double> margin;
+  std::vector<double> margin, gate_m;
   std::vector<std::int64_t> active;
-  std::vector<std::uint32_t> rows, iterations;
+  std::vector<std::uint32_t> candidates, rows, iterations;
   std::vector<std::uint8_t> status, flags;
   std::vector<float> filter_s;            // measured
   std::vector<float> tick_s;              // (ticks) measured: all of observe and decide

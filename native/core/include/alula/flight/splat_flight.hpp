@@ -147,8 +147,4 @@ std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules&
                                 const SafetyFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
                                 unsigned jobs, Control& control);
 
-// Minimum of gamma = r^T A r - 1, r = centre - p, over all grown ellipsoids and the points (3 numbers each): below 0
-// inside one; infinite without ellipsoids or points. Exact up to rounding; visits each ellipsoid once per 64 points.
-double least_gamma(const EllipsoidIndex& index, std::span<const double> points);
-
 }  // namespace alula::flight

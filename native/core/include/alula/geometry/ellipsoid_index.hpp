@@ -133,4 +133,8 @@ class EllipsoidIndex {
   double radius_;
 };
 
+// Minimum of gamma = r^T A r - 1, r = centre - p, over all grown ellipsoids and the points (3 numbers each): below 0
+// inside one; infinite without ellipsoids or points. Exact up to rounding; visits each ellipsoid once per 64 points.
+double least_gamma(const EllipsoidIndex& index, std::span<const double> points);
+
 }  // namespace alula
