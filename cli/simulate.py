@@ -186,7 +186,6 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
                     pairs=pairs,
                     journal=journal,
                     jobs=common.jobs,
-                    scheduler=scheduler,
                     progress=watched,
                 )
             except UsageError as error:

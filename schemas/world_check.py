@@ -249,6 +249,8 @@ def _wrong_world(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     among = "safer-splat" if ladder == "acceleration" else "shield"
     if world.onboard and world.cover is None:
         return "`$.world.onboard`: the image is of a cover; set world.cover, or world.onboard=false"
+    if world.onboard and not scenario.safety.filters:
+        return "`$.world.onboard`: filters read the image, and there is none; set world.onboard=false"
     for name in scenario.safety.filters:
         where = f"`$.safety.filters`: {name}"
         if name == "polytope-cbf" and not hulls:

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from alula.schemas.filter_options import FILTERS
-from alula.schemas.foreign_filters import foreign_filter, kind_of
+from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.vehicles import VEHICLES, point_limits
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.schemas.world_tables import NO_FILTER
@@ -68,9 +67,8 @@ def vehicle_table(vehicle: str) -> dict[str, Any]:
 
 def _made_for(names: Sequence[str], has_cover: bool) -> str:
     """Name of the built-in vehicle that filters are made for; without one, of the world."""
-    kinds = {
-        FILTER_COMMANDS.get(name) or kind_of(name, foreign_filter(name, list(FILTERS))) for name in names
-    }
+    known = [NO_FILTER, *FILTER_COMMANDS, *foreign_names()]
+    kinds = {FILTER_COMMANDS.get(name) or kind_of(name, foreign_filter(name, known)) for name in names}
     if "velocity" in kinds or (not names and has_cover):
         return "single-integrator"
     if "sticks" in kinds:

@@ -218,7 +218,11 @@ def make_mission(
     )
     keeps = {"a hull": hull_keep if sees_hulls else None, "an ellipsoid": keep if is_splat else None}
     notes = require_room(
-        along, [keeps[name] for name, _ in obstacles], config.filter, allow_tight=config.allow_tight
+        along,
+        [keeps[name] for name, _ in obstacles],
+        config.filter,
+        allow_tight=config.allow_tight,
+        insist="--allow-tight",
     )
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]

@@ -126,7 +126,7 @@ def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatAr
 
 
 def require_room(
-    plan: PlanJudge, keeps_m: Sequence[float | None], filter_name: str, *, allow_tight: bool
+    plan: PlanJudge, keeps_m: Sequence[float | None], filter_name: str, *, allow_tight: bool, insist: str
 ) -> list[str]:
     """Refuse a plan that is nearer to a map than the filter lets the vehicle be.
 
@@ -135,6 +135,7 @@ def require_room(
         keeps_m: distance that the filter keeps from each map [m]; None from one that it does not see.
         filter_name: its name; `none` keeps nothing.
         allow_tight: warn instead.
+        insist: what sets this on the command line, for the message.
 
     Returns:
         Notes for the summary.
@@ -153,7 +154,7 @@ def require_room(
             "will hold the vehicle back"
         )
         if not allow_tight:
-            raise UsageError(f"{words}; plan with --radius {at_most(keep)}, or insist with --allow-tight")
+            raise UsageError(f"{words}; plan with --radius {at_most(keep)}, or insist with {insist}")
         notes.append(words)
     return notes
 

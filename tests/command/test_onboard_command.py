@@ -126,13 +126,13 @@ def test_info_says_what_it_is(here, capsys):
 
 def test_a_flight_on_the_map_is_clear_of_the_cover(here, capsys):
     words = ["simulate", "tiny.cover.npz", "--trials", "3", "--seed", "4", "--json"]
-    assert run([*words, "-o", "a.run.mcap", "--onboard"]) == 0
+    assert run([*words, "-o", "a.run.mcap", "--set", "world.onboard=true"]) == 0
     summary = json.loads(capsys.readouterr().out)["summary"]
     assert summary["collisions"] == 0
     assert summary["filter_kind"] == "native"
-    assert read_provenance(Path("a.run.mcap")).parameters["onboard"] is True
-    assert run([*words, "-o", "b.run.mcap", "--onboard", "--filter", "none"]) == 2
-    assert "--onboard is for the filter polytope-cbf" in capsys.readouterr().err
+    assert read_provenance(Path("a.run.mcap")).parameters["world"]["onboard"] is True
+    assert run([*words, "-o", "b.run.mcap", "--set", "world.onboard=true", "--filter", "none"]) == 2
+    assert "`$.world.onboard`: filters read the image, and there is none" in capsys.readouterr().err
 
 
 PROGRAM = r"""

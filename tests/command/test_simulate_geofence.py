@@ -144,7 +144,18 @@ def test_files_do_not_depend_on_jobs(here):
 
 
 def test_options_and_settings_replace_keys(here):
-    words = ["--trials", "3", "--seed", "9", "--max-time", "0.5", "--radius", "0.1", "--log-rate", "20"]
+    words = [
+        "--trials",
+        "3",
+        "--seed",
+        "9",
+        "--set",
+        "rules.max_time_s=0.5",
+        "--set",
+        "vehicle.radius_m=0.1",
+        "--set",
+        "rules.log_rate_hz=20",
+    ]
     sets = ["safety.geofence.reserve_m=2.5", "vehicle.mass_scale=1.2", "mission.pilot.kind=sticks"]
     sets += ["world.fence.box_m=-20,-20,0,20,20,30"]
     assert run([*WORDS, *words, *(word for pair in sets for word in ("--set", pair)), "-q"]) == 0
@@ -158,16 +169,17 @@ def test_options_and_settings_replace_keys(here):
 
 
 def test_a_fence_that_is_left_fails_the_check(here, capsys):
-    heavy = [*WORDS, "-q", "--set", "vehicle.mass_scale=1.6", "--max-time", "3"]
+    heavy = [*WORDS, "-q", "--set", "vehicle.mass_scale=1.6", "--set", "rules.max_time_s=3"]
     assert run(heavy) == 4
     error = capsys.readouterr().err
     summary = record().summary
     words = "filtered flights touched a static obstacle or left the fence"
     assert f"{summary['fence']['violations']} of 9 {words}" in error
-    assert f"trial {summary['worst_trial']}" in error
+    assert f"the deepest is trial {summary['worst_trial']} from (" in error
+    assert error.endswith(f"), {-summary['fence']['min_distance_m']:.4g} m\n")
     assert error.count("\n") == 1
     assert run(heavy) == 4  # the second time nothing is flown
-    assert run([*WORDS[:3], "free.run.mcap", "-q", "--filter", "none", "--max-time", "3"]) == 0
+    assert run([*WORDS[:3], "free.run.mcap", "-q", "--filter", "none", "--set", "rules.max_time_s=3"]) == 0
     free = record("free.run.json")
     assert free.summary["fence"]["violations"] > 0
     assert free.summary["fence"]["min_h_i_m"] is None  # never evaluated
@@ -240,7 +252,7 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
         (["--set", "vehicle.file=none.toml"], 3, "none.toml: cannot read"),
         (["--vehicle", str(FASTBRIDGE)], 2, "fastbridge has no table [throttle], which sticks need"),
         (["--filter", "cone-di"], 2, "`$.safety.filters`: cone-di is for commands of"),
-        (["--trials", "0"], 2, "--trials must be between 1 and"),
+        (["--trials", "0"], 2, "Invalid value for '--trials': 0 is out of range"),
         (["--pairs-from", "vehicles/racer7.toml"], 2, "mission.pairs_from"),
         (["--scene", "vehicles/racer7.toml"], 3, "racer7.toml"),
         (["--map", "vehicles/racer7.toml"], 3, "racer7.toml"),

@@ -10,7 +10,7 @@ from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
 
-SCENE_WORDS = ["--trials", "3", "--max-time", "0.3", "-q"]
+SCENE_WORDS = ["--trials", "3", "--set", "rules.max_time_s=0.3", "-q"]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,13 @@ def test_a_single_integrator_flies_among_hulls_with_the_limits_of_its_file(maps,
     assert parameters["vehicle"]["limits"]["max_speed_m_s"] == 0.7
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "vehicle"]
     smaller = simulate(
-        maps / "two.cover.npz", tmp_path / "s.run.mcap", *words, "--radius", 0.1, "--speed", 0.5
+        maps / "two.cover.npz",
+        tmp_path / "s.run.mcap",
+        *words,
+        "--set",
+        "vehicle.radius_m=0.1",
+        "--speed",
+        0.5,
     )
     assert smaller.vehicle.endswith("radius 0.1 m, single integrator up to 0.5 m/s")
 
@@ -67,7 +73,7 @@ def test_the_parameters_hold_the_whole_vehicle(maps, tmp_path):
 def test_the_rate_loop_is_that_of_the_file(maps, tmp_path):
     text = (VEHICLES / "fastbridge.toml").read_text()
     (tmp_path / "slow.toml").write_text(text.replace("time_constant_s = 0.02 ", "time_constant_s = 0.05 "))
-    words = ["--filter", "none", "--interface", "body-rates", *SCENE_WORDS]
+    words = ["--filter", "none", "--set", "vehicle.interface=body-rates", *SCENE_WORDS]
     quick = simulate(maps / "field.scene.npz", tmp_path / "a.run.mcap", *words)
     slow = simulate(
         maps / "field.scene.npz", tmp_path / "b.run.mcap", *words, "--vehicle", tmp_path / "slow.toml"
@@ -98,9 +104,19 @@ def test_the_pairs_of_another_run_are_flown_again(maps, tmp_path, name, words):
 def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
     source, first = maps / "field.scene.npz", tmp_path / "first.run.mcap"
     words = ["--filter", "none", *SCENE_WORDS]
-    record = simulate(source, first, *words, "--pairs", "blocked")
-    drawn = simulate(source, tmp_path / "a.run.mcap", *words, "--pairs", "blocked", "--inflate", 0.05)
-    given = simulate(source, tmp_path / "b.run.mcap", *words, "--pairs-from", first, "--inflate", 0.05)
+    record = simulate(source, first, *words, "--set", "mission.which=blocked")
+    drawn = simulate(
+        source,
+        tmp_path / "a.run.mcap",
+        *words,
+        "--set",
+        "mission.which=blocked",
+        "--set",
+        "world.inflation_m=0.05",
+    )
+    given = simulate(
+        source, tmp_path / "b.run.mcap", *words, "--pairs-from", first, "--set", "world.inflation_m=0.05"
+    )
     assert ends(drawn) != ends(record)
     assert ends(given) == ends(record)
     assert given.summary["blocked_pairs"] == 3
@@ -110,9 +126,9 @@ def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
     ("words", "message"),
     [
         (["--trials", "4"], "--trials 4: the run of --pairs-from has 3"),
-        (["--pairs", "blocked"], "--pairs is for random pairs; leave it out with --pairs-from"),
-        (["--margin", "0.2"], "--margin is for random pairs"),
-        (["--inflate", "1"], "closer to an obstacle than this run allows"),
+        (["--set", "mission.which=blocked"], "--pairs is for random pairs; leave it out with --pairs-from"),
+        (["--set", "mission.margin_m=0.2"], "--margin is for random pairs"),
+        (["--set", "world.inflation_m=1"], "closer to an obstacle than this run allows"),
     ],
 )
 def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, message):
@@ -141,7 +157,11 @@ def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, messag
             "--speed 2: single-integrator flies at most 1 m/s",
         ),
         (["SCENE", "--vehicle", "DOT", "--filter", "none"], 2, "which flies among the hulls of a cover"),
-        (["SCENE", "--filter", "none", "--sigma", "2", "--confidence", "0.9"], 2, "sets sigma: give one"),
+        (
+            ["SCENE", "--filter", "none", "--set", "world.sigma=2", "--set", "world.confidence=0.9"],
+            2,
+            "sets sigma: give one",
+        ),
         (["BOTH"], 2, "`$.map.confidence`: sets sigma; give one of the two"),
         (["SCENE", "--filter", "none", "--pairs-from", "SCENE"], 3, "is not an MCAP log"),
         (["SCENE", "--filter", "none", "--pairs-from", "absent.run.mcap"], 3, "cannot read"),

@@ -22,7 +22,7 @@ from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
 
 FAST = ["--trials", "2", "--speed", "2"]
-GUIDED = ["--filter", "cone-ecbf", "--guide", "cone-di"]
+GUIDED = ["--filter", "cone-ecbf", "--set", "mission.controller.guide=cone-di"]
 LIGHT = ["--vehicle", str(VEHICLES / "crazyflie21.toml")]
 
 
@@ -79,7 +79,7 @@ def test_every_filter_flies_and_any_number_of_threads_writes_the_same_bytes(scen
 
 def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
     out = tmp_path / "r.run.mcap"
-    words = ["simulate", str(scene), *FAST, "--filter", "cone-backup", "--log-rate", "50"]
+    words = ["simulate", str(scene), *FAST, "--filter", "cone-backup", "--set", "rules.log_rate_hz=50"]
     assert run([*words, "--seed", "3", "-o", str(out), "-q"]) == 0
     record = read_run(out)
     samples = sum(-(-t.steps // 2) + 1 for t in record.trials)
@@ -146,7 +146,7 @@ def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
         "--plant",
         "double-integrator",
     ]
-    assert run([*words, "--confidence", "0.5", "-o", str(out), "-q"]) in (0, 4)
+    assert run([*words, "--set", "world.confidence=0.5", "-o", str(out), "-q"]) in (0, 4)
     record = read_run(out)
     (trial,) = record.trials
     assert trial.start_m == [0.0, 0.5, 1.0]
@@ -200,7 +200,7 @@ def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
 
 def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
     a, b, report = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap", tmp_path / "report.html"
-    words = ["simulate", str(scene), *FAST, *GUIDED, "--pairs", "blocked", "-q"]
+    words = ["simulate", str(scene), *FAST, *GUIDED, "--set", "mission.which=blocked", "-q"]
     for setting in ("guide.alpha=3", "guide.count=8", "lambda_=4", "solver=clarabel"):
         words += ["--set", setting]
     for path, jobs in ((a, "1"), (b, "2")):
@@ -257,7 +257,7 @@ def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
     write_artifact(path, make_scene(400, low=(1, 0, 0), high=(2, 1, 2)))
     plan = write_plan(tmp_path / "p.plan.npz", (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
     words = ["simulate", str(plan), "--map", str(path), "-o", str(out)]
-    assert run([*words, "--filter", "cone-di", "-q", "--allow-tight"]) == 4
+    assert run([*words, "--filter", "cone-di", "-q", "--set", "mission.allow_tight=true"]) == 4
     assert "1 of 1 filtered flights collided" in capsys.readouterr().err
     assert read_run(out).summary["collisions"] == 1
     assert run([*words, "--filter", "none", "-q", "-f"]) == 0
@@ -283,12 +283,20 @@ def unaligned(path):
         (["SCENE", "--filter", "cone-backup", "--set", "weight=1,2"], 2, "weight must be 4 numbers"),
         (["SCENE", "--filter", "none", "--set", "alpha=1"], 2, "the filter none has no parameters"),
         (["COVER", "--set", "beta=1"], 2, "polytope-cbf has the options --beta"),
-        (["COVER", "--sigma", "2"], 2, "--sigma is for flights among the ellipsoids"),
-        (["SCENE", "--filter", "cone-di", "--beta", "2"], 2, "--beta is for flights among the hulls"),
-        (["SCENE", "--filter", "none", "--confidence", "1"], 2, "--confidence must be between 0 and 1"),
+        (["COVER", "--set", "world.sigma=2"], 2, "--sigma is for flights among the ellipsoids"),
+        (
+            ["SCENE", "--filter", "cone-di", "--set", "safety.polytope-cbf.beta=2"],
+            2,
+            "--beta is for flights among the hulls",
+        ),
+        (
+            ["SCENE", "--filter", "none", "--set", "world.confidence=1"],
+            2,
+            "--confidence must be between 0 and 1",
+        ),
         (["SCENE", "--filter", "none", "--speed", "nan"], 2, "is not finite"),
-        (["SCENE", "--filter", "cone-ecbf", "--plant", "double-integrator"], 2, "has no thrust and torque"),
-        (["SCENE", "--filter", "none", "--radius", "9"], 5, "trial 0: no start and goal"),
+        (["SCENE", "--filter", "cone-ecbf", "--vehicle", "double-integrator"], 2, "has no thrust and torque"),
+        (["SCENE", "--filter", "none", "--set", "vehicle.radius_m=9"], 5, "trial 0: no start and goal"),
         (["SCENE", "--map", "SCENE", "--filter", "none"], 2, "is a scene; --map"),
         (["SCENE", "--scene", "SCENE", "--filter", "none"], 2, "is a scene; --scene"),
         (["UNALIGNED", "--filter", "none"], 3, "not metres; run scale-align first"),
@@ -302,20 +310,48 @@ def unaligned(path):
             3,
             "in the frame 'other', the scene in 'world'",
         ),
-        (["SCENE", *GUIDED, "--guide", "nome"], 2, "--guide nome: a guide is cone-di or safer-splat"),
-        (["SCENE", *GUIDED, "--guide", "cone-backup"], 2, "cone-backup: a guide is cone-di or safer-splat"),
+        (
+            ["SCENE", *GUIDED, "--set", "mission.controller.guide=nome"],
+            2,
+            "--guide nome: a guide is cone-di or safer-splat",
+        ),
+        (
+            ["SCENE", *GUIDED, "--set", "mission.controller.guide=cone-backup"],
+            2,
+            "cone-backup: a guide is cone-di or safer-splat",
+        ),
         (["SCENE", *GUIDED, "--set", "guide.alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
         (["SCENE", *GUIDED, "--set", "guide.alpha=-1"], 2, "cone-di: "),
         (["SCENE", "--filter", "cone-ecbf", "--set", "guide.alpha=1"], 2, "guide.alpha: there is no --guide"),
         (["SCENE", "--filter", "cone-di", "--set", "solver=osqp"], 2, "must be active-set or clarabel, not"),
         (["SCENE", "--filter", "safer-splat", "--set", "solver=clarabel"], 2, "unknown parameter 'solver'"),
-        (["SCENE", "--filter", "none", "--pairs", "blocked", "--radius", "9"], 5, "trial 0: no start and"),
-        (["PLAN", "--map", "SCENE", "--filter", "none", "--pairs", "blocked"], 2, "for random pairs; a plan"),
-        (["COVER", "--pairs", "blocked"], 2, "--pairs is for flights among the ellipsoids"),
-        (["COVER", "--guide", "cone-di"], 2, "--guide is for flights among the ellipsoids"),
+        (
+            ["SCENE", "--filter", "none", "--set", "mission.which=blocked", "--set", "vehicle.radius_m=9"],
+            5,
+            "trial 0: no start and",
+        ),
+        (
+            ["PLAN", "--map", "SCENE", "--filter", "none", "--set", "mission.which=blocked"],
+            2,
+            "for random pairs; a plan",
+        ),
+        (["COVER", "--set", "mission.which=blocked"], 2, "--pairs is for flights among the ellipsoids"),
+        (
+            ["COVER", "--set", "mission.controller.guide=cone-di"],
+            2,
+            "--guide is for flights among the ellipsoids",
+        ),
         (["COVER", "--set", "guide.alpha=1"], 2, "--set guide.NAME is for flights among the ellipsoids"),
-        (["COVER", "--catch-up", "1"], 2, "--catch-up is for flights among the ellipsoids"),
-        (["SCENE", "--filter", "none", "--catch-up", "0"], 2, "--catch-up must be between"),
+        (
+            ["COVER", "--set", "mission.controller.catch_up_m_s=1"],
+            2,
+            "--catch-up is for flights among the ellipsoids",
+        ),
+        (
+            ["SCENE", "--filter", "none", "--set", "mission.controller.catch_up_m_s=0"],
+            2,
+            "--catch-up must be between",
+        ),
         (["SCENE", "--vehicle", "BAD", "--filter", "none"], 2, "wings"),
         (["SCENE", "--vehicle", "absent.toml", "--filter", "none"], 3, "absent.toml: cannot read"),
         (
@@ -324,7 +360,15 @@ def unaligned(path):
             "--plant quadrotor: ",
         ),
         (
-            ["SCENE", "--filter", "none", "--plant", "double-integrator", "--interface", "body-rates"],
+            [
+                "SCENE",
+                "--filter",
+                "none",
+                "--vehicle",
+                "double-integrator",
+                "--set",
+                "vehicle.interface=body-rates",
+            ],
             2,
             "a double integrator is commanded by acceleration",
         ),
@@ -391,6 +435,6 @@ def test_a_scene_of_nothing_needs_bounds(tmp_path, capsys):
     words = ["simulate", str(path), "--filter", "cone-backup", "--trials", "1", "-o", str(out), "-q"]
     assert run(words) == 2
     assert "no Gaussians to take bounds from; give --bounds" in capsys.readouterr().err
-    assert run([*words, "--bounds", "0", "0", "0", "3", "3", "3"]) == 0
+    assert run([*words, "--set", "mission.bounds_m=0,0,0,3,3,3"]) == 0
     (trial,) = read_run(out).trials
     assert (trial.outcome, trial.scene_clearance_m, trial.min_gamma) == ("reached", None, None)

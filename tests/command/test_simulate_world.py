@@ -120,7 +120,16 @@ def test_set_reaches_nested_keys_and_options_their_own(here):
     words = [
         *("--set", "vehicle.mass_scale=1.2", "--set", "world.moving.0.radius_m=0.3"),
         *("--set", "safety.filters=cone-backup", "--set", "safety.cone-backup.horizon_s=0.5"),
-        *("--set", "world.fence.box_m=-1,-3,0.1,5,3,3", "--trials", "2", "--seed", "7", "--name", "other"),
+        *(
+            "--set",
+            "world.fence.box_m=-1,-3,0.1,5,3,3",
+            "--trials",
+            "2",
+            "--seed",
+            "7",
+            "--set",
+            "name=other",
+        ),
     ]
     assert run([*WORDS, *words, "-q"]) == 0
     found = record()
@@ -143,12 +152,13 @@ def test_exit_code_4_says_that_a_filtered_flight_hit_something_or_a_plan_was_not
     assert run(["simulate", "wall.toml", "-o", "r.run.mcap", *words]) == 4
     error = capsys.readouterr().err
     assert (
-        "1 of 1 filtered flights touched a static obstacle or left the fence; the worst is trial 0" in error
+        "1 of 1 filtered flights touched a static obstacle or left the fence; the deepest is trial 0 from (0.000 0.500 1.000), 0.182 m"
+        in error
     )
     assert run(["simulate", "plan.toml", "-o", "p.run.mcap", "-q"]) == 4
     assert record("p.run.mcap").trials[0].outcome == "missed-via"
     assert "p.run.mcap: " in capsys.readouterr().err
-    mended = ["-q", "-f", "--via-tolerance", "0.5"]
+    mended = ["-q", "-f", "--set", "mission.via_tolerance_m=0.5"]
     assert run(["simulate", "plan.toml", "-o", "p.run.mcap", *mended]) == 0
 
 
@@ -169,7 +179,8 @@ def test_exit_code_4_says_that_a_filtered_flight_hit_something_or_a_plan_was_not
         (["--set", "mission.bounds_m=1,2,3"], "mission.bounds_m"),
         (["--set", "world.moving.0.motion=falling"], "world.moving"),
         (["--filter", "geofence"], "geofence is for commands of sticks"),
-        (["--separation", "0.2"], "--separation does not apply to a scenario of version 2"),
+        (["--separation", "0.2"], "No such option '--separation'"),
+        (["--set", "separation=0.2"], "needs the whole path of a key; is it mission.separation?"),
         (["--scheduler", "tcp://localhost:1"], "--scheduler is for scenarios of version 1"),
     ],
 )

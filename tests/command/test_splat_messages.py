@@ -58,7 +58,11 @@ def check_fits(value, schema, where):
 def test_sigma_replaces_the_confidence_of_a_scenario(scene, tmp_path):
     text = f'[map]\nscene = "{scene}"\nconfidence = 0.99\n[filter]\nname = "none"\n[trials]\ncount = 1\n'
     (tmp_path / "s.toml").write_text(text)
-    for words, sigma in (([], 3.368), (["--sigma", "2"], 2.0), (["--confidence", "0.5"], 1.538)):
+    for words, sigma in (
+        ([], 3.368),
+        (["--set", "world.sigma=2"], 2.0),
+        (["--set", "world.confidence=0.5"], 1.538),
+    ):
         out = tmp_path / "a.run.mcap"
         assert run(["simulate", str(tmp_path / "s.toml"), *words, "-o", str(out), "-q", "-f"]) == 0
         assert read_run(out).summary["sigma"] == pytest.approx(sigma, abs=1e-3)
@@ -67,7 +71,15 @@ def test_sigma_replaces_the_confidence_of_a_scenario(scene, tmp_path):
 def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     lagging = (VEHICLES / "fastbridge.toml").read_text() + "\n[disturbance]\nmotor_time_constant_s = 0.001\n"
     (tmp_path / "v.toml").write_text(lagging)
-    words = ["simulate", str(scene), *FAST, "--filter", "cone-backup", "--interface", "body-rates"]
+    words = [
+        "simulate",
+        str(scene),
+        *FAST,
+        "--filter",
+        "cone-backup",
+        "--set",
+        "vehicle.interface=body-rates",
+    ]
     out = tmp_path / "a.run.mcap"
     run([*words, "--vehicle", str(tmp_path / "v.toml"), "-o", str(out), "-q"])
     record = read_run(out)

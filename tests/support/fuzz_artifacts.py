@@ -63,7 +63,7 @@ class Target:
     valid: tuple[int, ...] = (0, 4)
 
 
-_SHORT = "--trials 2 --max-time 0.3 -o {out}/o.run.mcap"
+_SHORT = "--trials 2 --set rules.max_time_s=0.3 -o {out}/o.run.mcap"
 _SCENARIO = (Target("info {}", 3), Target(f"simulate {{}} {_SHORT}", 4), Target("info {} --json"))
 _CSV = "--max-rms 100 -o {out}/o.scene.npz"
 TARGETS: dict[str, tuple[Target, ...]] = {
@@ -100,15 +100,15 @@ TARGETS: dict[str, tuple[Target, ...]] = {
         Target("verify {map} --cover {} --jobs 1"),
         Target('plan {} --start "0.5 1.5 1" --goal "3.5 1.5 1" --jobs 1 -o {out}/o.plan.npz', 2),
         Target(f"simulate {{}} {_SHORT}", 2),
-        Target("simulate {plan} --map {} --max-time 0.3 -o {out}/o.run.mcap"),
+        Target("simulate {plan} --map {} --set rules.max_time_s=0.3 -o {out}/o.run.mcap"),
         *(Target(f"export {{}} -o {{out}}/o.{name}", 0.4) for name in ("glb", "obj", "json", "stl", "bin")),
         Target("export {} --target crazyflie -o {out}/o.bin", 0.4),
         Target("report --cover {} -o {out}/o.html", 0.6),
     ),
     "tiny.plan.npz": (
         Target("info {}"),
-        Target("simulate {} --map {cover} --max-time 0.3 -o {out}/o.run.mcap", 3),
-        Target("simulate {} --map {cover} --filter none --max-time 0.3 -o {out}/o.run.mcap"),
+        Target("simulate {} --map {cover} --set rules.max_time_s=0.3 -o {out}/o.run.mcap", 3),
+        Target("simulate {} --map {cover} --filter none --set rules.max_time_s=0.3 -o {out}/o.run.mcap"),
         Target("report --plan {} --cover {cover} -o {out}/o.html", 1.0),
     ),
     "tiny.map.bin": (
@@ -168,7 +168,9 @@ def make_seeds(folder: Path) -> None:
         text = (ROOT / "examples" / source).read_text()
         vehicles = ROOT / "examples" / "vehicles"
         (folder / f"{name}.toml").write_text(text.replace("../vehicles", str(vehicles)))
-    words = f"simulate {folder}/fence.toml --trials 1 --max-time 0.5 -o {folder}/fence.run.mcap -q"
+    words = (
+        f"simulate {folder}/fence.toml --trials 1 --set rules.max_time_s=0.5 -o {folder}/fence.run.mcap -q"
+    )
     assert run(words.split()) in (0, 4)
     rng = np.random.default_rng(4)
     rows = ["image,x,y,z,qw,qx,qy,qz"]

@@ -336,7 +336,13 @@ def prepare(
             else world.keep_m
             for each in sets
         ]
-        notes = require_room(flown_plan, keeps, " + ".join(names), allow_tight=mission.allow_tight)
+        notes = require_room(
+            flown_plan,
+            keeps,
+            " + ".join(names),
+            allow_tight=mission.allow_tight,
+            insist="--set mission.allow_tight=true",
+        )
         if among is not None and "polytope-cbf" in names and not notes:
             assert plan is not None
             notes = note_of_psi(sample_plan(plan, dt_s), among, world.hull_keep_m)

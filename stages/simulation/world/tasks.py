@@ -155,7 +155,7 @@ def _along(
             allowed = slow
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
-        state = _at_rest(start, yaw)
+        state = _at_rest(start, 0.0 if is_point else yaw)  # a point has no attitude
         if mission.start_velocity_m_s is not None:
             state[6:9] = mission.start_velocity_m_s
         elif mission.kind in ("goal", "waypoints"):
