@@ -27,11 +27,10 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.measure import half_spaces
 from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.planning.plan_samples import NO_REFERENCE
 from alula.stages.reporting.papers.polymerge_flights import COACD, OURS, RULE, SAFER, Flights
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
-from alula.stages.simulation.hulls.closed_loop import fly
 from alula.stages.simulation.pairs import Pairs, central_box, sample_pairs
+from alula.stages.vehicles.bodies import quadrotor
 
 RADIUS_M, MARGIN_M, SEPARATION, GAIN, BETA, KAPPA = 0.1, 0.05, 0.3, 2.0, 2.0, 100.0
 RATES_HZ = {10: 500.0, 30: 250.0, 50: 250.0, 100: 500 / 3, 150: 125.0}
@@ -119,21 +118,34 @@ class Scene:
         )
         safety_filter = polytope_cbf(world, {"beta": BETA, "kappa_per_m": KAPPA})
         psi = barrier(world).psi(ends, jobs=1)[1]
-        rules = _core.TrialRules(
-            dt_s=1 / rate_hz,
-            gain=GAIN,
-            v_max=speed_m_s,
-            stop_fraction=0.01,
-            stuck_speed=1e-3 * speed_m_s,
-            stuck_steps=round(rate_hz),
-            max_steps=math.ceil((5 * self.diagonal_m / speed_m_s + 10) * rate_hz),
+        far = np.linalg.norm(self.pairs.goal - self.pairs.start, axis=1)
+        spec = _core.SimulationSpec(
+            _core.VehicleSpec(
+                quadrotor(FASTBRIDGE),  # a point uses nothing of it
+                model="single-integrator",
+                interface="velocity",
+                gains=_core.TrackingGains(),
+                max_speed_m_s=speed_m_s,
+            ),
+            options=_core.FlightOptions(dt_s=1 / rate_hz),
+            rules=_core.SimulationRules(
+                plant_steps=1, stuck_speed_m_s=1e-3 * speed_m_s, stuck_ticks=round(rate_hz)
+            ),
         )
-        flown = fly(safety_filter, self.pairs.start, self.pairs.goal, rules, NO_REFERENCE, jobs=1)
-        paths = [flight.position for flight in flown]
+        tasks = [
+            _core.Task(
+                np.concatenate([start, np.zeros(9)]),
+                _core.Mission.to(goal.tolist(), gain_per_s=GAIN, speed_m_s=speed_m_s),
+                max_time_s=5 * self.diagonal_m / speed_m_s + 10,
+                stop_distance_m=max(0.01 * d, 1e-3),
+            )
+            for start, goal, d in zip(self.pairs.start, self.pairs.goal, far, strict=True)
+        ]
+        flown = _core.simulate(spec, tasks, [safety_filter.native], jobs=1)
+        paths = [flight["path"] for flight in flown]
         left = [
             float(np.linalg.norm(p - g, axis=1).min()) for p, g in zip(paths, self.pairs.goal, strict=True)
         ]
-        far = np.linalg.norm(self.pairs.goal - self.pairs.start, axis=1)
         limits = [within_m if within_m is not None else 0.01 * d for d in far]
         return Flights(
             scene=self.name,
@@ -146,8 +158,8 @@ class Scene:
             path_m=tuple(float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum()) for p in paths),
             radius_m=RADIUS_M,
             inside=tuple((psi.reshape(2, -1) < RADIUS_M).any(axis=0).tolist()),
-            steps=tuple(len(flight.status) for flight in flown),
-            filter_us=typical_us(np.concatenate([flight.filter_s for flight in flown])),
+            steps=tuple(len(flight["mark"]) for flight in flown),
+            filter_us=typical_us(np.concatenate([flight["filter_s"] for flight in flown])),
             tolerance="1 % of the distance" if within_m is None else f"{100 * within_m:g} cm",
         )
 

@@ -20,7 +20,7 @@ from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.mission import make_commander, make_safety
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
-from support.flights import BALL, GOAL, START, mission
+from support.flights import BALL, START, mission
 from support.small_scenes import box_cover, line_plan
 
 DT = 0.01
@@ -70,30 +70,30 @@ def test_thrust_and_filter_are_those_of_simulate(name):
 def test_velocities_are_those_of_simulate():
     made = mission(plan=line_plan((0.3, 1.2, 1.0), (3.7, 1.2, 1.0)), is_clear=True)
     commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
-    rules = _core.TrialRules(
-        dt_s=DT,
-        gain=2.0,
-        v_max=made.config.speed_m_s,
-        stop_fraction=0.01,
-        stuck_speed=0.0,
-        stuck_steps=10**6,
-        max_steps=300,
+    vehicle = _core.VehicleSpec(
+        quadrotor(FASTBRIDGE),
+        model="single-integrator",
+        interface="velocity",
+        gains=_core.TrackingGains(),
+        max_speed_m_s=made.config.speed_m_s,
     )
-    times = np.arange(301) * DT
-    rows = made.curve.at(times)
-    trial = _core.Trial(
-        rows[0, :3].tolist(),
-        GOAL,
-        rules,
-        np.ascontiguousarray(rows[:, :3]),
-        np.ascontiguousarray(rows[:, 3:6]),
+    simulation = _core.SimulationSpec(
+        vehicle,
+        options=_core.FlightOptions(dt_s=DT),
+        rules=_core.SimulationRules(plant_steps=1, stuck_ticks=10**6),
     )
+    rows = made.curve.at(np.arange(301) * DT)
+    start = np.zeros(12)
+    start[:3] = rows[0, :3]
+    speed = made.config.speed_m_s
+    task = _core.Task(start, _core.Mission.along(made.curve, gain_per_s=2.0, speed_m_s=speed), max_time_s=3.0)
+    (log,) = _core.simulate(simulation, [task], [make_safety(made).native])
+    assert len(log["mark"]) == 300
     for i in range(300):
-        x = np.array(trial.position)
-        seen = VehicleState(0.0, x, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3))
+        seen = VehicleState(0.0, log["state"][i, :3], np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3))
         decision = commander.decide(seen, 0.0, rows[i : i + 1].copy())
-        np.testing.assert_allclose(decision.nominal, trial.nominal(), rtol=0, atol=1e-12)
-        trial.advance(decision.setpoint.velocity.tolist(), False)
+        np.testing.assert_allclose(decision.nominal, log["nominal"][i], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(decision.setpoint.velocity, log["command"][i, :3], rtol=0, atol=1e-12)
 
 
 def test_a_late_state_is_taken_on_by_its_velocity():

@@ -121,29 +121,31 @@ def test_what_is_not_finite_is_refused_on_the_target_too(short, core):
 
 @pytest.mark.parametrize("core", CORES)
 def test_a_simulated_flight_is_flown_the_same_on_the_target(measured, monkeypatch, core):
-    """What `simulate --onboard` flies in each tick is what the microcontroller commands."""
-    from alula.schemas.configs.simulate import SimulateConfig
-    from alula.stages.simulation.hulls import simulate
+    """What is flown with `world.onboard` in each tick is what the microcontroller commands."""
+    from alula.schemas.world import decoded
+    from alula.stages.simulation.world import filters
+    from alula.stages.simulation.world.simulate import prepare
 
-    worlds, make = [], simulate.make_filter
+    worlds, make = [], filters.make_filter
     monkeypatch.setattr(
-        simulate,
+        filters,
         "make_filter",
         lambda name, world, set_to: [worlds.append(world), make(name, world, set_to)][1],
     )
-    config = SimulateConfig(
-        onboard=True, trials=2, dt_s=0.02, log_rate_hz=50.0, margin_m=0.05, max_time_s=12.0
+    scenario = decoded(
+        {
+            "vehicle": {"type": "single-integrator", "radius_m": 0.1},
+            "world": {"cover": "x", "onboard": True},
+            "safety": {"filters": ["polytope-cbf"]},
+            "rules": {"trials": 2, "dt_s": 0.02, "max_time_s": 12.0},
+        }
     )
-    flown = simulate.simulate(config, onboard.field(150))
+    logs = prepare(scenario, cover=onboard.field(150)).fly(0, 2)
     (world,) = worlds
-    x, u_nom, u = (
-        np.concatenate([getattr(flight, name)[:-1] for flight in flown.flights])
-        for name in ("position", "u_nom", "velocity")
-    )
-    status, margin = (
-        np.concatenate([getattr(flight, name)[:-1] for flight in flown.flights])
-        for name in ("status", "margin")
-    )
+    options = scenario.safety.polytope_cbf
+    x = np.concatenate([log["state"][:-1, :3] for log in logs])
+    u_nom, u = (np.concatenate([log[name][:, :3] for log in logs]) for name in ("nominal", "command"))
+    status, margin = (np.concatenate([log[name][:, 0] for log in logs]) for name in ("status", "margin"))
     up = [
         np.float32(v) if np.float32(v) >= v else np.nextafter(np.float32(v), np.float32(np.inf))
         for v in (world.extent_m, world.radius_m)
@@ -151,7 +153,7 @@ def test_a_simulated_flight_is_flown_the_same_on_the_target(measured, monkeypatc
     inputs = emulated.polytope_inputs(
         x.astype(np.float32),
         u_nom.astype(np.float32),
-        [*up, config.beta, config.kappa_per_m, world.dt_s, world.speed_m_s],
+        [*up, options.beta, options.kappa_per_m, world.dt_s, world.speed_m_s],
     )
     folder = measured[1]
     ticks = emulated.replay(folder / "firmware", folder / "work", core, "polytope", inputs, world.image).ticks

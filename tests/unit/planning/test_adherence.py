@@ -9,16 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.run import PlanResult
 from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.world import decoded
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan, require_room, via_tolerance
 from alula.stages.planning.plan import plan, resolve_plan
 from alula.stages.planning.plan_samples import sample_plan
-from alula.stages.simulation.hulls.simulate import simulate
+from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.world.summary import world_summary
 from support.covers import boxes_cover
 from support.effort import examples
 
@@ -135,19 +136,33 @@ def test_a_filter_that_keeps_more_than_the_plan_is_refused_with_what_mends_it(fl
     assert "it will hold the vehicle back" in require_room(judge, [0.5], "polytope-cbf", allow_tight=True)[0]
 
 
-def test_a_simulated_plan_is_judged_by_its_via_points(flight, cover):
-    good = simulate(SimulateConfig(), cover, plan=flight).trials[0]
-    assert (good.outcome, good.plan.missed) == ("reached", [])
-    strict = simulate(SimulateConfig(via_tolerance_m=1e-5), cover, plan=flight)
-    assert strict.trials[0].outcome == "missed-via"
-    assert (strict.summary["missed_via"], strict.summary["reached"], strict.summary["success_rate"]) == (
-        1,
-        0,
-        0,
+def flown(flight, cover, radius_m=0.1, **mission):
+    """A flight along a plan behind polytope-cbf."""
+    scenario = decoded(
+        {
+            "vehicle": {
+                "type": "single-integrator",
+                "radius_m": radius_m,
+                "max_speed_m_s": 1.5 * flight.manifest.speed_m_s,
+            },
+            "world": {"cover": "x"},
+            "mission": {"kind": "plan", "plan": "x"} | mission,
+            "safety": {"filters": ["polytope-cbf"]},
+        }
     )
-    wide = SimulateConfig(radius_m=0.39)
+    return simulate_world(scenario, cover=cover, plan=flight)
+
+
+def test_a_simulated_plan_is_judged_by_its_via_points(flight, cover):
+    own = flight.manifest.radius_m - flight.manifest.margin_m
+    good = flown(flight, cover, own).trials[0]
+    assert (good.outcome, good.plan.missed) == ("reached", [])
+    strict = flown(flight, cover, own, via_tolerance_m=1e-5)
+    assert strict.trials[0].outcome == "missed-via"
+    summary = world_summary(strict)
+    assert (summary["missed_via"], summary["reached"], summary["success_rate"]) == (1, 0, 0)
     with pytest.raises(UsageError, match=r"polytope-cbf keeps 0\.39 m"):
-        simulate(wide, cover, plan=flight)
-    held = simulate(dataclasses.replace(wide, allow_tight=True), cover, plan=flight)
-    assert "it will hold the vehicle back" in held.summary["notes"][0]
+        flown(flight, cover, 0.39)
+    held = flown(flight, cover, 0.39, allow_tight=True)
+    assert "it will hold the vehicle back" in world_summary(held)["notes"][0]
     assert not held.trials[0].collision

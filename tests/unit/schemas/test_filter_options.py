@@ -157,8 +157,8 @@ def test_native_options_refuse_what_they_do_not_know():
         _core.Pruning(counts=3)
     with pytest.raises(TypeError, match="Pruning: count must be int, not 'many'"):
         _core.Pruning(count="many")
-    with pytest.raises(TypeError, match="TrialRules needs dt_s"):
-        _core.TrialRules()
+    with pytest.raises(TypeError, match="Quadrotor needs mass"):
+        _core.Quadrotor()
     with pytest.raises(ValueError, match=r"alpha must be above 0, not -1"):
         _core.ConeDiOptions(alpha=-1)
     with pytest.raises(ValueError, match="hessian must be correct or published, not 'none'"):

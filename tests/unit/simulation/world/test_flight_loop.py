@@ -107,7 +107,7 @@ class Answering(Passing):
         return super().tick(state, nominal) | self.fields
 
 
-# Against the older loops.
+# Against the older loop, and numpy.
 
 
 POINT_FILTERS = [(None, None), (None, "cone-di"), (None, "safer-splat")]
@@ -166,29 +166,34 @@ def hull_filter(speed=1.0, dt_s=0.01):
 
 
 @pytest.mark.parametrize("goal", [(3.2, 0.5, 1.0), (2.0, 1.35, 0.6)])
-def test_a_single_integrator_flies_as_in_the_older_loop(goal):
-    a, native = np.array([0.2, -0.3, 0.8]), hull_filter()
-    rules = _core.TrialRules(
-        dt_s=0.01, gain=2.0, v_max=1.0, stop_fraction=0.01, stuck_speed=1e-3, stuck_steps=100, max_steps=3000
-    )
-    none = np.empty((0, 3))
-    (old,) = _core.rollout(native, a[None], np.array([goal]), rules, none, none, jobs=1)
+def test_a_single_integrator_flies_as_numpy_steps_it(goal):
+    """u = c / 2 (goal - x) at most at the speed limit, filtered, held for a tick: bit by bit."""
+    a, native, dt_s = np.array([0.2, -0.3, 0.8]), hull_filter(), 0.01
+    stop = 0.01 * float(np.linalg.norm(goal - a))
     task = _core.Task(
         start(a, 0.0),
         _core.Mission.to(goal, gain_per_s=2.0, speed_m_s=1.0),
         max_time_s=30.0,
-        stop_distance_m=0.01 * float(np.linalg.norm(goal - a)),
+        stop_distance_m=stop,
     )
     simulation = _core.SimulationSpec(
         spec("velocity", "single-integrator", max_speed_m_s=1.0),
         rules=_core.SimulationRules(plant_steps=1, stuck_speed_m_s=1e-3, stuck_ticks=100),
     )
     (new,) = _core.simulate(simulation, [task], [native])
-    path = np.asarray(old["position"])
-    assert abs(len(path) - len(new["path"])) <= 1
-    count = min(len(path), len(new["path"]))
-    assert count > 100
-    np.testing.assert_allclose(path[:count], new["path"][:count], rtol=0, atol=1e-12)
+    x, path, still = a.copy(), [a.copy()], 0
+    native.reset()
+    while np.sqrt(((x - goal) ** 2).sum()) > stop and still < 100:
+        u = 2.0 / 2 * (goal - x)
+        speed = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+        u = 1.0 / speed * u if speed > 1.0 else u
+        report = native.filter(start(x, 0.0).tolist(), [0.0] * 3, velocity=u.tolist())
+        x = x + np.array(report["velocity"]) * dt_s
+        still = still + 1 if np.linalg.norm(report["velocity"]) < 1e-3 else 0
+        path.append(x)
+    np.testing.assert_array_equal(path, new["path"])
+    assert len(path) > 100
+    assert new["end"] == ("stuck" if still else "reached")
     assert (new["status"][:, 0] == 1).any()
 
 

@@ -10,10 +10,12 @@ from alula.schemas.errors import UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.world import decoded
 from alula.stages.simulation.ellipsoids.simulate import simulate_splat
-from alula.stages.simulation.hulls.simulate import simulate
 from alula.stages.simulation.pairs import Pairs
-from support.small_scenes import ball_scene, box_cover, line_plan
+from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.world.summary import world_summary
+from support.small_scenes import ball_scene, box_cover
 
 # Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
 SHELL = [
@@ -38,31 +40,46 @@ def pairs():
     return Pairs(start, goal, 0, 0)
 
 
+def simulated(cover, **mission):
+    """Flights of the five pairs."""
+    scenario = decoded(
+        {
+            "vehicle": {"type": "single-integrator", "radius_m": 0.3},
+            "world": {"cover": "x"},
+            "mission": {"bounds_m": BOUNDS, "margin_m": 0.0} | mission,
+            "safety": {"filters": ["polytope-cbf"]},
+            "rules": {"trials": 5},
+        }
+    )
+    return simulate_world(scenario, cover=cover, pairs=pairs())
+
+
 def quick(**options):
     return SimulateConfig(**{"trials": 5, "bounds": BOUNDS, "radius_m": 0.3, "margin_m": 0.0, **options})
 
 
 def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
     cover = box_cover(SHELL + WALL)
-    straight = simulate(quick(), cover, given=pairs())
-    planned = simulate(quick(planned=True), cover, given=pairs())
-    assert straight.summary["reached"] <= 1
-    assert "planned_pairs" not in straight.summary
-    assert planned.summary["reached"] == 5
-    assert planned.summary["collisions"] == 0
-    assert planned.summary["planned_pairs"] == 5
-    assert planned.summary["unplanned_pairs"] == 0
-    for trial, given in zip(planned.trials, pairs().goal, strict=True):
+    straight, flown = world_summary(simulated(cover)), simulated(cover, planned=True)
+    planned = world_summary(flown)
+    assert straight["reached"] <= 1
+    assert "planned_pairs" not in straight
+    assert planned["reached"] == 5
+    assert planned["collisions"] == 0
+    assert planned["planned_pairs"] == 5
+    assert planned["unplanned_pairs"] == 0
+    for trial, given in zip(flown.trials, pairs().goal, strict=True):
         np.testing.assert_array_equal(trial.goal_m, given)
         assert trial.max_speed_m_s <= 1 + 1e-6
 
 
 def test_pairs_without_a_plan_are_flown_straight_and_counted():
     cover = box_cover(SHELL + SEALED)
-    straight, planned = (simulate(quick(planned=flag), cover, given=pairs()) for flag in (False, True))
-    assert planned.summary["planned_pairs"] == 1
-    assert planned.summary["unplanned_pairs"] == 4
-    assert planned.summary["collisions"] == 0
+    straight, planned = (simulated(cover, planned=flag) for flag in (False, True))
+    summary = world_summary(planned)
+    assert summary["planned_pairs"] == 1
+    assert summary["unplanned_pairs"] == 4
+    assert summary["collisions"] == 0
     assert [t.outcome for t in straight.trials[:4]] == [t.outcome for t in planned.trials[:4]]
 
 
@@ -90,8 +107,8 @@ def test_references_among_ellipsoids_follow_the_plans():
 
 
 def test_a_plan_is_not_planned_again():
-    with pytest.raises(UsageError, match="--planned is for start-goal pairs"):
-        simulate(SimulateConfig(planned=True), box_cover(SHELL), plan=line_plan((1, 1, 1), (3, 1, 1)))
+    with pytest.raises(UsageError, match=r"`\$\.mission\.planned`"):
+        decoded({"mission": {"kind": "plan", "plan": "x", "planned": True}})
 
 
 def test_the_command_plans_the_pairs_of_another_run(tmp_path, capsys):

@@ -1,0 +1,28 @@
+"""Random start-goal pairs: clear, apart, uniform and counted; the box that they are drawn in."""
+
+import numpy as np
+import pytest
+
+from alula.stages.compression.hulls import Hulls
+from alula.stages.simulation.pairs import central_box, sample_pairs
+from support.small_scenes import box_cover
+
+
+def test_pairs_are_clear_apart_uniform_and_counted():
+    def psi(points):
+        return np.abs(points[:, 0] - 0.5) - 0.1  # a slab in the middle
+
+    pairs = sample_pairs(400, 7, (np.zeros(3), np.ones(3)), 0.5, psi, lambda points, hard: hard >= 0.05)
+    assert (np.linalg.norm(pairs.goal - pairs.start, axis=1) >= 0.5).all()
+    for points in (pairs.start, pairs.goal):
+        assert (psi(points) >= 0.05).all()
+        assert ((points >= 0) & (points <= 1)).all()
+    assert abs(pairs.start[:, 1].mean() - 0.5) < 0.06  # 4 standard errors
+    share = pairs.sampled_inside_hulls / pairs.sampled
+    assert share == pytest.approx(0.2, abs=0.05)
+
+
+def test_default_bounds_leave_out_far_vertices():
+    blocks = [((i, 0, 0), (i + 1, 1, 1)) for i in range(199)] + [((5000, 0, 0), (5001, 1, 1))]
+    _, upper = central_box(Hulls.from_cover(box_cover(blocks)).vertices_world, None, "hulls")
+    assert upper[0] < 20.1
