@@ -151,10 +151,10 @@ def test_exit_code_4_says_that_a_filtered_flight_hit_something_or_a_plan_was_not
     words = ["--set", "world.fence.box_m=-1,-1,0.5,1,1,2", "--filter", "polytope-cbf", "-f", "-q"]
     assert run(["simulate", "wall.toml", "-o", "r.run.mcap", *words]) == 4
     error = capsys.readouterr().err
-    assert (
-        "1 of 1 filtered flights touched a static obstacle or left the fence; the deepest is trial 0 from (0.000 0.500 1.000), 0.182 m"
-        in error
+    words = (
+        "1 of 1 filtered flights touched a static obstacle or left the fence; the deepest is trial 0 from "
     )
+    assert f"{words}(0.000 0.500 1.000), 0.182 m" in error
     assert run(["simulate", "plan.toml", "-o", "p.run.mcap", "-q"]) == 4
     assert record("p.run.mcap").trials[0].outcome == "missed-via"
     assert "p.run.mcap: " in capsys.readouterr().err
