@@ -23,6 +23,7 @@ from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, refusal
 from alula.schemas.world_defaults import completed
+from alula.schemas.world_tables import RulesTable
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
@@ -233,6 +234,7 @@ def prepare(
         world,
         count=_count(full, pairs),
         is_point=vehicle.model == "single-integrator",
+        has_attitude=vehicle.model == "quadrotor",
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,
@@ -262,7 +264,7 @@ def prepare(
         spec,
         options=flight,
         rules=_core.SimulationRules(
-            plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
+            plant_steps=plant_steps_of(rules),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
@@ -282,6 +284,8 @@ def prepare(
     judge = WorldJudge(
         world=world,
         filters=names,
+        guides=int(mission.controller.guide != "none"),
+        has_goal=mission.kind not in ("hover", "pilot"),
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
@@ -378,6 +382,15 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
     return FlownChunk(
         first=first, trials=trials, filter_s=b"".join(filters), tick_s=b"".join(ticks), flights=flights
     )
+
+
+def plant_steps_of(rules: RulesTable) -> int:
+    """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
+
+    Args:
+        rules: of a scenario.
+    """
+    return rules.plant_steps or max(1, math.ceil(rules.dt_s / _PLANT_STEP_S - 1e-9))
 
 
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:

@@ -47,6 +47,7 @@ class StaticWorld:
         parts: native maps by name, of those there are: ellipsoids, hulls, fence.
         image: the cover as an onboard map; empty unless filters read it.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+        claims: of the guarantees of scene and cover, for that of the run.
     """
 
     radius_m: float
@@ -61,6 +62,7 @@ class StaticWorld:
     parts: dict[str, _core.ObstacleMap]
     image: bytes
     centres: FloatArray
+    claims: dict[str, Any]
 
     @property
     def map(self) -> _core.ObstacleMap | None:
@@ -194,6 +196,11 @@ def static_world(
         parts=parts,
         image=image,
         centres=np.concatenate(centres),
+        claims={
+            f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims
+            for name, each in (("scene", scene), ("cover", cover))
+            if each is not None
+        },
     )
 
 
