@@ -135,7 +135,7 @@ def claims_of(run: WorldRun, cover: Artifact | None, left: list[str]) -> dict[st
         hits = sum(is_collision(trial.scene_clearance_m) for trial in trials)
         claims |= {"scene_clear": hits == 0, "scene_collisions": hits}
         claims |= {"sigma": world.sigma, "mass_fraction": mass_within(world.sigma)}
-        claims |= {"inflation_m": world.keep_m - world.radius_m}
+        claims |= {"inflation_m": world.inflation_m}
     if world.polytopes is not None:
         hits = sum(is_collision(trial.map_clearance_m) for trial in trials)
         claims |= {"hulls_clear": hits == 0, "hull_collisions": hits}

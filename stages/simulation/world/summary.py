@@ -74,7 +74,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         "filter_kind": _kind_of_filters(run.scenario),
     }
     if run.scenario.world.scene is not None:
-        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.keep_m - run.world.radius_m}
+        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.inflation_m}
     if (against := certifying(run)) and steps:
         summary["certified_against"] = against
         if "hulls" in against:

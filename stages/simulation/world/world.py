@@ -37,6 +37,7 @@ class StaticWorld:
     Attributes:
         radius_m: of the vehicle [m].
         sigma: level of the ellipsoids.
+        inflation_m: length that filters add to the radius [m].
         keep_m: distance that filters keep from ellipsoids: the radius and the inflation [m].
         hull_keep_m: the same from hulls, which have grown by the cover's own inflation already [m].
         hulls: of the cover and the walls; None without any.
@@ -52,6 +53,7 @@ class StaticWorld:
 
     radius_m: float
     sigma: float
+    inflation_m: float
     keep_m: float
     hull_keep_m: float
     hulls: Hulls | None
@@ -186,6 +188,7 @@ def static_world(
     return StaticWorld(
         radius_m=radius_m,
         sigma=sigma,
+        inflation_m=inflation,
         keep_m=keep,
         hull_keep_m=hull_keep,
         hulls=hulls,
