@@ -180,19 +180,19 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         mean_jerk_m_s3, max_jerk_m_s3: [m/s^3].
         start_margin_m: psi - radius at the start, only among hulls; where negative, the filter guaranteed
             nothing for this flight [m].
-        reference_speed_m_s: peak speed of the reference; this and what follows up to `line_clearance_m` only
-            among ellipsoids [m/s].
+        reference_speed_m_s: peak speed of the reference; None without one [m/s].
         mean_speed_m_s, max_acceleration_m_s2: of the body [m/s], [m/s^2].
         max_tracking_error_m: maximum distance from the reference [m].
-        peak_realisation_error_m_s2: maximum difference of the acceleration and the commanded one [m/s^2].
+        peak_realisation_error_m_s2: maximum difference of the acceleration and the commanded one; None where
+            none is commanded [m/s^2].
         min_margin: minimum of the filter's barrier.
         min_gamma: minimum of r' A r - 1 over all ellipsoids as the filter grew them, at the rate of the
             filter; below 0 inside one.
         backup_steps: the backup policy flew.
         certified_steps: a safe backup manoeuvre was proven to remain.
         capped_steps: the limit on the number of ellipsoids left some out.
-        saturated_steps: the rotors could not realise the command.
-        line_clearance_m: clearance of the straight line from start to goal [m].
+        saturated_steps: the rotors, or the limits of a point, could not realise the command.
+        line_clearance_m: clearance of the straight line from start to goal to hulls and ellipsoids [m].
         obstacles: one result per moving obstacle; this and what follows up to `mission_risk` only in
             encounters.
         active_steps: ticks in a manoeuvre or with a warning.

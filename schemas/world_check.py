@@ -193,10 +193,11 @@ def _wrong_guide(scenario: WorldScenario) -> str | None:
             f"`$.mission.controller.guide`: {guide} changes accelerations, and the vehicle takes "
             f"{interface}; set vehicle.interface=acceleration, or mission.controller.guide=none"
         )
-    if scenario.world.scene is None:
+    if scenario.world.scene is None and (guide == "cone-di" or not scenario.world.has_hulls):
+        needed = "ellipsoids; set world.scene" if guide == "cone-di" else "obstacles; set world.cover"
+        other = ", or mission.controller.guide=safer-splat among the hulls" if scenario.world.has_hulls else ""
         return (
-            f"`$.mission.controller.guide`: {guide} needs ellipsoids; set world.scene, or "
-            "mission.controller.guide=none"
+            f"`$.mission.controller.guide`: {guide} needs {needed}{other}, or mission.controller.guide=none"
         )
     return None
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.compression.hulls import Hulls
@@ -16,9 +18,10 @@ from alula.stages.runlog.piloted import pilot_fields
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.judge import CERTIFIED, CERTIFIED_MOVING, INFEASIBLE
+from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
 _SAFETY = "/safety"
+_COUNTS = ("active", "candidates", "rows", "iterations")
 
 
 def write_world_log(
@@ -81,7 +84,11 @@ def _logged(
 ) -> LoggedTrial:
     state, nominal, command = flight.rows("state"), flight.rows("nominal"), flight.rows("command")
     obstacles, tracks, margin = flight.rows("obstacles"), flight.rows("tracks"), flight.rows("margin")
+    u_nominal, a_command, a_error = (flight.rows(name) for name in ("u_nominal", "a_command", "a_error"))
+    rotors, gate, counts = (flight.rows(name) for name in ("rotor_thrust", "gate_m", "counts"))
     status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
+    mark = np.frombuffer(flight.mark, np.uint8)
+    by_rotors = interface in ("wrench", "body-rates")
 
     def of_margin(k: int, i: int) -> dict[str, Any]:
         value = number(margin[i, k]) if margin.shape[1] else None
@@ -90,7 +97,7 @@ def _logged(
         return ({} if value is None else {"margin": value}) | {"margin_unit": "of the filter's barrier"}
 
     def of_filter(k: int, i: int) -> dict[str, Any]:
-        which, bits = FilterStatus(int(status[i, k])), int(flags[i, k])
+        which, bits, gate_m = FilterStatus(int(status[i, k])), int(flags[i, k]), number(gate[i, k])
         return {
             **of_margin(k, i),
             "status": int(which),
@@ -98,7 +105,22 @@ def _logged(
             "infeasible": bool(bits & INFEASIBLE),
             "certified": bool(bits & CERTIFIED),
             "certified_moving": bool(bits & CERTIFIED_MOVING),
+            "capped": bool(bits & CAPPED),
+            **dict(zip(_COUNTS, map(int, counts[i, k]), strict=True)),
+            **({} if gate_m is None else {"gate_m": gate_m}),
         }
+
+    def of_body(i: int) -> dict[str, Any]:
+        """Accelerations and the mission's wrench; nothing of velocities and sticks."""
+        if interface in ("velocity", "sticks"):
+            return {}
+        found: dict[str, Any] = {"a_nom_m_s2": xyz(nominal[i])}
+        if np.isfinite(a_command[i]).all():
+            error = number(a_error[i])
+            found |= {"a_safe_m_s2": xyz(a_command[i]), "realisation_error_m_s2": error}
+        if by_rotors:
+            found |= {"thrust_nom_n": number(u_nominal[i, 0]), "torque_nom_body_nm": xyz(u_nominal[i, 1:])}
+        return found
 
     def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         position, attitude = xyz(state[i, :3]), quaternion_of_mrp(state[i, 3:6])
@@ -112,22 +134,20 @@ def _logged(
                 "omega_body_rad_s": xyz(state[i, 9:12]),
                 "thrust_n": number(command[i, 3]),
                 "torque_body_nm": xyz(command[i, 4:7]),
+                **({"rotor_thrust_n": [number(value) for value in rotors[i]]} if by_rotors else {}),
             },
         )
-        what = "u" if interface == "velocity" else "a"
-        unit = "m_s" if interface == "velocity" else "m_s2"
         none = {"status": 0, "status_name": "ok"}
         last = of_filter(len(filters) - 1, i) if filters else of_margin(-1, i) | none
         flown = command[i, :3]
-        if interface in ("velocity", "acceleration"):
-            last |= {f"{what}_nom_{unit}": xyz(nominal[i]), f"{what}_safe_{unit}": xyz(flown)}
+        last |= {"saturated": bool(mark[i] & LIMITED)} | of_body(i)
+        if interface == "velocity":
+            last |= {"u_nom_m_s": xyz(nominal[i]), "u_safe_m_s": xyz(flown)}
         elif interface == "body-rates":
-            last |= {"rates_safe_rad_s": xyz(flown), "a_nom_m_s2": xyz(nominal[i])}
+            last |= {"rates_safe_rad_s": xyz(flown)}
         elif interface == "sticks":
             last |= {"throttle_safe": number(command[i, 7]), "rates_safe_rad_s": xyz(command[i, 8:11])}
             last |= pilot_fields(flight, i)
-        else:
-            last |= {"a_nom_m_s2": xyz(nominal[i])}
         yield _SAFETY, last
         if len(filters) > 1:
             for k, name in enumerate(filters):

@@ -106,12 +106,15 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     """Samples of a flight behind f filters, with n moving obstacles around it.
 
     The samples end with the end of the flight: there `state` is of the end, all else of the tick before.
-    `state` has position, attitude (MRP), velocity and rates, shape (T, 12), `estimate` what the filters got;
-    `nominal` the mission's velocity or acceleration, shape (T, 3); `command` velocity, acceleration or rates
-    (3), wrench (4) and sticks (4); `sticks` the pilot's, shape (T, 4), NaN without; `obstacles` and `tracks`
-    positions, shape (T, n, 3), NaN without a track; `margin` of each filter, shape (T, f), or of the hulls
-    without one; `each_status` and `each_flags` a byte for each filter, the bits of `SimulatedFlight` in
-    native/core.
+    `state` has position, attitude (MRP), velocity and rates, shape (T, 12); `estimate` what the filters got;
+    `nominal` the mission's velocity or acceleration, shape (T, 3), and `u_nominal` its wrench, shape (T, 4);
+    `a_command` the commanded acceleration, shape (T, 3), NaN where there is none, and `a_error` the largest
+    difference of the body's from it since the sample before, shape (T,); `command` velocity, acceleration or
+    rates (3), wrench (4) and sticks (4); `sticks` the pilot's, shape (T, 4), NaN without; `rotor_thrust` of
+    each rotor, shape (T, 4); `obstacles` and `tracks` positions, shape (T, n, 3), NaN without a track.
+    Of each filter: `margin`, shape (T, f), or of the hulls without one, `gate_m`, shape (T, f), and `counts`,
+    shape (T, f, 4): active obstacle, candidates, rows, iterations; `each_status` and `each_flags` a byte for
+    each filter, and `mark` one for all, the bits of `SimulatedFlight` in native/core.
 
     Of a pilot's flight in a fence, else of shape (T, 0): `figure` lambda, h_I, the filter's distance, its
     margin and speed towards the fence, shape (T, 5); `distance` the minimum true one since the sample before,
@@ -120,19 +123,28 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
 
     _SHAPES = {
         **{"state": (12,), "estimate": (12,), "nominal": (3,), "command": (11,), "sticks": (4,)},
-        **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,), "figure": (-1,), "distance": (-1,)},
+        **{"u_nominal": (4,), "a_command": (3,), "a_error": (), "rotor_thrust": (4,)},
+        **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,), "gate_m": (-1,), "counts": (-1, 4)},
+        **{"figure": (-1,), "distance": (-1,)},
     }
 
     state: bytes
     estimate: bytes
     nominal: bytes
+    u_nominal: bytes
+    a_command: bytes
+    a_error: bytes
     command: bytes
     sticks: bytes
+    rotor_thrust: bytes
     obstacles: bytes
     tracks: bytes
     margin: bytes
+    gate_m: bytes
+    counts: bytes
     each_status: bytes
     each_flags: bytes
+    mark: bytes
     figure: bytes = b""
     distance: bytes = b""
     fence_status: bytes = b""
@@ -150,26 +162,37 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             rate_hz: samples per second.
             filter_ticks: ticks for which the filters' command is held.
         """
-        ticks = len(flown["mark"])
-        sample = logged_ticks(ticks, dt_s, rate_hz)
-        held = np.minimum(sample, ticks - 1)
-        status = flown["status"][held]
+        steps = len(flown["mark"])
+        ends = logged_ticks(steps, dt_s, rate_hz)
+        error = np.append(flown["a_error"][:1], np.fmax.reduceat(flown["a_error"], ends[:-1]))
+        known = np.isfinite(flown["state"][ends]).all(axis=1)  # else the flight is refused at once
+        ends, error = ends[known], error[known]
+        sample = np.minimum(ends, steps - 1)
+        counts = [flown[name][sample] for name in ("active", "candidates", "rows", "iterations")]
+        status = flown["status"][sample]
         last = status[:, -1] if status.shape[1] else np.zeros(len(sample), np.uint8)
         return cls(
             trial=trial,
-            tick=sample.tobytes(),
+            tick=ends.tobytes(),
             status=np.ascontiguousarray(last).tobytes(),
-            state=flown["state"][sample].tobytes(),
-            estimate=flown["estimate"][held].tobytes(),
-            nominal=flown["nominal"][held].tobytes(),
-            command=flown["command"][held].tobytes(),
-            sticks=flown["sticks"][held].tobytes(),
-            obstacles=flown["obstacle"][held].tobytes(),
-            tracks=flown["track"][held].tobytes(),
-            margin=flown["margin"][held].tobytes(),
+            state=flown["state"][ends].tobytes(),
+            estimate=flown["estimate"][sample].tobytes(),
+            nominal=flown["nominal"][sample].tobytes(),
+            u_nominal=flown["u_nominal"][sample].tobytes(),
+            a_command=flown["a_command"][sample].tobytes(),
+            a_error=error.tobytes(),
+            rotor_thrust=flown["rotor_thrust"][sample].tobytes(),
+            command=flown["command"][sample].tobytes(),
+            sticks=flown["sticks"][sample].tobytes(),
+            obstacles=flown["obstacle"][sample].tobytes(),
+            tracks=flown["track"][sample].tobytes(),
+            margin=flown["margin"][sample].tobytes(),
+            gate_m=flown["gate_m"][sample].tobytes(),
+            counts=np.stack(counts, axis=-1).astype(np.float64).tobytes(),
             each_status=status.tobytes(),
-            each_flags=flown["flags"][held].tobytes(),
-            **(_fence_samples(flown["fence"], held // filter_ticks) if "fence" in flown else {}),
+            each_flags=flown["flags"][sample].tobytes(),
+            mark=flown["mark"][sample].tobytes(),
+            **(_fence_samples(flown["fence"], sample // filter_ticks) if "fence" in flown else {}),
         )
 
     def mode(self) -> NDArray[np.uint8]:

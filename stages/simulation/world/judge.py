@@ -21,7 +21,7 @@ from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
 
 REFUSED, STALE, LIMITED = 1, 2, 4  # bits of `mark` of a native log
-INFEASIBLE, CERTIFIED, CERTIFIED_MOVING = 2, 4, 8  # bits of `flags`
+CAPPED, INFEASIBLE, CERTIFIED, CERTIFIED_MOVING = 1, 2, 4, 8  # bits of `flags`
 _ENDS: dict[str, Outcome] = {
     **{name: name for name in ("reached", "stuck", "timeout", "refused", "passed")},
     "ended": "held",
@@ -38,7 +38,9 @@ class WorldJudge:
 
     Attributes:
         world: static obstacles.
-        filters: names, in their order.
+        filters: names, in their order; the guide of the controller before them.
+        guides: number of guides among them, which count neither as interventions nor as the last filter.
+        has_goal: whether the mission leads from a start to a goal.
         obstacle_radii_m: of the moving obstacles [m].
         via_tolerance_m: distance within which a via point counts as passed [m].
         dt_s: duration of a tick [s].
@@ -48,6 +50,8 @@ class WorldJudge:
 
     world: StaticWorld
     filters: list[str]
+    guides: int
+    has_goal: bool
     obstacle_radii_m: list[float]
     via_tolerance_m: float
     dt_s: float
@@ -103,8 +107,13 @@ class WorldJudge:
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
         length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]
-        last = each[-1] if each else None
-        status, mark, infeasible = flown["status"], flown["mark"], flown["flags"] & INFEASIBLE > 0
+        last = each[-1] if len(each) > self.guides else None
+        status, flags, mark = (
+            flown["status"][:, self.guides :],
+            flown["flags"][:, self.guides :],
+            flown["mark"],
+        )
+        is_infeasible = (flags & INFEASIBLE > 0) | (status == FilterStatus.REFUSED)
         duration = steps * self.dt_s
         reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
         return TrialResult(
@@ -120,20 +129,27 @@ class WorldJudge:
             map_clearance_m=hulls,
             scene_clearance_m=ellipsoids,
             max_speed_m_s=_most(np.linalg.norm(velocity, axis=1)),
-            filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()) if self.filters else 0,
+            filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()),
             shortened_steps=int((status == FilterStatus.SHORTENED).sum()),
-            infeasible_steps=int((infeasible | (status == FilterStatus.REFUSED)).any(axis=1).sum()),
-            fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()) if self.filters else 0,
+            infeasible_steps=int(is_infeasible.any(axis=1).sum()),
+            fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()),
             mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
             max_jerk_m_s3=_most(jerk),
+            reference_speed_m_s=(
+                None if reference is None else _most(np.linalg.norm(reference[:, 3:6], axis=1))
+            ),
             mean_speed_m_s=length / duration if duration else 0.0,
             max_acceleration_m_s2=_most(acceleration),
             max_tracking_error_m=(
                 None if reference is None else _most(np.linalg.norm(state[:, :3] - reference[:, :3], axis=1))
             ),
+            peak_realisation_error_m_s2=_peak(flown["a_error"]),
+            min_gamma=self._gamma(_finite(state[:, :3])),
             min_margin=None if last is None else last.min_margin,
             backup_steps=None if last is None else last.backup,
             certified_steps=None if last is None else last.certified,
+            capped_steps=int((flags & CAPPED > 0).any(axis=1).sum()),
+            line_clearance_m=self._line_clearance(np.array([path[0], goal])),
             saturated_steps=int((mark & LIMITED > 0).sum()),
             obstacles=met or None,
             refused_steps=int((mark & REFUSED > 0).sum()),
@@ -145,6 +161,18 @@ class WorldJudge:
             certified_moving_steps=None if last is None else last.certified_moving,
             filters=each or None,
         )
+
+    def _gamma(self, points: FloatArray) -> float | None:
+        """Minimum of r' A r - 1 over the grown ellipsoids; None without any."""
+        gamma = _core.least_gamma(self.world.index, np.ascontiguousarray(points))
+        return gamma if math.isfinite(gamma) else None
+
+    def _line_clearance(self, ends: FloatArray) -> float | None:
+        """Clearance of the straight line of a mission to hulls and ellipsoids [m]."""
+        sets = [each for each in (self.world.polytopes, self.world.ellipsoids) if each is not None]
+        if not self.has_goal:
+            return None
+        return minimum(sphere_clearance(ends, each, self.world.radius_m, jobs=self.jobs) for each in sets)
 
     def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterResult:
         status, flags, margin = flown["status"][:, i], flown["flags"][:, i], flown["margin"][:, i]
@@ -204,3 +232,9 @@ def _finite(points: FloatArray) -> FloatArray:
 
 def _most(values: FloatArray) -> float:
     return float(values[np.isfinite(values)].max(initial=0.0))
+
+
+def _peak(values: FloatArray) -> float | None:
+    """Largest finite value; None without one."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if len(known) else None

@@ -267,6 +267,7 @@ def prepare(
         world,
         count=_count(full, pairs),
         is_point=vehicle.model == "single-integrator",
+        has_attitude=vehicle.model == "quadrotor",
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,
@@ -296,7 +297,7 @@ def prepare(
         spec,
         options=flight,
         rules=_core.SimulationRules(
-            plant_steps=rules.plant_steps or _plant_steps(full, is_point=is_point),
+            plant_steps=plant_steps_of(full, is_point=is_point),
             stuck_ticks=max(1, round(stuck_s / dt_s)),
             stuck_speed_m_s=1e-3 * most if is_point else 0.02,
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
@@ -318,6 +319,8 @@ def prepare(
     judge = WorldJudge(
         world=world,
         filters=names,
+        guides=int(mission.controller.guide != "none"),
+        has_goal=mission.kind not in ("hover", "pilot"),
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
@@ -464,6 +467,22 @@ def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -
     )
 
 
+def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
+    """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
+
+    One is exact for a point whose velocity is held, where nothing else moves.
+
+    Args:
+        scenario: completed.
+        is_point: whether the vehicle is a single integrator.
+    """
+    if scenario.rules.plant_steps is not None:
+        return scenario.rules.plant_steps
+    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
+        return 1
+    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
+
+
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
     """Peak speed of the references, and limit of velocity commands [m/s]."""
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
@@ -479,13 +498,6 @@ def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) ->
     if vehicle.model == "double-integrator":
         return peak, math.inf if limit is None else limit
     return peak, fast if limit is None else min(fast, limit)
-
-
-def _plant_steps(scenario: WorldScenario, *, is_point: bool) -> int:
-    """Steps of the plant per tick; one is exact for a point whose velocity is held, where none else moves."""
-    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
-        return 1
-    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
 
 
 def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:

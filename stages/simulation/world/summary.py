@@ -7,30 +7,45 @@ from typing import Any
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
-from alula.schemas.filter_options import FILTERS
 from alula.schemas.manifest import Guarantee
-from alula.schemas.run import Outcome
+from alula.schemas.run import Outcome, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import is_random
+from alula.schemas.world_tables import EstimationTable
 from alula.stages.durations import Times
-from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
 from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
+from alula.stages.simulation.world.certificate import (
+    beforehand,
+    certifying,
+    claims_of,
+    judged_words,
+    limits_words,
+)
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
 from alula.stages.simulation.world.simulate import WorldRun
-from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
+from alula.stages.verdict import head, mean, mean_path_ratio, minimum, statement, totals
 
 _COUNTED = (
     *("steps", "filtered_steps", "shortened_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
-    *("certified_steps", "certified_moving_steps", "saturated_steps", "refused_steps", "stale_steps"),
+    *("certified_steps", "certified_moving_steps", "capped_steps", "saturated_steps"),
+    *("refused_steps", "stale_steps"),
 )
 _GOOD: dict[str, tuple[Outcome, ...]] = {
     "hover": ("passed", "held"),
     "pilot": ("held",),
 }  # outcomes of a flight that did what its mission asks, besides "reached"
-_KEPT_FROM = {"ellipsoids": "every ellipsoid", "hulls": "every hull", "fence": "the outside of the fence"}
+
+
+_COMMANDED = {
+    "velocity": "velocity",
+    "acceleration": "acceleration",
+    "wrench": "thrust and torque",
+    "body-rates": "thrust and body rates",
+    "sticks": "sticks",
+}
 
 
 def world_summary(run: WorldRun) -> dict[str, Any]:
@@ -59,13 +74,17 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         "min_moving_clearance_m": minimum(trial.moving_clearance_m for trial in trials),
         "mean_path_ratio": mean_path_ratio(trials),
         "mean_speed_m_s": mean(trial.mean_speed_m_s for trial in trials),
+        **_extremes(trials),
         **totals(trials, _COUNTED),
         **run.counts,
         "filter_kind": run.filter_kind,
     }
     if run.scenario.world.scene is not None:
-        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.keep_m - run.world.radius_m}
-    if certifying(run) and steps:
+        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.inflation_m}
+    if (against := certifying(run)) and steps:
+        summary["certified_against"] = against
+        if "hulls" in against:
+            summary["hull_radius_m"] = run.world.hull_keep_m
         summary["certified_share_static"] = summary["certified_steps"] / steps
         if run.scenario.world.moving:
             summary["certified_share_moving"] = summary["certified_moving_steps"] / steps
@@ -82,21 +101,17 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
     return summary
 
 
-def certifying(run: WorldRun) -> list[str]:
-    """Names of the parts of the world that the last filter certifies against; none without a shield.
-
-    Args:
-        run: all trials.
-    """
-    names = run.scenario.safety.filters
-    if not names:
-        return []
-    given = run.scenario.safety.parameters(names[-1])
-    against = getattr(given, "shield_map", None)
-    if against is None or not getattr(given, "shield", True):
-        return []
-    wanted = {"ellipsoids": ("ellipsoids",), "hulls": ("hulls",), "both": ("ellipsoids", "hulls")}[against]
-    return [name for name in (*wanted, "fence") if name in run.world.parts]
+def _extremes(trials: list[TrialResult]) -> dict[str, Any]:
+    """Extremes of barrier and motion; None where no flight has the value."""
+    errors = [t.peak_realisation_error_m_s2 for t in trials if t.peak_realisation_error_m_s2 is not None]
+    return {
+        "min_gamma": minimum(trial.min_gamma for trial in trials),
+        "min_margin": minimum(trial.min_margin for trial in trials),
+        "max_speed_m_s": max(trial.max_speed_m_s for trial in trials),
+        "max_jerk_m_s3": max(trial.max_jerk_m_s3 for trial in trials),
+        "mean_jerk_m_s3": mean(trial.mean_jerk_m_s3 for trial in trials),
+        "peak_realisation_error_m_s2": max(errors, default=None),
+    }
 
 
 def world_timing(run: WorldRun) -> dict[str, Any]:
@@ -132,11 +147,20 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
         scenario: completed.
         vehicle: that it names.
     """
-    table = scenario.vehicle
+    table, guide = scenario.vehicle, scenario.mission.controller.guide
+    sphere = f"sphere of radius {exact(table.radius_m or 0.0)} m"
     limit = table.max_speed_m_s
-    fast = "" if limit is None or not math.isfinite(limit) else f", up to {exact(limit)} m/s"
-    radius = exact(table.radius_m or 0.0)
-    return f"{vehicle.name}, {vehicle.model}, by {table.interface}, radius {radius} m{fast}"
+    if vehicle.model == "quadrotor":
+        assert vehicle.body.mass_kg is not None
+        flown = f"commanded by {_COMMANDED[table.interface or '']}"
+        body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}, {flown}"
+    else:
+        body = f"{sphere}, {vehicle.model.replace('-', ' ')}"
+        body += "" if limit is None or not math.isfinite(limit) else f" up to {exact(limit)} m/s"
+    guided = "" if guide == "none" else f", guided by {guide}"
+    found = disturbances(scenario)
+    disturbed = f", with {', '.join(found)}" if found else ""
+    return f"{vehicle.name}: {body}{guided}{disturbed}"
 
 
 def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
@@ -146,56 +170,31 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         run: all trials.
         cover: that was flown in.
     """
-    names, trials = run.scenario.safety.filters, run.trials
-    parts = certifying(run)
+    trials, left = run.trials, left_out(run.scenario)
     hits = sum(trial.collision for trial in trials)
-    steps = sum(trial.steps for trial in trials)
-    certified = sum(trial.certified_steps or 0 for trial in trials)
-    claims: dict[str, Any] = {
-        "filters": list(names),
+    claims = {
+        "proven_by_filter": False,
+        "filters": list(run.scenario.safety.filters),
         "trials": len(trials),
         "collisions": hits,
         "static_collisions": sum(map(hits_static, trials)),
+        **claims_of(run, cover, left),
     }
+    names = run.scenario.safety.filters
     among, limits, proof = proof_among_hulls(run.scenario, run.vehicle, cover, trials)
     claims |= proof
-    if not names:
-        beforehand = UNFILTERED
-    elif among:
-        beforehand = among
-    elif parts:
-        shown = "all" if certified == steps else f"{certified} of {steps}"
-        kept = " and ".join(_KEPT_FROM[name] for name in parts)
-        beforehand = (
-            f"In {shown} steps {names[-1]} proved, by a rollout of the model, that a manoeuvre to rest keeps "
-            f"{exact(run.world.most_keep_m)} m from {kept}."
-        )
-        if run.scenario.world.moving:
-            moving = sum(trial.certified_moving_steps or 0 for trial in trials)
-            beforehand += (
-                f" In {moving} of them that manoeuvre also stays clear of the tube of every tracked "
-                "obstacle, for the horizon of the tubes; nothing can exclude that a vehicle at rest is hit."
-            )
-        claims |= {"certified_steps": certified, "steps": steps, "against": parts}
-        left = left_out(run.scenario)
-        claims["chain"] = _chain(run, cover, parts, complete=certified == steps, left=left)
-        if left:
-            limits = f"The flights had {', '.join(left)}, which the proof leaves out."
-    elif names[-1] in HOLDS and run.scenario.mission.kind == "pilot":
-        beforehand, left = HOLDS[names[-1]], left_out(run.scenario)
+    said = among or beforehand(run, left)
+    if names and names[-1] in HOLDS and run.scenario.mission.kind == "pilot":
+        said, limits = HOLDS[names[-1]], ""
         claims |= {"as_modelled": not left, "proven": False}
         if left:
             limits = f"The vehicle differed from the filter's model: {', '.join(left)}."
-    elif names[-1] not in FILTERS:
-        beforehand = f"alula does not check what the filter {names[-1]!r} guarantees."
     else:
-        beforehand = (
-            f"{' and '.join(names)} decide tick by tick; nothing was guaranteed beforehand for this vehicle."
-        )
+        limits = limits or limits_words(run)
     return Guarantee(
         statement=statement(
-            beforehand,
-            "from the simulated truth, in continuous time",
+            said,
+            judged_words(run),
             hits,
             len(trials),
             "flights touched an obstacle or left the fence",
@@ -203,6 +202,27 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         ),
         claims=claims,
     )
+
+
+def disturbances(scenario: WorldScenario) -> list[str]:
+    """What a scenario adds to the bare model of its vehicle and to exact measurements, in words.
+
+    Args:
+        scenario: completed.
+    """
+    table, known = scenario.vehicle, scenario.estimation
+    own = table.disturbance
+    found = {
+        "motor lag": own.motor_time_constant_s,
+        "drag": any((*(own.linear_drag_n_s_m or ()), *(own.quadratic_drag_n_s2_m2 or ()))),
+        "wind": any((*(own.wind_m_s or ()), *(own.gust_m_s or ()))),
+        "noise": _has_noise(known),
+        "delay": known.delay_s,
+        "lost measurements": known.lost_share > 0 or known.lost_from_s is not None,
+        "a mass or thrust other than the model's": table.mass_scale != 1 or table.thrust_scale != 1,
+        "a rate loop other than the model's": table.rate_gain_scale != 1,
+    }
+    return [words for words, has in found.items() if has]
 
 
 def left_out(scenario: WorldScenario) -> list[str]:
@@ -216,32 +236,35 @@ def left_out(scenario: WorldScenario) -> list[str]:
     by_sticks = table.interface == "sticks"
     mass = _changed(mass_scale=table.mass_scale, thrust_scale=table.thrust_scale)
     gain, sag = _changed(rate_gain_scale=table.rate_gain_scale), own.sag_share or 0.0
-    delay_s, most_s = known.delay_s or 0.0, _latency_s(scenario)
+    lag_s, assumed_s = own.motor_time_constant_s or 0.0, assumed.motor_time_constant_s or 0.0
+    delay_s = known.delay_s or 0.0
+    known_s = _latency_s(scenario) if by_sticks else assumed.delay_s or 0.0
+    late = delay_s > known_s if by_sticks else delay_s != known_s
     found = {
         "drag": any(own.linear_drag_n_s_m or ()) or any(own.quadratic_drag_n_s2_m2 or ()),
         "wind": any(own.wind_m_s or ()) or any(own.gust_m_s or ()),
-        "noise": any(
-            (
-                *(known.position_noise_m, known.velocity_noise_m_s),
-                *(known.attitude_noise_rad, known.rate_noise_rad_s),
-            )
-        ),
+        "noise": _has_noise(known),
         # A geofence tells when measurements are missing, and a racer has no rotors.
         "lost measurements": not by_sticks and (known.lost_share > 0 or known.lost_from_s is not None),
         f"a mass or thrust other than the model's ({mass})": mass,
-        "a motor lag other than assumed": not by_sticks
-        and (own.motor_time_constant_s or 0.0) != (assumed.motor_time_constant_s or 0.0),
-        f"a delay other than assumed (delay_s {exact(delay_s)})": delay_s > most_s
-        if by_sticks
-        else delay_s != (assumed.delay_s or 0.0),
+        "a motor lag other than assumed" if assumed_s else "motor lag": not by_sticks and lag_s != assumed_s,
+        f"a delay other than assumed (delay_s {exact(delay_s)})" if known_s else "delay": late,
         f"a rate loop other than the model's ({gain})": gain
         if table.interface in ("sticks", "body-rates")
         else "",
         f"a battery that sags (sag_share {exact(sag)})": by_sticks and sag > 0,
-        "a rate loop": table.interface == "body-rates",
         "the vehicle's own cascade": table.interface in ("velocity", "acceleration"),
     }
     return [words for words, has in found.items() if has]
+
+
+def _has_noise(known: EstimationTable) -> bool:
+    return any(
+        (
+            *(known.position_noise_m, known.velocity_noise_m_s),
+            *(known.attitude_noise_rad, known.rate_noise_rad_s),
+        )
+    )
 
 
 def _changed(**scales: float) -> str:
@@ -253,40 +276,3 @@ def _latency_s(scenario: WorldScenario) -> float:
     """The delay that the geofence of a pilot makes up for [s]; 0 without one."""
     name = fence_filter_of(scenario)
     return 0.0 if name is None else float(scenario.safety.parameters(name).latency_s)  # type: ignore[union-attr]
-
-
-def _chain(
-    run: WorldRun, cover: Artifact | None, parts: list[str], *, complete: bool, left: list[str]
-) -> dict[str, Any]:
-    """The chain from the scene to the flight: scene within cover, every step certified against the cover."""
-    if cover is None or "hulls" not in parts:
-        return {
-            "holds": False,
-            "statement": "There is no cover, so nothing chains to a scene.",
-            "assumptions": [],
-        }
-    level: Any = cover.manifest
-    table, rules = run.scenario.vehicle.assumed, run.scenario.rules
-    missing = not_covered(level)
-    beyond = f" The cover leaves out {', '.join(missing)}." if missing else ""
-    assumptions = [
-        "Cover: alula verify proves that its hulls contain the ellipsoids of the scene at its level, grown "
-        f"by {exact(level.inflation_m)} m; the run does not check this.{beyond}",
-        "Model: a rigid body with the limits of its rotors, commands held for "
-        f"{exact(rules.dt_s * rules.filter_ticks)} s, a motor time constant of "
-        f"{exact(table.motor_time_constant_s or 0.0)} s.",
-        f"Estimation: the state has no error but an age of {exact(table.delay_s or 0.0)} s, which the "
-        "model predicts.",
-        f"Inflation: {exact(run.world.hull_keep_m - run.world.radius_m)} m beyond the radius.",
-        "World: static obstacles do not move, and the scene contains the real ones.",
-    ]
-    words = (
-        "Every step was certified against the hulls of the cover. Where alula verify proves that the scene "
-        "lies in the cover, the vehicle met no ellipsoid of the scene, under the assumptions listed."
-        if complete
-        else "Not every step was certified against the hulls of the cover, so the chain is broken."
-    )
-    words += beyond
-    if left:
-        words += f" These flights had {', '.join(left)}, which the model leaves out."
-    return {"statement": words, "holds": complete and not left and not missing, "assumptions": assumptions}

@@ -58,6 +58,7 @@ def missions_of(
     *,
     count: int,
     is_point: bool,
+    has_attitude: bool,
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
@@ -75,6 +76,7 @@ def missions_of(
         world: static obstacles.
         count: number of trials.
         is_point: whether the vehicle is a single integrator, which flies straight at its goal.
+        has_attitude: whether the vehicle is a rigid body, which starts with the yaw of its mission.
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
@@ -115,7 +117,9 @@ def missions_of(
                 pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
             )
             counts |= count_planned(plans)
-    return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point)
+    return _along(
+        scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point, has_attitude
+    )
 
 
 def _along(
@@ -128,6 +132,7 @@ def _along(
     max_speed_m_s: float,
     counts: dict[str, int],
     is_point: bool,
+    has_attitude: bool,
 ) -> Missions:
     """Tasks from starts to goals: along plans, through waypoints, or straight."""
     mission, rules = scenario.mission, scenario.rules
@@ -155,7 +160,7 @@ def _along(
             allowed = slow
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
-        state = _at_rest(start, 0.0 if is_point else yaw)  # a point has no attitude
+        state = _at_rest(start, yaw if has_attitude else 0.0)
         if mission.start_velocity_m_s is not None:
             state[6:9] = mission.start_velocity_m_s
         elif mission.kind in ("goal", "waypoints"):
@@ -242,9 +247,11 @@ def _pairs(
         )
     counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}
     if given is None:
-        counts |= {"sampled_points": found.sampled, "sampled_pairs": found.candidates}
-        if psi is not None:
-            counts["sampled_inside_hulls"] = found.sampled_inside_hulls
+        counts |= {
+            "sampled_points": found.sampled,
+            "sampled_inside_obstacles": found.sampled_inside_hulls,
+            "sampled_pairs": found.candidates,
+        }
     return found, counts
 
 

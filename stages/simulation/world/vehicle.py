@@ -37,12 +37,9 @@ def vehicle_spec(
         UsageError: values are inconsistent; the message has the path of their key.
     """
     table, known = scenario.vehicle, scenario.estimation
-    catch_up = (
-        scenario.mission.controller.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * peak_m_s
-    )
-    gains = (
-        _core.TrackingGains() if vehicle.model == "single-integrator" else tracking_gains(vehicle, catch_up)
-    )
+    gains = _core.TrackingGains()
+    if vehicle.model != "single-integrator":
+        gains = tracking_gains(vehicle, catch_up_m_s(scenario, vehicle, peak_m_s))
     own = table.disturbance
     air = {_NATIVE.get(key, key): getattr(own, key) for key in _AIR}
     sensor = {key: getattr(known, key) for key in _NOISE}
@@ -95,6 +92,18 @@ def vehicle_spec(
         return _core.VehicleSpec(body, **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"`$.vehicle`: {error}") from error
+
+
+def catch_up_m_s(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> float:
+    """Speed above the reference's at which a delayed vehicle catches up [m/s].
+
+    Args:
+        scenario: any; its value comes first, then the vehicle's, then half of the peak speed.
+        vehicle: that the scenario names.
+        peak_m_s: peak speed of the references [m/s].
+    """
+    given = scenario.mission.controller.catch_up_m_s or vehicle.tracking.catch_up_m_s
+    return given or _CATCH_UP * peak_m_s
 
 
 def box_of_accelerations(vehicle: Vehicle, limit_m_s2: float | None) -> float:

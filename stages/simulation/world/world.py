@@ -37,6 +37,7 @@ class StaticWorld:
     Attributes:
         radius_m: of the vehicle [m].
         sigma: level of the ellipsoids.
+        inflation_m: length that filters add to the radius [m].
         keep_m: distance that filters keep from ellipsoids: the radius and the inflation [m].
         hull_keep_m: the same from hulls, which have grown by the cover's own inflation already [m].
         hulls: of the cover and the walls; None without any.
@@ -47,10 +48,12 @@ class StaticWorld:
         parts: native maps by name, of those there are: ellipsoids, hulls, fence.
         image: the cover as an onboard map; empty unless filters read it.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+        claims: of the guarantees of scene and cover, for that of the run.
     """
 
     radius_m: float
     sigma: float
+    inflation_m: float
     keep_m: float
     hull_keep_m: float
     hulls: Hulls | None
@@ -61,6 +64,7 @@ class StaticWorld:
     parts: dict[str, _core.ObstacleMap]
     image: bytes
     centres: FloatArray
+    claims: dict[str, Any]
 
     @property
     def vertices(self) -> FloatArray:
@@ -211,6 +215,7 @@ def static_world(
     return StaticWorld(
         radius_m=radius_m,
         sigma=sigma,
+        inflation_m=inflation,
         keep_m=keep,
         hull_keep_m=hull_keep,
         hulls=hulls,
@@ -221,6 +226,11 @@ def static_world(
         parts=parts,
         image=image,
         centres=np.concatenate(centres),
+        claims={
+            f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims
+            for name, each in (("scene", scene), ("cover", cover))
+            if each is not None
+        },
     )
 
 

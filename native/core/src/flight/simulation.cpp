@@ -140,7 +140,7 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
     log_.measured.insert(log_.measured.end(), 12, kNaN);
   const Nominal& first = flight_.nominal();
   append(log_.nominal, spec_.vehicle.interface == Interface::velocity ? first.velocity : first.acceleration);
-  append(log_.u_nominal, first.wrench);
+  append(log_.u_nominal, spec_.vehicle.model == VehicleModel::quadrotor ? first.wrench : Wrench{});
   append(log_.a_command, decision.acceleration.value_or(Vec3{kNaN, kNaN, kNaN}));
   const Command& c = decision.command;
   const bool by_rotors = c.interface == Interface::wrench || c.interface == Interface::body_rates;

@@ -296,17 +296,34 @@ def test_the_chain_from_the_scene_to_the_flight_holds_when_everything_fits():
     run, found = guarantee()
     assert sum(trial.certified_steps for trial in run.trials) == sum(trial.steps for trial in run.trials)
     assert found.claims["chain"]["holds"]
-    assert found.claims["against"] == ["hulls"]
+    assert found.claims["certified_against"] == ["hulls"]
     assert found.statement.startswith(
-        "In all steps shield proved, by a rollout of the model, that a manoeuvre"
+        "In all steps shield proved, by a rollout of the model, that a backup manoeuvre"
     )
-    assert "keeps 0.1 m from every hull" in found.statement
+    assert (
+        "keeps 0.1 m, the radius, and half of margin_m, 0.01 m, from every hull of the cover until it rests"
+        in found.statement
+    )
+
+
+def test_a_rate_loop_as_modelled_leaves_the_chain_whole():
+    run, found = guarantee(vehicle=QUADROTOR | {"interface": "body-rates"})
+    assert sum(trial.certified_steps for trial in run.trials) == sum(trial.steps for trial in run.trials)
+    chain, loop = found.claims["chain"], "a rate loop with a time constant of 0.02 s"
+    assert chain["holds"]
+    assert f"for the model with {loop}." in found.statement
+    assert any(
+        f"thrust and body rates that are held for 0.01 s, which {loop}" in w for w in chain["assumptions"]
+    )
 
 
 @pytest.mark.parametrize(
     ("tree", "words"),
     [
-        ({"vehicle": QUADROTOR | {"interface": "body-rates"}}, "a rate loop"),
+        (
+            {"vehicle": QUADROTOR | {"interface": "body-rates", "rate_gain_scale": 1.1}},
+            "a rate loop other than the model's",
+        ),
         ({"vehicle": QUADROTOR | {"mass_scale": 1.01}}, "a mass or thrust"),
         ({"vehicle": QUADROTOR | {"thrust_scale": 0.99}}, "a mass or thrust"),
         ({"vehicle": QUADROTOR | {"disturbance": {"motor_time_constant_s": 0.02}}}, "a motor lag"),
@@ -331,9 +348,9 @@ def test_what_the_model_leaves_out_breaks_the_chain_and_is_said(tree, words):
 
 def test_only_what_was_certified_is_claimed():
     _, found = guarantee(safety={"filters": []})
-    assert "chain" not in found.claims
+    assert found.claims["chain"] is found.claims["certified_against"] is None
     _, found = guarantee(safety={"filters": ["polytope-cbf"]})
-    assert "chain" not in found.claims
+    assert found.claims["chain"] is found.claims["certified_against"] is None
     assert "nothing was guaranteed beforehand" in found.statement
     run, found = guarantee(mission=STRAIGHT | {"start_velocity_m_s": (6.0, 0, 0), "goal_m": (1.2, 0, 1)})
     certified, steps = run.trials[0].certified_steps, run.trials[0].steps
@@ -342,8 +359,8 @@ def test_only_what_was_certified_is_claimed():
     assert not found.claims["chain"]["holds"]
     run = simulated(**SHIELDED | {"world": {"scene": "x"}})
     found = world_guarantee(run, None)
-    assert found.claims["against"] == ["ellipsoids"]
-    assert not found.claims["chain"]["holds"]
+    assert found.claims["certified_against"] == ["ellipsoids"]
+    assert found.claims["chain"] is None
 
 
 # Plans.

@@ -1,32 +1,30 @@
 """Random pairs with a blocked straight line, and speeds at which a vehicle catches up with its reference."""
 
-import dataclasses
-
 import msgspec
 import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.vehicle import FASTBRIDGE, TrackingTable
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.ellipsoids.closed_loop import fly
-from alula.stages.simulation.ellipsoids.simulate import resolve_splat, simulate_splat
 from alula.stages.simulation.pairs import sample_pairs
-from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.simulation.world.vehicle import catch_up_m_s
+from alula.stages.vehicles.bodies import tracking_gains
 from support.fabricate import make_scene
 from support.foreign_filters import Passing
+from support.reference_flights import along, vehicle_of
+from support.world_runs import flown, scenario_of
 
 FIELD = make_scene(12, low=(0, 0, 0), high=(6, 4, 3))
 BOX = (0.0, 0.0, 0.0, 6.0, 4.0, 3.0)
 
 
-def quick(**fields):
-    given = {"trials": 12, "filter": "none", "bounds": BOX, "max_time_s": 0.05, "inflation_m": 0.04}
-    return SimulateConfig(**(given | fields))
+def quick(scene=FIELD, **fields):
+    given = {"trials": 12, "bounds_m": BOX, "max_time_s": 0.05, "inflation_m": 0.04}
+    return flown(scene=scene, **(given | fields))
 
 
 def ends(result):
@@ -34,7 +32,7 @@ def ends(result):
 
 
 def test_blocked_pairs_are_those_of_any_under_the_condition():
-    any_, blocked = (simulate_splat(quick(pairs=pairs), FIELD, FASTBRIDGE) for pairs in ("any", "blocked"))
+    any_, blocked = (quick(which=which) for which in ("any", "blocked"))
     kept = 0
     for trial, other in zip(any_.trials, blocked.trials, strict=True):
         for t in (trial, other):
@@ -54,16 +52,14 @@ def test_blocked_pairs_are_those_of_any_under_the_condition():
 
 
 def test_pairs_are_the_same_bit_by_bit_at_any_speed():
-    slow, fast = (ends(simulate_splat(quick(speed_m_s=v), FIELD, FASTBRIDGE)) for v in (0.7, 3.1))
+    slow, fast = (ends(quick(speed_m_s=v)) for v in (0.7, 3.1))
     assert slow == fast
 
 
 def test_a_trial_has_the_same_pair_however_many_there_are():
-    twelve, three = (
-        ends(simulate_splat(quick(pairs="blocked", trials=n), FIELD, FASTBRIDGE)) for n in (12, 3)
-    )
+    twelve, three = (ends(quick(which="blocked", trials=n)) for n in (12, 3))
     assert twelve[:3] == three
-    other = ends(simulate_splat(quick(pairs="blocked", trials=3, seed=1), FIELD, FASTBRIDGE))
+    other = ends(quick(which="blocked", trials=3, seed=1))
     assert not any(a == b for a, b in zip(three, other, strict=True))
 
 
@@ -92,9 +88,9 @@ def test_without_anything_in_the_way_there_is_no_blocked_pair():
     with pytest.raises(
         InfeasibleError, match=r"trial 0: no start and goal .* with a blocked line between them"
     ):
-        simulate_splat(quick(pairs="blocked"), alone, FASTBRIDGE)
-    with pytest.raises(UsageError, match="--pairs must be any or blocked"):
-        quick(pairs="free")
+        quick(which="blocked", scene=alone)
+    with pytest.raises(UsageError, match=r"`\$.mission.which`|mission.which"):
+        quick(which="free")
 
 
 class Late(Passing):
@@ -117,30 +113,25 @@ class Late(Passing):
 @pytest.mark.parametrize("plant", ["double-integrator", "quadrotor"])
 def test_a_vehicle_that_was_held_up_keeps_to_half_as_much_again_as_its_reference(plant):
     speed = 2.0
-    config = resolve_splat(quick(speed_m_s=speed), FASTBRIDGE, None)
-    assert config.catch_up_m_s == 1.0
+    limit = catch_up_m_s(scenario_of(), FASTBRIDGE, speed)
+    assert limit == 1.0
     reference = _core.ReferenceCurve(*rest_to_rest((0, 0, 1), (30, 0, 1), speed))
-    rules = _core.FlightRules(stuck_ticks=2000)
 
-    def fastest(catch_up_m_s):
-        gains = tracking_gains(FASTBRIDGE, catch_up_m_s)
-        vehicle = _core.FlightVehicle(quadrotor(FASTBRIDGE), gains, _core.PlantOptions(), plant=plant)
-        (flown,) = fly(Late(), vehicle, [reference], rules)
-        assert flown.outcome == "reached"
-        return np.linalg.norm(flown.state[:, 6:9], axis=1).max()
+    def fastest(most):
+        vehicle = vehicle_of(model=plant, gains=tracking_gains(FASTBRIDGE, most))
+        (log,) = along([reference], [Late()], vehicle, stuck_ticks=2000)
+        assert log["end"] == "reached"
+        return np.linalg.norm(log["state"][:, 6:9], axis=1).max()
 
-    limited, free = fastest(config.catch_up_m_s), fastest(np.inf)
+    limited, free = fastest(limit), fastest(np.inf)
     assert 1.2 * speed < limited < 1.5 * speed * (1 + 1e-3)
     assert free > 1.7 * speed
 
 
 def test_the_limit_is_the_option_s_then_the_vehicle_s_then_half_the_speed():
     own = msgspec.structs.replace(FASTBRIDGE, tracking=TrackingTable(catch_up_m_s=0.7))
-    assert resolve_splat(quick(), own, None).catch_up_m_s == 0.7
-    assert resolve_splat(quick(catch_up_m_s=0.3), own, None).catch_up_m_s == 0.3
-    resolved = resolve_splat(quick(speed_m_s=3.0), FASTBRIDGE, None)
-    assert resolved.catch_up_m_s == 1.5
-    assert resolve_splat(resolved, FASTBRIDGE, None) == resolved
-    assert dataclasses.replace(resolved, catch_up_m_s=0.2).catch_up_m_s == 0.2
-    with pytest.raises(UsageError, match="--catch-up must be between"):
+    assert catch_up_m_s(scenario_of(), own, 1.0) == 0.7
+    assert catch_up_m_s(scenario_of(catch_up_m_s=0.3), own, 1.0) == 0.3
+    assert catch_up_m_s(scenario_of(), FASTBRIDGE, 3.0) == 1.5
+    with pytest.raises(UsageError, match="catch_up_m_s"):
         quick(catch_up_m_s=0.0)

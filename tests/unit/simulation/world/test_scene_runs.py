@@ -1,4 +1,4 @@
-"""Simulations among ellipsoids: pairs, the judge, vehicles, filters by name."""
+"""Runs among the ellipsoids of a scene: pairs, the judge, vehicles, the log, filters by name."""
 
 import msgspec
 import numpy as np
@@ -7,18 +7,17 @@ import pytest
 from alula import _core
 from alula.schemas import foreign_filters
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN, SCENE
-from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
+from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.schemas.world_check import FILTER_COMMANDS
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from support.fabricate import make_scene
 from support.foreign_filters import Broken, Limiting
+from support.world_runs import flown
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
 NATIVE = list(ELLIPSOID_FILTERS)
@@ -42,28 +41,24 @@ def ellipsoid_scene(mean, scale):
     )
 
 
-def quick(**fields):
-    return SimulateConfig(**({"trials": 3, "filter": "none", "speed_m_s": 1.5} | fields))
+def quick(filters=(), parameters=None, scene=FIELD, **fields):
+    return flown(filters, parameters, scene=scene, **({"trials": 3, "speed_m_s": 1.5} | fields))
 
 
 @pytest.mark.parametrize("name", ["none", *NATIVE])
 def test_a_run_does_not_depend_on_jobs(name):
-    config = quick(filter=name)
-    one, many = (simulate_splat(config, FIELD, FASTBRIDGE, jobs=jobs) for jobs in (1, 3))
+    one, many = (quick(name, jobs=jobs) for jobs in (1, 3))
     assert one.trials == many.trials
     assert one.summary == many.summary
-    for a, b in zip(one.flights, many.flights, strict=True):
-        np.testing.assert_array_equal(a.state, b.state)
-        for key, rows in a.flown.items():
-            np.testing.assert_array_equal(rows, b.flown[key])
-    assert (one.tick_s > 0).all()
-    assert len(one.tick_s) == one.summary["steps"]
+    assert one.flights == many.flights
+    assert (one.run.tick_s > 0).all()
+    assert len(one.run.tick_s) == one.summary["steps"]
 
 
 def test_the_judge_measures_the_path_that_was_flown():
     scene = ellipsoid_scene([[2, 0, 1], [9, 9, 9]], [[0.2, 0.3, 0.2], [0.1, 0.1, 0.1]])
     plan = make_plan((0, 0.9, 1), (4, 0.9, 1), 1.0)
-    result = simulate_splat(quick(trials=None, speed_m_s=None, radius_m=0.1), scene, FASTBRIDGE, plan=plan)
+    result = quick(trials=None, speed_m_s=None, radius_m=0.1, scene=scene, plan=plan)
     (trial,) = result.trials
     assert trial.outcome == "reached"
     assert not trial.collision
@@ -75,11 +70,8 @@ def test_the_judge_measures_the_path_that_was_flown():
     assert trial.mean_speed_m_s == pytest.approx(trial.path_length_m / trial.duration_s)
     # jerk of the septic of 4 m in 8.75 s: at most 52.5 L / T^3, in the middle
     assert trial.max_jerk_m_s3 == pytest.approx(52.5 * 4 / 8.75**3, rel=0.1)
-    through = simulate_splat(
-        quick(trials=None, speed_m_s=None, sigma=2.0),
-        scene,
-        FASTBRIDGE,
-        plan=make_plan((0, 0, 1), (4, 0, 1), 1.0),
+    through = quick(
+        trials=None, speed_m_s=None, sigma=2.0, scene=scene, plan=make_plan((0, 0, 1), (4, 0, 1), 1.0)
     )
     (trial,) = through.trials
     assert trial.collision
@@ -117,32 +109,29 @@ def test_gamma_is_the_least_over_all_ellipsoids_and_points():
 
 
 def test_starts_and_goals_are_clear_and_the_log_says_what_was_flown():
-    config = quick(trials=5, filter="cone-di", log_rate_hz=25)
-    result = simulate_splat(config, FIELD, FASTBRIDGE)
+    result = quick("cone-di", trials=5, log_rate_hz=25)
     for trial, log in zip(result.trials, result.flights, strict=True):
         for point in (trial.start_m, trial.goal_m):
             assert clearance_to_scene([point], FIELD, 1.0).min() >= 0.15 + 0.05 - 1e-9
-        assert len(log.time_s) == -(-trial.steps // 4) + 1
-        assert log.time_s[-1] == pytest.approx(trial.duration_s)
-        assert log.flown["a_error"].max() == trial.peak_realisation_error_m_s2
+        assert len(log.time_s(0.01)) == -(-trial.steps // 4) + 1
+        assert log.time_s(0.01)[-1] == pytest.approx(trial.duration_s)
+        assert log.rows("a_error").max() == trial.peak_realisation_error_m_s2
         assert trial.reference_speed_m_s == pytest.approx(1.5, rel=1e-3)
         assert trial.certified_steps == 0
         assert trial.filtered_steps <= trial.steps
-        np.testing.assert_allclose(log.flown["rotor_thrust"].sum(axis=1), log.flown["u"][:, 0])
+        np.testing.assert_allclose(log.rows("rotor_thrust").sum(axis=1), log.rows("command")[:, 3])
     assert result.summary["filter_kind"] == "native"
     assert result.summary["sampled_points"] > 5
-    assert result.map is FIELD
 
 
 @pytest.mark.parametrize("early_end", [True, False])
 def test_the_guarantee_names_the_margin_that_is_kept_and_what_is_only_tested(early_end):
     chosen = {"margin_m": 0.03, "early_end": early_end}
-    config = quick(trials=1, filter="cone-backup", filter_parameters=chosen)
-    found = simulate_splat(config, FIELD, FASTBRIDGE).guarantee
+    found = quick("cone-backup", chosen, trials=1).guarantee
     assert found.claims["every_step_certified"]
     assert found.claims["shield"] == {"margin_m": 0.03, "rest_drift_m": 0.008, "early_end": early_end}
     assert (
-        "keeps the radius and half of margin_m, 0.015 m, from every ellipsoid until it rests"
+        "keeps 0.15 m, the radius, and half of margin_m, 0.015 m, from every ellipsoid until it rests"
         in found.statement
     )
     assert "drifts by at most 0.008 m; that the nonlinear loop" in found.statement
@@ -154,10 +143,10 @@ def test_the_guarantee_names_the_margin_that_is_kept_and_what_is_only_tested(ear
 def test_the_alignment_s_inflation_is_added_to_what_filters_see():
     manifest = msgspec.structs.replace(FIELD.manifest, suggested_inflation_m=0.07)
     grown = Artifact(manifest, FIELD.arrays)
-    assert simulate_splat(quick(trials=1), grown, FASTBRIDGE).summary["inflation_m"] == 0.07
-    without = simulate_splat(quick(trials=1, inflation_m=0.0), grown, FASTBRIDGE)
+    assert quick(trials=1, scene=grown).summary["inflation_m"] == 0.07
+    without = quick(trials=1, inflation_m=0.0, scene=grown)
     assert without.summary["inflation_m"] == 0
-    assert without.trials == simulate_splat(quick(trials=1), FIELD, FASTBRIDGE).trials
+    assert without.trials == quick(trials=1).trials
 
 
 def test_a_double_integrator_of_its_own_file_keeps_its_limit():
@@ -167,15 +156,18 @@ def test_a_double_integrator_of_its_own_file_keeps_its_limit():
         body=BodyTable(radius_m=0.1),
         limits=LimitsTable(max_acceleration_m_s2=2.0),
     )
-    result = simulate_splat(quick(speed_m_s=3.0), FIELD, vehicle)
-    assert result.vehicle == "point: sphere of radius 0.1 m, double integrator"
+    result = quick(speed_m_s=3.0, vehicle=vehicle)
+    assert result.vehicle == "point: sphere of radius 0.1 m, double integrator, commanded by acceleration"
     assert max(t.max_acceleration_m_s2 for t in result.trials) <= 2 + 1e-9
     assert result.summary["saturated_steps"] > 0
-    with pytest.raises(UsageError, match="--plant quadrotor: point is a double-integrator"):
-        simulate_splat(quick(plant="quadrotor"), FIELD, vehicle)
+    assert result.summary["peak_realisation_error_m_s2"] > 0
+    with pytest.raises(
+        UsageError, match="point is a double-integrator, which takes velocity or acceleration"
+    ):
+        quick(interface="wrench", vehicle=vehicle)
     lone = Vehicle(name="dot", model="single-integrator", body=BodyTable(radius_m=0.1))
-    with pytest.raises(UsageError, match="single-integrator"):
-        simulate_splat(quick(), FIELD, lone)
+    with pytest.raises(UsageError, match="cone-di is for commands of acceleration, and dot takes velocity"):
+        quick("cone-di", vehicle=lone)
 
 
 class Point:
@@ -203,15 +195,15 @@ def test_a_filter_from_another_package_flies(others):
         "limiting",
     ]
     assert registry.filter_kind("limiting") == "acceleration"
-    result = simulate_splat(quick(trials=2, filter="limiting"), FIELD, FASTBRIDGE)
+    result = quick("limiting", trials=2)
     assert result.summary["filter_kind"] == "python filter"
     assert result.summary["filtered_steps"] == result.summary["steps"] > 0
     assert all(t.min_margin == 0.5 for t in result.trials)
-    assert (result.filter_s > 0).all()
+    assert (result.run.filter_s > 0).all()
     with pytest.raises(UsageError, match="cannot be loaded from elsewhere:absent"):
-        simulate_splat(quick(filter="absent"), FIELD, FASTBRIDGE)
+        quick("absent")
     with pytest.raises(UsageError, match="no filter is called 'nome'; known: none, polytope-cbf, cone-"):
-        simulate_splat(quick(filter="nome"), FIELD, FASTBRIDGE)
+        quick("nome")
 
 
 def test_parameters_are_complete_and_checked():
@@ -227,8 +219,8 @@ def test_parameters_are_complete_and_checked():
         ({"alpha": True}, "alpha must be a number"),
     ):
         with pytest.raises(UsageError, match=message):
-            simulate_splat(quick(filter="cone-di", filter_parameters=given), FIELD, FASTBRIDGE)
-    with pytest.raises(UsageError, match="cone-di: "):
-        simulate_splat(quick(filter="cone-di", filter_parameters={"alpha": -1.0}), FIELD, FASTBRIDGE)
-    with pytest.raises(UsageError, match="has no parameters"):
-        simulate_splat(quick(filter_parameters={"alpha": 1.0}), FIELD, FASTBRIDGE)
+            parameters_of("cone-di", given)
+        with pytest.raises(UsageError, match=rf"`\$.safety.cone-di.{next(iter(given))}`|`\$.safety.cone-di`"):
+            quick("cone-di", given)
+    with pytest.raises(UsageError, match=r"`\$.safety.cone-di.alpha`"):
+        quick("cone-di", {"alpha": -1.0})

@@ -1,0 +1,118 @@
+"""Runs of the combined loop for tests: scenarios by short names of their keys, and all that a run tells."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.manifest import Guarantee
+from alula.schemas.run import TrialResult
+from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.world import WorldScenario, decoded
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import WorldFlight
+from alula.stages.simulation.world.simulate import WorldRun, simulate_world
+from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
+
+_TABLES = {
+    "vehicle": ("radius_m", "interface", "rate_gain_scale", "mass_scale"),
+    "world": ("sigma", "inflation_m", "onboard"),
+    "mission": ("speed_m_s", "bounds_m", "margin_m", "which", "planned", "kind", "allow_tight"),
+    "mission.controller": ("guide", "guide_parameters", "catch_up_m_s"),
+    "rules": ("trials", "seed", "max_time_s", "log_rate_hz", "dt_s", "filter_ticks", "controller_ticks"),
+}
+_TABLE = {name: table for table, names in _TABLES.items() for name in names}
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A run with its summary, its guarantee and its vehicle in words."""
+
+    run: WorldRun
+    cover: Artifact | None
+
+    @property
+    def trials(self) -> list[TrialResult]:
+        """Verdicts, in their order."""
+        return self.run.trials
+
+    @property
+    def flights(self) -> list[WorldFlight]:
+        """Samples of all flights."""
+        return self.run.flights
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Of all flights."""
+        return world_summary(self.run)
+
+    @cached_property
+    def guarantee(self) -> Guarantee:
+        """Statement and claims."""
+        return world_guarantee(self.run, self.cover)
+
+    @property
+    def vehicle(self) -> str:
+        """The vehicle in words."""
+        return world_words(self.run.scenario, self.run.vehicle)
+
+
+def scenario_of(
+    filters: str | tuple[str, ...] = (),
+    parameters: dict[str, Any] | None = None,
+    *,
+    has_scene: bool = False,
+    has_cover: bool = False,
+    has_plan: bool = False,
+    **keys: Any,
+) -> WorldScenario:
+    """Make a scenario that logs all its flights.
+
+    Args:
+        filters: one name, or several in their order.
+        parameters: of the last one.
+        has_scene, has_cover, has_plan: which files it names.
+        keys: keys of its tables by their last name.
+    """
+    names = (filters,) if isinstance(filters, str) else filters
+    tree: dict[str, Any] = {"world": {}, "mission": {}, "rules": {}, "vehicle": {}}
+    tree["safety"] = {"filters": list(names)}
+    if parameters is not None:
+        tree["safety"][names[-1]] = dict(parameters)
+    for key, value in keys.items():
+        at = tree
+        for table in _TABLE[key].split("."):
+            at = at.setdefault(table, {})
+        at[key] = value
+    tree["world"] |= {"scene": "x.scene.npz"} if has_scene else {}
+    tree["world"] |= {"cover": "x.cover.npz"} if has_cover else {}
+    if has_plan:
+        tree["mission"] |= {"kind": "plan", "plan": "x.plan.npz"}
+    tree["rules"].setdefault("logged", tree["rules"].get("trials") or 100)
+    return decoded(tree, "test")
+
+
+def flown(
+    filters: str | tuple[str, ...] = (),
+    parameters: dict[str, Any] | None = None,
+    *,
+    scene: Artifact | None = None,
+    cover: Artifact | None = None,
+    plan: Artifact | None = None,
+    pairs: Pairs | None = None,
+    vehicle: Vehicle = FASTBRIDGE,
+    jobs: int = 0,
+    **keys: Any,
+) -> Ran:
+    """Fly a scenario.
+
+    Args:
+        filters, parameters, keys: as of `scenario_of`.
+        scene, cover, plan, pairs: what it names.
+        vehicle: that flies.
+        jobs: threads.
+    """
+    files = {"has_scene": scene is not None, "has_cover": cover is not None, "has_plan": plan is not None}
+    scenario = scenario_of(filters, parameters, **files, **keys)
+    run = simulate_world(scenario, vehicle, scene=scene, cover=cover, plan=plan, pairs=pairs, jobs=jobs)
+    return Ran(run, cover)
