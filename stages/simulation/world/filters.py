@@ -11,7 +11,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.filters.values import Options
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
@@ -20,6 +20,7 @@ from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
 
+WITHOUT_FILTER = "dr-acbf"  # whose values count for flights among moving obstacles without a filter that sees them
 _JERK_M_S3 = 60.0  # assumed limit of a vehicle without one, of the filters among moving obstacles
 _SPEEDS = 3.0  # assumed limit of a vehicle without one, over the mission's speed
 
@@ -107,6 +108,17 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
             raise UsageError(f"`$.safety.{name}`: {str(error).removeprefix(f'{name}: ')}") from error
         made.append(native)
     return made
+
+
+def risk_window_s(scenario: WorldScenario) -> float:
+    """Window of the risk of a collision: the assumed duration of a command of the last tracking filter [s].
+
+    Args:
+        scenario: completed.
+    """
+    names = [name for name in scenario.safety.filters if name in TRACKING]
+    options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
+    return float(options.h_max_s)
 
 
 def _plain(name: str, given: Options | dict[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from alula.stages.simulation.chunks import FlownTrials, TrialJournal
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.filters import filter_world, safety_filters
+from alula.stages.simulation.world.filters import filter_world, risk_window_s, safety_filters
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
@@ -232,7 +232,7 @@ def prepare(
         full,
         world,
         count=_count(full, pairs),
-        is_point=vehicle.model == "single-integrator",
+        model=vehicle.model,
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,
@@ -245,10 +245,11 @@ def prepare(
     )
     paths = [missions.start, missions.goal]
     paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
-    lower, upper = world.room(paths)
+    lower, upper = world.room(paths, has_moving=bool(full.world.moving))
     known = full.estimation
     has_losses = known.lost_share > 0 or known.lost_from_s is not None
     is_point = vehicle.model == "single-integrator"
+    waits = mission.receded_s is not None  # for what moves, and not for the goal
     stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
     dt_s = rules.dt_s
     flight = _core.FlightOptions(
@@ -268,7 +269,9 @@ def prepare(
             receded_s=math.inf if mission.receded_s is None else mission.receded_s,
             lower=lower,
             upper=upper,
-            ends_when_refused=not full.world.moving and not has_losses and mission.kind != "pilot",
+            ends_when_refused=not (full.world.moving or waits or has_losses or mission.kind == "pilot"),
+            ends_at_goal=not waits,
+            risk_window_s=risk_window_s(full),
         ),
         losses=_losses(full),
         moving=moving_spec(

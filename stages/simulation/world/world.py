@@ -27,7 +27,8 @@ from alula.stages.filtering.obstacles import (
 from alula.stages.simulation.encounters.world import static_walls
 from alula.stages.vehicles.fence import fence_faces
 
-_BEYOND_M = 20.0  # around obstacles and references; a flight that leaves this box is refused
+# Around static obstacles and references; a flight that leaves this box is refused. Who avoids what moves may fly far.
+_BEYOND_M, _BEYOND_MOVING_M = 20.0, 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +115,17 @@ class StaticWorld:
         least: FloatArray = (self.faces[:, 3] - points @ self.faces[:, :3].T).min(axis=1)
         return least
 
-    def room(self, paths: list[FloatArray]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def room(
+        self, paths: list[FloatArray], *, has_moving: bool
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Lower and upper corner of the box that no flight may leave [m].
 
         Args:
             paths: points of the references, each of shape (N, 3) [m].
+            has_moving: whether there are moving obstacles.
         """
-        points = np.concatenate([self.centres, *paths])
-        return tuple(points.min(axis=0) - _BEYOND_M), tuple(points.max(axis=0) + _BEYOND_M)
+        points, beyond = np.concatenate([self.centres, *paths]), _BEYOND_MOVING_M if has_moving else _BEYOND_M
+        return tuple(points.min(axis=0) - beyond), tuple(points.max(axis=0) + beyond)
 
 
 def static_world(
