@@ -16,6 +16,7 @@ from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.moving import obstacle_results
+from alula.stages.simulation.world.encounters import encounter_figures
 from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
 
@@ -39,6 +40,7 @@ class WorldJudge:
         world: static obstacles.
         filters: names, in their order.
         obstacle_radii_m: of the moving obstacles [m].
+        seen_by: name of the filter by whose answers encounters are measured; None without one.
         via_tolerance_m: distance within which a via point counts as passed [m].
         dt_s: duration of a tick [s].
         jobs: threads; the result does not depend on it.
@@ -47,6 +49,7 @@ class WorldJudge:
     world: StaticWorld
     filters: list[str]
     obstacle_radii_m: list[float]
+    seen_by: str | None
     via_tolerance_m: float
     dt_s: float
     jobs: int
@@ -65,6 +68,7 @@ class WorldJudge:
     def trial(
         self,
         index: int,
+        start: FloatArray,
         goal: FloatArray,
         curve: _core.ReferenceCurve | None,
         flown: dict[str, Any],
@@ -74,13 +78,14 @@ class WorldJudge:
 
         Args:
             index: number of the trial.
+            start: shape (3,), world frame [m].
             goal: shape (3,), world frame [m].
             curve: its reference, or None.
-            flown: native log of the flight.
+            flown: native log of the flight; with its path where there are static obstacles or a plan, and
+                with complete rows of its ticks where there is a reference.
             along: judge of its plan, or None.
         """
-        path, state = _finite(flown["path"]), flown["state"]
-        steps = len(flown["mark"])
+        path, steps = _finite(flown["path"]), flown["ticks"]
         hulls, ellipsoids = (
             None if each is None else sphere_clearance(path, each, self.world.radius_m, jobs=self.jobs)
             for each in (self.world.polytopes, self.world.ellipsoids)
@@ -94,11 +99,7 @@ class WorldJudge:
             for one, radius in zip(met, self.obstacle_radii_m, strict=True)
         )
         followed = None if along is None else along.result(path)
-        velocity = state[:, 6:9]
-        jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
-        jerk = jerk[np.isfinite(jerk)]
-        acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        length = flown["path_length_m"]
         each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]
         last = each[-1] if each else None
         status, mark = flown["status"], flown["mark"]
@@ -106,27 +107,29 @@ class WorldJudge:
         reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
         return TrialResult(
             index=index,
-            start_m=path[0].tolist(),
+            start_m=start.tolist(),
             goal_m=goal.tolist(),
             outcome=outcome_of_plan(_ENDS[flown["end"]], followed),
-            collision=is_collision(hulls, ellipsoids, fence, moving),
+            collision=is_collision(hulls, ellipsoids, fence) or any(one.collision for one in met),
             steps=steps,
             duration_s=duration,
             path_length_m=length,
-            straight_length_m=float(np.linalg.norm(goal - path[0])),
+            straight_length_m=float(np.linalg.norm(goal - start)),
             map_clearance_m=hulls,
             scene_clearance_m=ellipsoids,
-            max_speed_m_s=_most(np.linalg.norm(velocity, axis=1)),
+            max_speed_m_s=flown["max_speed_m_s"],
             filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()) if self.filters else 0,
             shortened_steps=int((status == FilterStatus.SHORTENED).sum()),
             infeasible_steps=sum(one.infeasible for one in each),
             fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()) if self.filters else 0,
-            mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
-            max_jerk_m_s3=_most(jerk),
+            mean_jerk_m_s3=flown["mean_jerk_m_s3"],
+            max_jerk_m_s3=flown["max_jerk_m_s3"],
             mean_speed_m_s=length / duration if duration else 0.0,
-            max_acceleration_m_s2=_most(acceleration),
+            max_acceleration_m_s2=flown["max_acceleration_m_s2"],
             max_tracking_error_m=(
-                None if reference is None else _most(np.linalg.norm(state[:, :3] - reference[:, :3], axis=1))
+                None
+                if reference is None
+                else _most(np.linalg.norm(flown["state"][:, :3] - reference[:, :3], axis=1))
             ),
             min_margin=None if last is None else last.min_margin,
             backup_steps=None if last is None else last.backup,
@@ -140,6 +143,7 @@ class WorldJudge:
             stale_steps=int((mark & STALE > 0).sum()),
             certified_moving_steps=None if last is None else last.certified_moving,
             filters=each or None,
+            **encounter_figures(flown, self.seen_by),
         )
 
     def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterResult:

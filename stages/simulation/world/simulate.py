@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from threading import Lock
 from typing import Any
+from uuid import uuid4
 
 import msgspec
 import numpy as np
@@ -26,11 +30,13 @@ from alula.schemas.world_defaults import completed
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal
+from alula.stages.simulation.chunks import TrialJournal, fly_missing
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.filters import filter_world, risk_window_s, safety_filters
+from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk, fly_chunk
+from alula.stages.simulation.world.encounters import rows_of_obstacles, seen_by
+from alula.stages.simulation.world.filters import filter_world, risk_window_s, safety_filters, watcher
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
@@ -45,23 +51,9 @@ _STUCK_POINT_S = 1.0
 _PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
 
 
-class FlownChunk(FlownTrials, frozen=True, kw_only=True):
-    """Consecutive trials; the arrays, as bytes, are measured times and differ from run to run.
-
-    Attributes:
-        filter_s: time of all filters in each tick, float32 [s].
-        tick_s: time of each tick on board, float32 [s].
-        flights: samples of the trials that the log shows.
-    """
-
-    filter_s: bytes
-    tick_s: bytes
-    flights: list[WorldFlight]
-
-
 @dataclass(frozen=True, slots=True)
 class WorldRun:
-    """All trials of a scenario; `filter_s` and `tick_s` are measured, the rest is not.
+    """All trials of a scenario; what ends in `_s` is measured, the rest is not.
 
     Attributes:
         scenario: completed with the values of the vehicle.
@@ -71,8 +63,9 @@ class WorldRun:
         world: static obstacles.
         counts: of sampled points and pairs.
         notes: for the summary.
-        filter_s: time of all filters per tick, shape (T,) [s].
+        filter_s: times of the filters, shape (F,) [s]: of `PreparedRun.filter_times`.
         tick_s: time of a tick on board, shape (T,) [s].
+        command_s, reaction_s: of `FlownChunk`, shape (trials, n) with n moving obstacles [s].
     """
 
     scenario: WorldScenario
@@ -84,6 +77,8 @@ class WorldRun:
     notes: list[str]
     filter_s: NDArray[np.float32]
     tick_s: NDArray[np.float32]
+    command_s: FloatArray
+    reaction_s: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +92,7 @@ class PreparedRun:
         missions: tasks of all trials.
         vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
+        bare: the same, whose logs have only what the judge needs.
         filters: native, in their order.
         names: of the filters, in their order.
         judge: of the flights.
@@ -111,6 +107,7 @@ class PreparedRun:
     vehicle_spec: _core.VehicleSpec
     options: _core.FlightOptions
     spec: _core.SimulationSpec
+    bare: _core.SimulationSpec
     filters: list[_core.SafetyFilter]
     names: list[str]
     judge: WorldJudge
@@ -118,13 +115,20 @@ class PreparedRun:
     notes: list[str] = field(default_factory=list)
 
     def fly(
-        self, first: int, count: int, *, jobs: int = 0, progress: Progress | None = None
+        self,
+        first: int,
+        count: int,
+        *,
+        is_logged: bool = True,
+        jobs: int = 0,
+        progress: Progress | None = None,
     ) -> list[dict[str, Any]]:
         """Fly consecutive trials; their native logs.
 
         Args:
             first: number of the first trial.
             count: number of trials.
+            is_logged: keep their path and a row per tick, besides what the judge needs.
             jobs: threads, 0 for all processors; only measured times depend on it.
             progress: called with (trials done, trials).
 
@@ -134,7 +138,7 @@ class PreparedRun:
         """
         try:
             return _core.simulate(
-                self.spec,
+                self.spec if is_logged else self.bare,
                 self.missions.tasks[first : first + count],
                 self.filters,
                 seed=self.scenario.rules.seed,
@@ -164,8 +168,24 @@ class PreparedRun:
         """
         goal = self.missions.goal[index]
         if self.scenario.mission.kind == "pilot":
-            goal = flown["path"][-1]
-        return self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+            goal = flown["last"][:3]
+        start, curve = self.missions.start[index], self.missions.curves[index]
+        return self.judge.trial(index, start, goal, curve, flown, self.plans(index))
+
+    def filter_times(self, flown: dict[str, Any]) -> NDArray[np.float32]:
+        """Measured times of the filters in a flight, shape (F,) [s].
+
+        Of all filters together in each tick; of one among moving obstacles in the ticks of a manoeuvre or a
+        warning, as in the others it has little to do.
+
+        Args:
+            flown: its native log.
+        """
+        if self.names == [self.judge.seen_by]:
+            return np.asarray(flown["active_tick_s"])
+        return np.asarray(
+            flown["filter_s"].sum(axis=1, dtype=np.float32)[:: self.scenario.rules.filter_ticks]
+        )
 
 
 def prepare(
@@ -259,20 +279,15 @@ def prepare(
         stale_s=min(known.stale_s, 1e3),
         has_losses=has_losses,
     )
-    simulation = _core.SimulationSpec(
+    # References are compared with rows of ticks.
+    needs = {
+        "keeps_path": world.polytopes is not None or bool(world.parts) or mission.kind == "plan",
+        "keeps_ticks": any(missions.curves),
+    }
+    spec_of = partial(
+        _core.SimulationSpec,
         spec,
         options=flight,
-        rules=_core.SimulationRules(
-            plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
-            stuck_ticks=max(1, round(stuck_s / dt_s)),
-            stuck_speed_m_s=1e-3 * most if is_point else 0.02,
-            receded_s=math.inf if mission.receded_s is None else mission.receded_s,
-            lower=lower,
-            upper=upper,
-            ends_when_refused=not (full.world.moving or waits or has_losses or mission.kind == "pilot"),
-            ends_at_goal=not waits,
-            risk_window_s=risk_window_s(full),
-        ),
         losses=_losses(full),
         moving=moving_spec(
             full.world.moving,
@@ -281,11 +296,30 @@ def prepare(
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
             where="estimation.",
         ),
+        watcher=watcher(full, of_what),
+    )
+    simulation, bare = (
+        spec_of(
+            rules=_core.SimulationRules(
+                plant_steps=rules.plant_steps or max(1, math.ceil(dt_s / _PLANT_STEP_S - 1e-9)),
+                stuck_ticks=max(1, round(stuck_s / dt_s)),
+                stuck_speed_m_s=1e-3 * most if is_point else 0.02,
+                receded_s=math.inf if mission.receded_s is None else mission.receded_s,
+                lower=lower,
+                upper=upper,
+                ends_when_refused=not (full.world.moving or waits or has_losses or mission.kind == "pilot"),
+                ends_at_goal=not waits,
+                risk_window_s=risk_window_s(full),
+                **kept,
+            )
+        )
+        for kept in ({}, needs)
     )
     judge = WorldJudge(
         world=world,
         filters=names,
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
+        seen_by=seen_by(full),
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
         jobs=jobs,
@@ -303,7 +337,7 @@ def prepare(
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
 
     return PreparedRun(
-        full, vehicle, world, missions, spec, flight, simulation, filters, names, judge, of_trial, notes
+        full, vehicle, world, missions, spec, flight, simulation, bare, filters, names, judge, of_trial, notes
     )
 
 
@@ -317,13 +351,14 @@ def simulate_world(
     pairs: Pairs | None = None,
     journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
+    scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> WorldRun:
     """Fly all trials of a scenario, and judge each from the truth.
 
     Trial k is a function of the scenario, its files and (seed, k) alone: except for measured times, results
-    do not depend on jobs or journal. The log keeps samples of the first `rules.logged` flights and of the
-    ones with the least clearance, which are flown again for it.
+    do not depend on jobs, scheduler or journal. The log keeps samples of the first `rules.logged` flights and
+    of the ones with the least clearance, which are flown again for it.
 
     Args:
         scenario: as read.
@@ -334,22 +369,28 @@ def simulate_world(
         pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, whose workers fly the trials.
         progress: called with (trials done, trials).
 
     Raises:
         UsageError, InputError, ArtifactError, InfeasibleError: as `prepare` and `PreparedRun.fly`.
+        LinkError: see `distribute`.
     """
-    ready = prepare(scenario, vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs, jobs=jobs)
+    parts = RunParts(
+        key=uuid4().hex, scenario=scenario, vehicle=vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs
+    )
+    ready = _prepared(parts, jobs)
     total, rules = len(ready.missions.tasks), ready.scenario.rules
-    kept = TrialJournal(FlownChunk) if journal is None else journal
-    for first in range(0, total, CHUNK):
-        if first in kept.chunks:
-            continue
-        count = min(CHUNK, total - first)
-        kept.add(_flown(ready, first, count, rules.logged, jobs))
-        if progress is not None:
-            progress(min(first + CHUNK, total), total)
-    chunks = kept.in_order()
+    chunks = fly_missing(
+        partial(fly_chunk, ready, jobs) if scheduler is None else fly_elsewhere,
+        lambda first, count: TrialChunk(None if scheduler is None else parts, first, count),
+        total,
+        CHUNK,
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=1,  # threads are those of the native simulation
+        scheduler=scheduler,
+        progress=progress,
+    )
     trials = [trial for chunk in chunks for trial in chunk.trials]
     flights = [flight for chunk in chunks for flight in chunk.flights]
     worst = sorted(trials, key=lambda trial: (worst_clearance(trial), trial.index))[:WORST]
@@ -366,21 +407,36 @@ def simulate_world(
         notes=ready.notes,
         filter_s=np.frombuffer(b"".join(chunk.filter_s for chunk in chunks), np.float32),
         tick_s=np.frombuffer(b"".join(chunk.tick_s for chunk in chunks), np.float32),
+        command_s=rows_of_obstacles([chunk.command_s for chunk in chunks], total),
+        reaction_s=rows_of_obstacles([chunk.reaction_s for chunk in chunks], total),
     )
 
 
-def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -> FlownChunk:
-    trials, flights, filters, ticks = [], [], [], []
-    rules = ready.scenario.rules
-    for index, log in enumerate(ready.fly(first, count, jobs=jobs), first):
-        trials.append(ready.judged(index, log))
-        filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks].tobytes())
-        ticks.append(log["tick_s"][:: rules.filter_ticks].tobytes())
-        if index < logged:
-            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz))
-    return FlownChunk(
-        first=first, trials=trials, filter_s=b"".join(filters), tick_s=b"".join(ticks), flights=flights
-    )
+_ELSEWHERE = Lock()
+
+
+def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
+    """Fly a chunk on the calling thread of a worker, which prepares each run once.
+
+    Args:
+        chunk: with the parts of its run.
+    """
+    assert chunk.parts is not None
+    with _ELSEWHERE:
+        ready = _prepared_once(chunk.parts)
+    # A filter in Python has one state for all threads.
+    with _ELSEWHERE if any(one.shares_state for one in ready.filters) else nullcontext():
+        return fly_chunk(ready, 1, chunk)
+
+
+def _prepared(parts: RunParts, jobs: int) -> PreparedRun:
+    given = {role: getattr(parts, role) for role in ("cover", "scene", "plan", "pairs")}
+    return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs)
+
+
+@lru_cache(maxsize=1)
+def _prepared_once(parts: RunParts) -> PreparedRun:
+    return _prepared(parts, 1)
 
 
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
