@@ -166,7 +166,8 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     tree = read_tree(path)
     is_old = _major(path, tree) < parse_version(WORLD_VERSION)[0]
     if is_old:
-        tree = upgraded_tree(path)
+        wanted = (changes or {}).get("safety.filters", ())
+        tree = upgraded_tree(path, [wanted] if isinstance(wanted, str) else wanted)
     given = msgspec.msgpack.decode(msgspec.msgpack.encode(tree))
     for key, value in (changes or {}).items():
         _set(tree, key, value)

@@ -130,7 +130,7 @@ def command(
     from alula.schemas.world import is_world
 
     check_log_name(common.output)
-    if source.suffix == ".toml" and is_world(source):
+    if source.suffix == ".toml" and (is_world(source) or is_encounters(source)):
         from alula.cli.simulate.world import simulate_scenario
 
         if scheduler is not None:
@@ -145,12 +145,6 @@ def command(
         changes = dict(setting_of(word) for word in settings)
         files = {"vehicle": vehicle_path, "cover": map_path}
         simulate_geofence(context, source, files, config, changes, scheduler, common)
-        return
-    if source.suffix == ".toml" and is_encounters(source):
-        from alula.cli.simulate.encounters import simulate_encounters
-
-        changes = dict(setting_of(word) for word in settings)
-        simulate_encounters(context, source, map_path, config, changes, scheduler, common)
         return
     if scheduler is not None:
         raise UsageError("--scheduler is for scenarios with moving obstacles or a fence")

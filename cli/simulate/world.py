@@ -86,7 +86,8 @@ def simulate_scenario(
     from alula.schemas.world_defaults import vehicle_of
     from alula.stages.simulation.chunks import TrialJournal
     from alula.stages.simulation.pairs import pairs_flown
-    from alula.stages.simulation.world.simulate import FlownChunk, simulate_world
+    from alula.stages.simulation.world.chunks import FlownChunk
+    from alula.stages.simulation.world.simulate import simulate_world
     from alula.stages.simulation.world.summary import world_summary
 
     scenario = read_world(source, _changes(context, source, files, config, settings, common.seed))
@@ -221,6 +222,7 @@ def _write(
             interface=interface,
             filters=[*([guide] if guide != "none" else []), *scenario.safety.filters],
             radii_m=[one.radius_m for one in scenario.world.moving],
+            radius_m=flown.world.radius_m,
             hulls=flown.world.hulls,
             scene=read.get("scene"),
             sigma=flown.world.sigma,

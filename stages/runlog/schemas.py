@@ -102,6 +102,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 margin=_NUMBER,
                 margin_unit=_TEXT,
                 mode_name=_TEXT,
+                moving_clearance_m=_NUMBER,
                 infeasible=_FLAG,
                 certified=_FLAG,
                 certified_moving=_FLAG,
@@ -131,7 +132,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "description": "The filter's margin and status, the nominal and the filtered input. Among hulls: "
             "h_m and velocities. Among ellipsoids: the filter's own barrier, not in metres, and "
             "accelerations. In a geofence: the true distance to it as margin, h_I as h_m after subtracting "
-            "allowance_m, the regulation function lambda, throttles and rates. In a real flight also the "
+            "allowance_m, the regulation function lambda, throttles and rates. Among moving obstacles: the "
+            "mode of a filter that sees them, and their true clearance. In a real flight also the "
             "set-point sent (rates: thrust per mass and body rates; acceleration, velocity: world frame, and "
             "the yaw) and the time of the filter.",
         },

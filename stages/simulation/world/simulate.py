@@ -243,10 +243,10 @@ def prepare(
     filters = safety_filters(full, of_what)
     psi = None
     if "polytope-cbf" in names:
-        bare = barrier(of_what)
+        guard = barrier(of_what)
 
         def psi(points: FloatArray) -> FloatArray:
-            return np.asarray(bare.psi(points)[1])
+            return np.asarray(guard.psi(points)[1])
 
     missions = missions_of(
         full,

@@ -12,8 +12,11 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
+from alula.schemas.world_check import TRACKING
+from alula.schemas.world_tables import MissionTable
 from alula.stages.simulation.ellipsoids.certificate import not_covered
 from alula.stages.simulation.result import outcomes_of
+from alula.stages.simulation.world.encounters import encounter_summary, encounter_timing
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
@@ -26,6 +29,7 @@ _GOOD: dict[str, tuple[Outcome, ...]] = {
     "hover": ("passed", "held"),
     "pilot": ("held",),
 }  # outcomes of a flight that did what its mission asks, besides "reached"
+_AS_SIMULATED = "This holds for the obstacles, the sensor and the vehicle as simulated."
 _KEPT_FROM = {"ellipsoids": "every ellipsoid", "hulls": "every hull", "fence": "the outside of the fence"}
 
 
@@ -36,7 +40,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         run: all trials.
     """
     trials = run.trials
-    good = ("reached", *_GOOD.get(run.scenario.mission.kind, ()))
+    good = ("reached", *_good(run.scenario.mission))
     steps = sum(trial.steps for trial in trials)
     outcomes = (*outcomes_of(trials), "passed", "held")
     moving = [[one.collision for one in trial.obstacles or []] for trial in trials]
@@ -54,6 +58,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         "mean_speed_m_s": mean(trial.mean_speed_m_s for trial in trials),
         **totals(trials, _COUNTED),
         **run.counts,
+        **encounter_summary(run.scenario, trials),
     }
     if run.scenario.world.scene is not None:
         summary |= {"sigma": run.world.sigma, "inflation_m": run.world.keep_m - run.world.radius_m}
@@ -64,6 +69,13 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
     if run.notes:
         summary["notes"] = run.notes
     return summary
+
+
+def _good(mission: MissionTable) -> tuple[Outcome, ...]:
+    """Outcomes besides "reached" of a flight that did what its mission asks."""
+    # Such a flight waits until all obstacles have passed, and not for its goal.
+    waits: tuple[Outcome, ...] = () if mission.receded_s is None else ("passed", "timeout")
+    return (*waits, *_GOOD.get(mission.kind, ()))
 
 
 def certifying(run: WorldRun) -> list[str]:
@@ -84,7 +96,10 @@ def certifying(run: WorldRun) -> list[str]:
 
 
 def world_timing(run: WorldRun) -> dict[str, Any]:
-    """Measured times of all filters together, and of whole ticks on board [s].
+    """Measured times of the filters, of whole ticks on board, and of encounters with moving obstacles [s].
+
+    Those of the filters are of all of them together in each tick; where there is one alone, and it sees
+    moving obstacles, of its ticks in a manoeuvre or with a warning.
 
     Args:
         run: all trials.
@@ -92,13 +107,19 @@ def world_timing(run: WorldRun) -> dict[str, Any]:
     timing: dict[str, Any] = {}
     each = {"tick": run.tick_s} | ({"filter": run.filter_s} if run.scenario.safety.filters else {})
     for what, seconds in each.items():
+        timing |= {"filter_calls": len(seconds)} if what == "filter" else {}
+        if not len(seconds):
+            continue
         found = np.percentile(seconds, [50, 99, 100]).tolist()
         timing |= dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))
         timing[f"{what}_mean_s"] = float(seconds.mean(dtype=np.float64))
+        if what == "filter":
+            timing["filter_std_s"] = float(seconds.std(dtype=np.float64))
+            timing["filter_total_s"] = float(seconds.sum(dtype=np.float64))
     rules = run.scenario.rules
     timing["ticks"] = len(run.tick_s)
     timing["overruns"] = int((run.tick_s > rules.dt_s * rules.filter_ticks).sum())
-    return timing
+    return timing | encounter_timing(run.command_s, run.reaction_s)
 
 
 def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
@@ -119,7 +140,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         run: all trials.
         cover: that was flown in.
     """
-    names, trials = run.scenario.safety.filters, run.trials
+    names, trials, world = run.scenario.safety.filters, run.trials, run.scenario.world
     parts = certifying(run)
     hits = sum(trial.collision for trial in trials)
     steps = sum(trial.steps for trial in trials)
@@ -130,7 +151,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         "collisions": hits,
         "static_collisions": sum(map(hits_static, trials)),
     }
-    limits = ""
+    limits = _AS_SIMULATED if world.moving else ""
     if not names:
         beforehand = UNFILTERED
     elif parts:
@@ -140,7 +161,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
             f"In {shown} steps {names[-1]} proved, by a rollout of the model, that a manoeuvre to rest keeps "
             f"{exact(run.world.most_keep_m)} m from {kept}."
         )
-        if run.scenario.world.moving:
+        if world.moving:
             moving = sum(trial.certified_moving_steps or 0 for trial in trials)
             beforehand += (
                 f" In {moving} of them that manoeuvre also stays clear of the tube of every tracked "
@@ -150,11 +171,14 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         left = left_out(run.scenario)
         claims["chain"] = _chain(run, cover, parts, complete=certified == steps, left=left)
         if left:
-            limits = f"The flights had {', '.join(left)}, which the proof leaves out."
+            limits = f"The flights had {', '.join(left)}, which the proof leaves out. {limits}".strip()
     else:
+        seen = "by what was tracked, " if TRACKING.issuperset(names) else ""
         beforehand = (
-            f"{' and '.join(names)} decide tick by tick; nothing was guaranteed beforehand for this vehicle."
+            f"{' and '.join(names)} {'decide' if len(names) > 1 else 'decides'} {seen}tick by tick; nothing "
+            "was guaranteed beforehand for this vehicle."
         )
+        claims["proven"] = False
     return Guarantee(
         statement=statement(
             beforehand,

@@ -27,8 +27,8 @@ from alula.stages.filtering.obstacles import (
 from alula.stages.simulation.encounters.world import static_walls
 from alula.stages.vehicles.fence import fence_faces
 
-# Around static obstacles and references; a flight that leaves this box is refused. To avoid what moves, it may fly
-# far.
+# Around static obstacles and references; a flight that leaves this box is refused. Those among moving
+# obstacles may fly far.
 _BEYOND_M, _BEYOND_MOVING_M = 20.0, 1e3
 
 
