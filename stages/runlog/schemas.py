@@ -13,15 +13,6 @@ FLIGHT_CHANNELS = {
     "/log": "foxglove.Log",
     "/pose": "foxglove.PoseInFrame",
 }
-ENCOUNTER_CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/obstacles": "foxglove.SceneUpdate",
-    "/path": "foxglove.PosesInFrame",
-    "/pose": "foxglove.PoseInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/log": "foxglove.Log",
-}
 FENCE_CHANNELS = {
     "/map": "foxglove.SceneUpdate",
     "/path": "foxglove.PosesInFrame",

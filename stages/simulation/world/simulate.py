@@ -28,6 +28,7 @@ from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, refusal
 from alula.schemas.world_defaults import completed
 from alula.stages.filtering.polytope_cbf import barrier
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.simulation.chunks import TrialJournal, fly_missing
@@ -89,6 +90,7 @@ class PreparedRun:
         scenario: completed.
         vehicle: that it names.
         world: static obstacles.
+        told: what the filters were built for.
         missions: tasks of all trials.
         vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
@@ -103,6 +105,7 @@ class PreparedRun:
     scenario: WorldScenario
     vehicle: Vehicle
     world: StaticWorld
+    told: FilterWorld
     missions: Missions
     vehicle_spec: _core.VehicleSpec
     options: _core.FlightOptions
@@ -238,12 +241,12 @@ def prepare(
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
-    told = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
-    of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
-    filters = safety_filters(full, of_what)
+    known_m_s = most if math.isfinite(most) else _PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
+    filters = safety_filters(full, told)
     psi = None
     if "polytope-cbf" in names:
-        guard = barrier(of_what)
+        guard = barrier(told)
 
         def psi(points: FloatArray) -> FloatArray:
             return np.asarray(guard.psi(points)[1])
@@ -296,7 +299,7 @@ def prepare(
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
             where="estimation.",
         ),
-        watcher=watcher(full, of_what),
+        watcher=watcher(full, told),
     )
     simulation, bare = (
         spec_of(
@@ -337,7 +340,20 @@ def prepare(
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
 
     return PreparedRun(
-        full, vehicle, world, missions, spec, flight, simulation, bare, filters, names, judge, of_trial, notes
+        scenario=full,
+        vehicle=vehicle,
+        world=world,
+        told=told,
+        missions=missions,
+        vehicle_spec=spec,
+        options=flight,
+        spec=simulation,
+        bare=bare,
+        filters=filters,
+        names=names,
+        judge=judge,
+        plans=of_trial,
+        notes=notes,
     )
 
 
