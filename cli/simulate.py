@@ -149,7 +149,8 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
     from alula.schemas.world_defaults import vehicle_of
     from alula.stages.simulation.chunks import TrialJournal
     from alula.stages.simulation.pairs import pairs_flown
-    from alula.stages.simulation.world.simulate import FlownChunk, simulate_world
+    from alula.stages.simulation.world.chunks import FlownChunk
+    from alula.stages.simulation.world.simulate import simulate_world
     from alula.stages.simulation.world.summary import world_summary
 
     folder = source.parent if source.suffix == ".toml" else Path()
@@ -186,6 +187,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
                     pairs=pairs,
                     journal=journal,
                     jobs=common.jobs,
+                    scheduler=scheduler,
                     progress=watched,
                 )
             except UsageError as error:
@@ -248,6 +250,7 @@ def _write(
             interface=interface,
             filters=[*([guide] if guide != "none" else []), *scenario.safety.filters],
             radii_m=[one.radius_m for one in scenario.world.moving],
+            radius_m=flown.world.radius_m,
             hulls=flown.world.hulls,
             scene=read.get("scene"),
             sigma=flown.world.sigma,

@@ -35,7 +35,8 @@ class Flight:
         position_world: shape (n, 3) [m].
         speed_m_s: shape (n,) [m/s].
         margin_time_s: times of the filter's answers, shape (m,) [s].
-        margin: margin that the filter reported, NaN where it had none, shape (m,).
+        margin: clearance of moving obstacles, where there are any, or margin that the filter reported; NaN
+            where it had none, shape (m,).
         margin_unit: "m", or the quantity in words.
         status: status that the filter reported, m words.
         regulation: regulation function lambda of a geofence, NaN where unknown, shape (m,); None elsewhere.
@@ -111,6 +112,7 @@ class _Safety(msgspec.Struct, gc=False):
     margin: float | None = None
     margin_unit: str | None = None  # absent among hulls, where h_m is the margin
     fence_distance_m: float | None = None
+    moving_clearance_m: float | None = None
     status_name: str = ""
     regulation: float | None = msgspec.field(default=None, name="lambda")
 
@@ -226,8 +228,8 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         position_world=_measured("position", position).reshape(-1, 3),
         speed_m_s=np.sqrt(square),
         margin_time_s=_measured("time", [answer.time_s for answer in safety]),
-        margin=_measured("margin", [a.h_m if a.margin_unit is None else a.margin for a in safety]),
-        margin_unit=(safety[0].margin_unit if safety else None) or "m",
+        margin=_measured("margin", [_margin(answer) for answer in safety]),
+        margin_unit=_unit(safety[0]) if safety else "m",
         status=tuple(answer.status_name for answer in safety),
         regulation=_known([a.regulation for a in safety]),
         fence_distance_m=_known([_fence_distance(a) for a in safety]),
@@ -243,6 +245,17 @@ def _fence_distance(answer: _Safety) -> float | None:
 def _known(values: list[float | None]) -> NDArray[np.float64] | None:
     """Convert to an array, None to NaN; None where all are."""
     return None if all(value is None for value in values) else _measured("distance", values)
+
+
+def _margin(answer: _Safety) -> float | None:
+    """The true clearance of moving obstacles, or else what the filter reported."""
+    if answer.moving_clearance_m is not None:
+        return answer.moving_clearance_m
+    return answer.h_m if answer.margin_unit is None else answer.margin
+
+
+def _unit(answer: _Safety) -> str:
+    return "m" if answer.moving_clearance_m is not None else answer.margin_unit or "m"
 
 
 def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:

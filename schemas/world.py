@@ -169,7 +169,8 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     tree = read_tree(path)
     is_old = _major(path, tree) < parse_version(WORLD_VERSION)[0]
     if is_old:
-        tree = upgraded_tree(path)
+        wanted = (changes or {}).get("safety.filters", ())
+        tree = upgraded_tree(path, [wanted] if isinstance(wanted, str) else wanted)
     where = f"{path}, as upgraded to version {WORLD_VERSION}" if is_old else str(path)
     given = msgspec.msgpack.decode(msgspec.msgpack.encode(tree))
     return Read(changed(tree, where, changes), given, tuple(changes or ()), is_old)

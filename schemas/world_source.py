@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from alula.schemas.artifact import read_manifest
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.vehicles import VEHICLES, point_limits
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
@@ -26,6 +27,8 @@ def source_tree(
 ) -> dict[str, Any]:
     """Plain values of a scenario in which a cover or a scene is flown through, or a plan is flown.
 
+    The ellipsoids of a scene beside a cover have the level of the cover.
+
     Args:
         files: `cover`, `scene`, `plan`; at least one of the first two.
         filters: names; default: `IN_A_COVER`, or `IN_A_SCENE` where there is no cover.
@@ -34,7 +37,7 @@ def source_tree(
         speed_m_s: of the mission, or limit of the point.
 
     Raises:
-        InputError, ArtifactError: the plan cannot be read.
+        InputError, ArtifactError: plan or cover cannot be read.
         UsageError: there is no such filter.
     """
     names = list(filters or ()) if filters is not None else [IN_A_COVER if "cover" in files else IN_A_SCENE]
@@ -47,9 +50,13 @@ def source_tree(
         flown |= point_limits(files.get("plan"), speed_m_s=speed_m_s)
     elif speed_m_s is not None:
         mission["speed_m_s"] = speed_m_s
+    world: dict[str, Any] = {role: str(files[role]) for role in ("cover", "scene") if role in files}
+    if {"cover", "scene"} <= files.keys():
+        manifest: Any = read_manifest(files["cover"])
+        world["sigma"] = float(manifest.sigma)
     return {
         "vehicle": flown,
-        "world": {role: str(files[role]) for role in ("cover", "scene") if role in files},
+        "world": world,
         "mission": mission,
         "safety": {"filters": names},
         "rules": {"logged": _LOGGED},

@@ -222,7 +222,8 @@ class MissionTable(Table, frozen=True, kw_only=True):
     kind: Annotated[
         MissionKind,
         about(
-            "pairs: random starts and goals, or those of another run; goal: from start_m to goal_m; "
+            "pairs: random starts and goals, or those of another run; goal: from start_m to goal_m, by a "
+            "double integrator's accelerations without a reference; "
             "waypoints: from start_m through waypoints_m; plan: along a plan; hover: stay at start_m; "
             "pilot: sticks of a simulated pilot"
         ),
@@ -289,7 +290,10 @@ class MissionTable(Table, frozen=True, kw_only=True):
     ] = False
     receded_s: Annotated[
         NotNegative | None,
-        about("a flight ends when all moving obstacles have receded for this time; None: it does not [s]"),
+        about(
+            "a flight ends when all moving obstacles have receded for this time, and not at its goal; None: "
+            "at its goal [s]"
+        ),
     ] = None
     controller: ControllerTable = ControllerTable()
     pilot: PilotTable = PilotTable()

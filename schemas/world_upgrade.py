@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import msgspec
 
 from alula.schemas.encounters import Encounters, is_encounters, read_encounters
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import FILTERS, MovingFilterParameters
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.geofence import FenceScenario, RacerTable, is_fence_scenario, read_fence_scenario
 from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_SCHEMA, Scenario, read_scenario
@@ -18,20 +20,19 @@ from alula.schemas.vehicles import DEFAULT_SPEED_M_S, point_limits
 from alula.schemas.world_tables import NO_FILTER, DisturbanceTable
 
 _AMONG_ELLIPSOIDS = ("safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")
-_MOVING = "dr-acbf"  # all filters among moving obstacles have its parameters
+_MOVING = [name for name, kind in FILTERS.items() if kind is MovingFilterParameters]  # all have the same ones
+_WITHOUT_FILTER = "dr-acbf"
 _PAIRS = 100  # default number of random pairs of version 1
 
 Tree = dict[str, Any]
 
 
-def upgraded_tree(path: Path) -> Tree:
+def upgraded_tree(path: Path, filters: Sequence[str] = ()) -> Tree:
     """Convert a scenario of version 1 to the plain values of version 2.0.
 
     Values carry over exactly, and defaults of version 1 that version 2.0 does not share are written out. Not
     carried over exactly, because version 2.0 has other rules and not other values:
 
-    - A flight to a goal ends there; with moving obstacles, version 1 ended flights only when all obstacles
-      had receded.
     - All parts of the world are obstacles of the judge. Version 1 reported the clearance to the hulls of a
       cover without judging it where a filter avoided the ellipsoids of a scene, and judged the scene of a
       flight among hulls at the level of the cover instead of `map.sigma`.
@@ -45,6 +46,8 @@ def upgraded_tree(path: Path) -> Tree:
 
     Args:
         path: the file.
+        filters: that will be flown instead of the file's: version 1 had the same parameters for all filters
+            among moving obstacles.
 
     Returns:
         Plain values, as from TOML.
@@ -56,7 +59,7 @@ def upgraded_tree(path: Path) -> Tree:
     if is_fence_scenario(path):
         tree = _of_fence(read_fence_scenario(path), read_tree(path))
     elif is_encounters(path):
-        tree = _of_encounters(read_encounters(path), read_tree(path))
+        tree = _of_encounters(read_encounters(path), read_tree(path), filters)
     else:
         tree = _of_pairs(path, read_scenario(path))
     found: Tree = _given({"schema": SCENARIO_SCHEMA, "version": "2.0"} | tree)
@@ -184,12 +187,12 @@ def _as_double_integrator(path: Path, radius_m: float | None, vehicle: Vehicle) 
     return own, known
 
 
-def _of_encounters(scenario: Encounters, tree: Tree) -> Tree:
+def _of_encounters(scenario: Encounters, tree: Tree, filters: Sequence[str]) -> Tree:
     encounter, body, run = scenario.encounter, scenario.vehicle, scenario.run
     hovers = encounter.hovers
     speed = encounter.start_speed_m_s
-    name = scenario.filter.name
-    table = _MOVING if name == NO_FILTER else name
+    name, parameters = scenario.filter.name, tree.get("filter", {}).get("parameters")
+    flown = [other for other in filters if other in _MOVING]
     return {
         "name": scenario.name,
         "vehicle": {
@@ -220,7 +223,7 @@ def _of_encounters(scenario: Encounters, tree: Tree) -> Tree:
         },
         "safety": {
             "filters": [] if name == NO_FILTER else [name],
-            table: tree.get("filter", {}).get("parameters"),
+            **dict.fromkeys(flown or [name if name in _MOVING else _WITHOUT_FILTER], parameters),
         },
         "rules": {
             "dt_s": run.dt_s,

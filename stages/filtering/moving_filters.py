@@ -38,28 +38,37 @@ def moving_filter(name: str, world: FilterWorld, given: Mapping[str, Any]) -> Na
         parameters = msgspec.convert(msgspec.to_builtins(dict(given)), MovingFilterParameters)
     except msgspec.ValidationError as error:
         raise UsageError(f"{name}: {error}") from error
-    radius_m, largest = world.keeps(world.parts_radius_m), world.max_acceleration_m_s2
+    options = moving_options(world, parameters)
+    try:
+        native = _core.MovingSafety(
+            _core.moving_filter(name.replace("-", "_"), options),
+            union_of(world.parts, *world.parts),
+            max_speed_m_s=world.max_speed_m_s,
+            max_acceleration_m_s2=world.max_acceleration_m_s2,
+            radius_m=options["radius_m"],
+        )
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"{name}: {error}") from error
+    return NativeFilter(native, msgspec.structs.asdict(parameters))
+
+
+def moving_options(world: FilterWorld, parameters: MovingFilterParameters) -> dict[str, float]:
+    """All options of the native filter by name: the parameters, and limits and time step of the vehicle.
+
+    Args:
+        world: `parts` and the limits of the vehicle matter.
+        parameters: of the filter.
+    """
+    largest = world.max_acceleration_m_s2
     options = {"wall_deceleration": WALL_FRACTION * largest} | native_options(parameters)
     options |= {
         "a_max": largest,
         "v_max": world.max_speed_m_s,
         "j_max": world.max_jerk_m_s3,
-        "radius_m": radius_m,
+        "radius_m": world.keeps(world.parts_radius_m),
         "dt_s": world.dt_s,
     }
-    try:
-        native = _core.MovingSafety(
-            _core.moving_filter(
-                name.replace("-", "_"), {key: float(value) for key, value in options.items()}
-            ),
-            union_of(world.parts, *world.parts),
-            max_speed_m_s=world.max_speed_m_s,
-            max_acceleration_m_s2=largest,
-            radius_m=radius_m,
-        )
-    except (ValueError, OverflowError) as error:
-        raise UsageError(f"{name}: {error}") from error
-    return NativeFilter(native, msgspec.structs.asdict(parameters))
+    return {key: float(value) for key, value in options.items()}
 
 
 def _factory(name: str) -> Callable[[FilterWorld, Mapping[str, Any]], NativeFilter]:

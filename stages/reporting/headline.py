@@ -83,8 +83,7 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
     for run in runs:
         settings = _settings(run)
         for trial in run.record.trials:
-            kind = 3 if is_composed(trial) else 1 if trial.obstacles is not None else 0
-            kind = 2 if trial.fence is not None else kind
+            kind = 1 if _waits(run) else 2 if trial.fence is not None else 3 if is_composed(trial) else 0
             groups.setdefault((run.record.filter, settings, kind), []).append((run.label, trial))
     several = {name for name, _, _ in groups if len({s for n, s, _ in groups if n == name}) > 1}
     found = []
@@ -93,7 +92,7 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
         trials = [trial for _, trial in flown]
         collided = "" if kind == 2 else f", {text(sum(trial.collision for trial in trials))} collided"
         shown = "no filter" if name == NO_FILTER else name
-        found.append(f"{shown}{labels}: {_verdict(trials)}{collided}")
+        found.append(f"{shown}{labels}: {_verdict(trials, waits=kind == 1)}{collided}")
     return found
 
 
@@ -105,18 +104,26 @@ def _settings(run: Run) -> str:
     return repr((parameters.get("filter_parameters"), inner, parameters.get("safety")))
 
 
-def _verdict(trials: Sequence[TrialResult]) -> str:
+def _waits(run: Run) -> bool:
+    """Whether flights end when moving obstacles have passed, and not at a goal."""
+    mission = run.record.provenance.parameters.get("mission")
+    if isinstance(mission, dict):
+        return mission.get("receded_s") is not None
+    return any(trial.obstacles is not None for trial in run.record.trials)
+
+
+def _verdict(trials: Sequence[TrialResult], *, waits: bool) -> str:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
-    if any(trial.fence is not None for trial in trials):
-        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
+    if waits:
+        good, word = sum(not trial.collision for trial in trials), "touched nothing"
     elif any(map(is_composed, trials)):
         ends = [outcome_of(trial) for trial in trials]
         stays = "reached" not in ends and ("held" in ends or "passed" in ends)
         good, word = ends.count("reached"), "reached the goal"
         if stays:
             good, word = ends.count("held") + ends.count("passed"), "flew to the end"
-    elif any(trial.obstacles is not None for trial in trials):
-        good, word = sum(not trial.collision for trial in trials), "touched nothing"
+    elif any(trial.fence is not None for trial in trials):
+        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     else:
         good, word = sum(outcome_of(trial) == "reached" for trial in trials), "reached the goal"
     return f"{text(good)} of {text(len(trials))} {word}"
@@ -124,7 +131,7 @@ def _verdict(trials: Sequence[TrialResult]) -> str:
 
 def _verdict_and_interval(run: Run) -> str:
     """The verdict on a run with the 95 % interval of its success rate."""
-    verdict, interval = _verdict(run.record.trials), success_interval(run)
+    verdict, interval = _verdict(run.record.trials, waits=_waits(run)), success_interval(run)
     if verdict.endswith("goal"):
         verdict += " without a collision"
     return verdict + (f"; 95 %: {text(interval[0])} to {text(interval[1])}" if interval else "")

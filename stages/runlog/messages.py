@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 
 DECIMALS = 6  # micrometres; the record has the exact figures
 UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_OBSTACLE_COLOR = {"r": 0.8, "g": 0.3, "b": 0.1, "a": 0.9}
+_TRACK_COLOR = {"r": 0.1, "g": 0.45, "b": 0.8, "a": 0.35}
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
@@ -174,3 +177,31 @@ def triangle_list(points: FloatArray, triangles: NDArray[Any], color: dict[str, 
         "colors": [],
         "indices": triangles.ravel().tolist(),
     }
+
+
+def obstacle_message(
+    obstacles: FloatArray, tracks: FloatArray, radii_m: list[float], frame: str, time_s: float
+) -> dict[str, Any]:
+    """`foxglove.SceneUpdate` of moving obstacles: a sphere for each, and one twice as large at each track.
+
+    Args:
+        obstacles: true positions, shape (n, 3), world frame [m].
+        tracks: shape (n, 3), NaN without a track [m].
+        radii_m: of the obstacles [m].
+        frame: name of the frame.
+        time_s: log time [s].
+    """
+    is_tracked = [bool(np.isfinite(track).all()) for track in tracks]
+    true = [_ball(p, r, _OBSTACLE_COLOR) for p, r in zip(obstacles, radii_m, strict=True)]
+    tracked = [
+        _ball(p, 2 * r, _TRACK_COLOR) for p, r, t in zip(tracks, radii_m, is_tracked, strict=True) if t
+    ]
+    return scene_message(
+        entity("obstacles", frame, time_s) | {"spheres": true},
+        entity("tracks", frame, time_s) | {"spheres": tracked},
+    )
+
+
+def _ball(position: FloatArray, radius_m: float, color: dict[str, float]) -> dict[str, Any]:
+    size = dict.fromkeys("xyz", 2 * radius_m)
+    return sphere(xyz(position), UPRIGHT, size, color)

@@ -13,15 +13,6 @@ FLIGHT_CHANNELS = {
     "/log": "foxglove.Log",
     "/pose": "foxglove.PoseInFrame",
 }
-ENCOUNTER_CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/obstacles": "foxglove.SceneUpdate",
-    "/path": "foxglove.PosesInFrame",
-    "/pose": "foxglove.PoseInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/log": "foxglove.Log",
-}
 
 
 def _object(**properties: Any) -> dict[str, Any]:
@@ -94,6 +85,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 margin=_NUMBER,
                 margin_unit=_TEXT,
                 mode_name=_TEXT,
+                moving_clearance_m=_NUMBER,
                 infeasible=_FLAG,
                 certified=_FLAG,
                 certified_moving=_FLAG,
@@ -123,7 +115,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             ),
             "description": "The filter's margin and status, the nominal and the filtered input. Among hulls: "
             "h_m and velocities. Among ellipsoids: the filter's own barrier, not in metres, and "
-            "accelerations. Of a pilot in a geofence: the true distance as fence_distance_m, h_I as h_m "
+            "accelerations. Among moving obstacles: the mode of a filter that sees them, and their true "
+            "clearance. Of a pilot in a geofence: the true distance as fence_distance_m, h_I as h_m "
             "after subtracting allowance_m, the regulation function lambda, throttles and rates. In a real "
             "flight also the set-point sent (rates: thrust per mass and body rates; acceleration, velocity: "
             "world frame, and the yaw) and the time of the filter.",

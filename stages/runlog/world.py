@@ -9,17 +9,18 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import RunRecord, TrialResult
+from alula.schemas.world_check import TRACKING
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.runlog.encounters import obstacle_message
 from alula.stages.runlog.maps import world_message
-from alula.stages.runlog.messages import number, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.messages import number, obstacle_message, pose_message, quaternion_of_mrp, xyz
 from alula.stages.runlog.piloted import pilot_fields
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
+MODES = ("nominal", "avoid", "hover")  # of filters among moving obstacles
 _SAFETY = "/safety"
 _COUNTS = ("active", "candidates", "rows", "iterations")
 
@@ -34,6 +35,7 @@ def write_world_log(
     interface: str,
     filters: list[str],
     radii_m: list[float],
+    radius_m: float,
     hulls: Hulls | None,
     scene: Artifact | None,
     sigma: float,
@@ -43,7 +45,8 @@ def write_world_log(
 
     `/safety` is the last filter, of a pilot's flight with `pilot_fields`, and `/safety/NAME` each filter of a
     list of several. `/obstacles` has a sphere for each moving obstacle, and one of twice its radius at each
-    track.
+    track. `margin` of `/safety` is the barrier of the filter, `moving_clearance_m` the true clearance of
+    moving obstacles.
 
     Args:
         stream: binary stream to write to.
@@ -54,6 +57,7 @@ def write_world_log(
         interface: what the vehicle is commanded by.
         filters: names, in their order.
         radii_m: of the moving obstacles [m].
+        radius_m: of the vehicle [m].
         hulls: of cover and walls; None without any.
         scene: with ellipsoids; None without one.
         sigma: their level.
@@ -67,7 +71,7 @@ def write_world_log(
     paths = [flight.rows("state")[:, :3] for flight in flights]
     map_ = world_message(hulls, scene, sigma, faces, paths, frame)
     trials = (
-        _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m)
+        _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m, radius_m)
         for flight in flights
     )
     write_trials(stream, channels, record, map_, trials, frame)
@@ -81,6 +85,7 @@ def _logged(
     interface: str,
     filters: list[str],
     radii_m: list[float],
+    radius_m: float,
 ) -> LoggedTrial:
     state, nominal, command = flight.rows("state"), flight.rows("nominal"), flight.rows("command")
     obstacles, tracks, margin = flight.rows("obstacles"), flight.rows("tracks"), flight.rows("margin")
@@ -89,6 +94,8 @@ def _logged(
     status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
     mark = np.frombuffer(flight.mark, np.uint8)
     by_rotors = interface in ("wrench", "body-rates")
+    reach = np.array(radii_m, np.float64) + radius_m
+    apart = np.linalg.norm(obstacles - state[:, None, :3], axis=2) - reach
 
     def of_margin(k: int, i: int) -> dict[str, Any]:
         value = number(margin[i, k]) if margin.shape[1] else None
@@ -98,10 +105,12 @@ def _logged(
 
     def of_filter(k: int, i: int) -> dict[str, Any]:
         which, bits, gate_m = FilterStatus(int(status[i, k])), int(flags[i, k]), number(gate[i, k])
+        mode = {"mode_name": MODES[bits >> 4]} if filters[k] in TRACKING else {}
         return {
             **of_margin(k, i),
             "status": int(which),
             "status_name": which.name.lower(),
+            **mode,
             "infeasible": bool(bits & INFEASIBLE),
             "certified": bool(bits & CERTIFIED),
             "certified_moving": bool(bits & CERTIFIED_MOVING),
@@ -148,7 +157,7 @@ def _logged(
         elif interface == "sticks":
             last |= {"throttle_safe": number(command[i, 7]), "rates_safe_rad_s": xyz(command[i, 8:11])}
             last |= pilot_fields(flight, i)
-        yield _SAFETY, last
+        yield _SAFETY, last | ({"moving_clearance_m": number(apart[i].min())} if radii_m else {})
         if len(filters) > 1:
             for k, name in enumerate(filters):
                 yield f"{_SAFETY}/{name}", {"trial": trial.index} | of_filter(k, i)

@@ -114,7 +114,10 @@ def fly_missing(
     if progress is not None and done > 0:
         progress(done, total)
     if missing:  # otherwise do not connect to a scheduler
-        for chunk in distribute(fly, missing, jobs=jobs, scheduler=scheduler):
+        # One thread is the calling one, which an interruption reaches at once.
+        is_here = jobs == 1 and scheduler is None
+        flown = map(fly, missing) if is_here else distribute(fly, missing, jobs=jobs, scheduler=scheduler)
+        for chunk in flown:
             journal.add(chunk)
             done += len(chunk.trials)
             if progress is not None:

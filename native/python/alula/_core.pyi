@@ -2925,7 +2925,7 @@ class SimulationRules:
             ends_at_goal: a goal that is reached ends the flight, and being stuck
             risk_window_s: window of the risk of encounters [s]
             keeps_path: the path is kept
-            keeps_ticks: a row per tick is kept
+            keeps_ticks: a complete row per tick is kept, not only what a judge counts
         """
 
     @property
@@ -2974,7 +2974,7 @@ class SimulationRules:
 
     @property
     def keeps_ticks(self) -> bool:
-        """a row per tick is kept"""
+        """a complete row per tick is kept, not only what a judge counts"""
 
 class Mission:
     """What makes the nominal command."""
@@ -3014,8 +3014,11 @@ class Task:
 class SimulationSpec:
     """All parts of simulated flights but the tasks and the filters."""
 
-    def __init__(self, vehicle: VehicleSpec, *, options: FlightOptions = ..., rules: SimulationRules = ..., losses: Losses = ..., moving: MovingSpec = ..., fence: Geofence | None = None) -> None:
-        """fence: by whose fence and limits flights of a racer are judged."""
+    def __init__(self, vehicle: VehicleSpec, *, options: FlightOptions = ..., rules: SimulationRules = ..., losses: Losses = ..., moving: MovingSpec = ..., fence: Geofence | None = None, watcher: SafetyFilter | None = None) -> None:
+        """
+        fence: by whose fence and limits flights of a racer are judged; watcher: filter of accelerations among
+        moving obstacles that is not flown, for the metrics of encounters without one that is.
+        """
 
 def simulate(spec: SimulationSpec, tasks: Sequence[Task], filters: Sequence[SafetyFilter], *, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """

@@ -59,8 +59,8 @@ class Flown:
     @property
     def dt_s(self) -> float:
         """Length of a tick [s]."""
-        run = self.record.provenance.parameters.get("run", {})
-        return float(run.get("dt_s", 0.01))
+        rules = self.record.provenance.parameters.get("rules", {})
+        return float(rules.get("dt_s", 0.01))
 
 
 def success(flown: Flown, obstacle: int | None = None) -> Rate:
@@ -110,7 +110,8 @@ def changed(flown: Flown, base: Flown | None) -> str:
     keys = sorted(
         key for key in ours.keys() | theirs.keys() if key != "name" and ours.get(key) != theirs.get(key)
     )
-    return ", ".join(f"{key.removeprefix('filter.parameters.')} {text(ours.get(key))}" for key in keys)
+    own = f"safety.{flown.record.filter}."
+    return ", ".join(f"{key.removeprefix(own)} {text(ours.get(key))}" for key in keys)
 
 
 def success_table(

@@ -34,8 +34,8 @@ _COLLAPSED = 50.0  # runs that succeed [%]: maximum with the simple trigger, whi
 _HOLDS = 82.5  # minimum with the other trigger, as published
 _SEES = 0.9  # detection probability at which most obstacles are seen
 _AXES = (
-    *("sensor.delay_s", "vehicle.actuation_delay_s", "sensor.noise_scale", "sensor.rate_hz"),
-    "sensor.detection_probability",
+    *("estimation.sensor.delay_s", "vehicle.actuation_delay_s", "estimation.sensor.noise_scale"),
+    *("estimation.sensor.rate_hz", "estimation.sensor.detection_probability"),
 )
 
 
@@ -176,7 +176,7 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
         for f in select(flown, scenario, METHODS):
             groups[scenario, f.variant] = list(f.record.trials)
     for f in select(flown, "collapse"):  # where many collide: all conditions together
-        trigger = str(flat(f.record.provenance.parameters)["filter.parameters.trigger"])
+        trigger = str(flat(f.record.provenance.parameters)[f"safety.{BASE}.trigger"])
         groups.setdefault(("collapse", trigger), []).extend(f.record.trials)
     rows = []
     for (scenario, variant), trials in groups.items():
@@ -230,10 +230,10 @@ def collapse_cells(flown: Sequence[Flown]) -> list[Cell]:
     found: dict[tuple[float, float, float, float, float], dict[str, Rate]] = {}
     for f in select(flown, "collapse"):
         values = flat(f.record.provenance.parameters)
-        delay, lag, noise, hertz, detection = (float(values[axis]) for axis in _AXES)
+        delay, lag, noise, hertz, detection = (float(values[axis] or 0.0) for axis in _AXES)
         key = (delay, lag, noise, hertz, detection)
-        trigger = str(values["filter.parameters.trigger"])
-        is_always = trigger == "simple" and values.get("filter.parameters.rows_before_warning") is not False
+        trigger = str(values[f"safety.{BASE}.trigger"])
+        is_always = trigger == "simple" and values.get(f"safety.{BASE}.rows_before_warning") is not False
         found.setdefault(key, {})["always" if is_always else trigger] = success(f)
     cells = [
         Cell(*key, each["cvar"], each["simple"], each.get("always"))

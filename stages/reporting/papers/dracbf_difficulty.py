@@ -31,12 +31,12 @@ CONDITIONS = {
     "late": "actuation late",
     "noisy": "radar noisy",
 }
-SHARED = ("filter.parameters.obstacle_braking_m_s2", "filter.parameters.clearance_m")
+SHARED = ("obstacle_braking_m_s2", "clearance_m")
 GAINS = {  # of each method, tuned beside the shared ones
-    BASE: "filter.parameters.alpha",
-    "mpc": "filter.parameters.mpc.step_s",
-    "cbf-qp": "filter.parameters.cbf_qp.horizon_s",
-    "rp-cbf": "filter.parameters.rp_cbf.alpha",
+    BASE: "alpha",
+    "mpc": "mpc.step_s",
+    "cbf-qp": "cbf_qp.horizon_s",
+    "rp-cbf": "rp_cbf.alpha",
 }
 
 
@@ -147,7 +147,8 @@ def tried(flown: Sequence[Flown], method: str) -> list[Tried]:
     for name in sorted(groups, key=_order):
         runs = groups[name]
         values = flat(runs[0].record.provenance.parameters)
-        options = tuple(f"{key}={values[key]:g}" for key in (*SHARED, GAINS[method]))
+        keys = [f"safety.{method}.{key}" for key in (*SHARED, GAINS[method])]
+        options = tuple(f"{key}={values[key]:g}" for key in keys)
         result.append(
             Tried(method, options, rate(not trial.collision for f in runs for trial in f.record.trials))
         )
@@ -175,7 +176,7 @@ def tuning_table(flown: Sequence[Flown]) -> Table | None:
             continue
         best = chosen(runs, method)
         lowest = min(every, key=lambda each: each.success.value or 0.0)
-        words = ", ".join(option.removeprefix("filter.parameters.") for option in best.options)
+        words = ", ".join(option.removeprefix(f"safety.{method}.") for option in best.options)
         rows.append(
             (
                 *(method, len(every), every[0].success.n, *every[0].success.cells),
@@ -278,8 +279,8 @@ def _changed(runs: Sequence[Flown], condition: str) -> str:
         return ""
     values = flat(f.record.provenance.parameters)
     key = {
-        "missed": "sensor.detection_probability",
+        "missed": "estimation.sensor.detection_probability",
         "late": "vehicle.actuation_delay_s",
-        "noisy": "sensor.noise_scale",
+        "noisy": "estimation.sensor.noise_scale",
     }[condition]
     return f"{key} = {text(values.get(key))}"

@@ -11,15 +11,21 @@ from alula.schemas.errors import UsageError
 from alula.schemas.filters.values import Options
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.world_tables import NO_FILTER
 from alula.stages.filtering.bridge import native_filter
+from alula.stages.filtering.moving_filters import moving_filter
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
+from alula.stages.simulation.world.encounters import seen_by
 from alula.stages.simulation.world.vehicle import box_of_accelerations
 from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
 
+WITHOUT_FILTER = (
+    "dr-acbf"  # whose values count for flights among moving obstacles without a filter that sees them
+)
 _JERK_M_S3 = 60.0  # assumed limit of a vehicle without one, of the filters among moving obstacles
 _SPEEDS = 3.0  # assumed limit of a vehicle without one, over the mission's speed
 
@@ -116,6 +122,38 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
             raise UsageError(f"`$.safety.{name}`: {str(error).removeprefix(f'{name}: ')}") from error
         made.append(native)
     return made
+
+
+def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter | None:
+    """The filter that watches flights without filters among moving obstacles, for the metrics of encounters.
+
+    Args:
+        scenario: completed.
+        world: of `filter_world`.
+
+    Raises:
+        UsageError: a parameter is wrong.
+    """
+    if seen_by(scenario) != NO_FILTER:
+        return None
+    given = msgspec.structs.asdict(scenario.safety.dr_acbf)
+    try:
+        return native_filter(moving_filter(NO_FILTER, world, given))
+    except UsageError as error:
+        raise UsageError(
+            f"`$.safety.{WITHOUT_FILTER}`: {str(error).removeprefix(f'{NO_FILTER}: ')}"
+        ) from error
+
+
+def risk_window_s(scenario: WorldScenario) -> float:
+    """Window of the risk of a collision: the assumed duration of a command of the last tracking filter [s].
+
+    Args:
+        scenario: completed.
+    """
+    names = [name for name in scenario.safety.filters if name in TRACKING]
+    options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
+    return float(options.h_max_s)
 
 
 def _plain(name: str, given: Options | dict[str, Any]) -> dict[str, Any]:

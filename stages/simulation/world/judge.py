@@ -16,6 +16,7 @@ from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.moving import obstacle_results
+from alula.stages.simulation.world.encounters import encounter_figures
 from alula.stages.simulation.world.piloted import fence_result
 from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
@@ -42,6 +43,7 @@ class WorldJudge:
         guides: number of guides among them, which count neither as interventions nor as the last filter.
         has_goal: whether the mission leads from a start to a goal.
         obstacle_radii_m: of the moving obstacles [m].
+        seen_by: name of the filter by whose answers encounters are measured; None without one.
         via_tolerance_m: distance within which a via point counts as passed [m].
         dt_s: duration of a tick [s].
         is_point: whether the vehicle is moved by velocities, whose first one is that of the first command.
@@ -53,8 +55,10 @@ class WorldJudge:
     guides: int
     has_goal: bool
     obstacle_radii_m: list[float]
+    seen_by: str | None
     via_tolerance_m: float
     dt_s: float
+    by_ticks: bool
     is_point: bool
     jobs: int
 
@@ -72,6 +76,7 @@ class WorldJudge:
     def trial(
         self,
         index: int,
+        start: FloatArray,
         goal: FloatArray,
         curve: _core.ReferenceCurve | None,
         flown: dict[str, Any],
@@ -81,13 +86,14 @@ class WorldJudge:
 
         Args:
             index: number of the trial.
+            start: shape (3,), world frame [m].
             goal: shape (3,), world frame [m].
             curve: its reference, or None.
-            flown: native log of the flight.
+            flown: native log of the flight; with its path where there are static obstacles or a plan, and
+                with complete rows of its ticks where there is a reference.
             along: judge of its plan, or None.
         """
-        path, state = _finite(flown["path"]), flown["state"]
-        steps = len(flown["mark"])
+        path, steps = _finite(flown["path"]), flown["ticks"]
         hulls, ellipsoids = (
             None if each is None else sphere_clearance(path, each, self.world.radius_m, jobs=self.jobs)
             for each in (self.world.polytopes, self.world.ellipsoids)
@@ -101,11 +107,8 @@ class WorldJudge:
             for one, radius in zip(met, self.obstacle_radii_m, strict=True)
         )
         followed = None if along is None else along.result(path)
-        velocity = state[1 if self.is_point else 0 :, 6:9]
-        jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
-        jerk = jerk[np.isfinite(jerk)]
-        acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        motion = self._motion(flown, path)
+        length = motion["path_length_m"]
         each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]
         last = each[-1] if len(each) > self.guides else None
         status, flags, mark = (
@@ -118,38 +121,36 @@ class WorldJudge:
         reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
         return TrialResult(
             index=index,
-            start_m=path[0].tolist(),
+            start_m=start.tolist(),
             goal_m=goal.tolist(),
             outcome=outcome_of_plan(_ENDS[flown["end"]], followed),
-            collision=is_collision(hulls, ellipsoids, fence, moving),
+            collision=is_collision(hulls, ellipsoids, fence) or any(one.collision for one in met),
             steps=steps,
             duration_s=duration,
-            path_length_m=length,
-            straight_length_m=float(np.linalg.norm(goal - path[0])),
+            straight_length_m=float(np.linalg.norm(goal - start)),
             map_clearance_m=hulls,
             scene_clearance_m=ellipsoids,
-            max_speed_m_s=_most(np.linalg.norm(velocity, axis=1)),
             filtered_steps=int((status != FilterStatus.OK).any(axis=1).sum()),
             shortened_steps=int((status == FilterStatus.SHORTENED).sum()),
             infeasible_steps=int(is_infeasible.any(axis=1).sum()),
             fallback_steps=int((status == FilterStatus.RECOVERING).any(axis=1).sum()),
-            mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
-            max_jerk_m_s3=_most(jerk),
             reference_speed_m_s=(
                 None if reference is None else _most(np.linalg.norm(reference[:, 3:6], axis=1))
             ),
+            **motion,
             mean_speed_m_s=length / duration if duration else 0.0,
-            max_acceleration_m_s2=_most(acceleration),
             max_tracking_error_m=(
-                None if reference is None else _most(np.linalg.norm(state[:, :3] - reference[:, :3], axis=1))
+                None
+                if reference is None
+                else _most(np.linalg.norm(flown["state"][:, :3] - reference[:, :3], axis=1))
             ),
-            peak_realisation_error_m_s2=_peak(flown["a_error"]),
-            min_gamma=self._gamma(_finite(state[:, :3])),
+            peak_realisation_error_m_s2=_peak(flown["a_error"]) if self.by_ticks else None,
+            min_gamma=self._gamma(_finite(flown["state"][:, :3])) if self.by_ticks else None,
             min_margin=None if last is None else last.min_margin,
             backup_steps=None if last is None else last.backup,
             certified_steps=None if last is None else last.certified,
             capped_steps=int((flags & CAPPED > 0).any(axis=1).sum()),
-            line_clearance_m=self._line_clearance(np.array([path[0], goal])),
+            line_clearance_m=self._line_clearance(np.array([start, goal])),
             saturated_steps=int((mark & LIMITED > 0).sum()),
             obstacles=met or None,
             refused_steps=int((mark & REFUSED > 0).sum()),
@@ -160,7 +161,22 @@ class WorldJudge:
             stale_steps=int((mark & STALE > 0).sum()),
             certified_moving_steps=None if last is None else last.certified_moving,
             filters=each or None,
+            **encounter_figures(flown, self.seen_by),
         )
+
+    def _motion(self, flown: dict[str, Any], path: FloatArray) -> dict[str, float]:
+        """Length of the path and extremes of its derivatives, from tick to tick or as the loop has them."""
+        names = ("path_length_m", "max_speed_m_s", "max_acceleration_m_s2", "mean_jerk_m_s3", "max_jerk_m_s3")
+        if not self.by_ticks:
+            return {name: flown[name] for name in names}
+        velocity = flown["state"][1 if self.is_point else 0 :, 6:9]
+        jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
+        jerk = jerk[np.isfinite(jerk)]
+        acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s
+        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        speed, mean_jerk = np.linalg.norm(velocity, axis=1), float(jerk.mean()) if len(jerk) else 0.0
+        found = (length, _most(speed), _most(acceleration), mean_jerk, _most(jerk))
+        return dict(zip(names, found, strict=True))
 
     def _gamma(self, points: FloatArray) -> float | None:
         """Minimum of r' A r - 1 over the grown ellipsoids; None without any."""

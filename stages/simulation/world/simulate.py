@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
+from uuid import uuid4
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
@@ -25,15 +30,24 @@ from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.durations import Times
 from alula.stages.filtering.polytope_cbf import barrier
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal
+from alula.stages.simulation.chunks import TrialJournal, fly_missing
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.among_hulls import note_of_psi
-from alula.stages.simulation.world.filters import filter_world, needs_image, safety_filters
+from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk, fly_chunk
+from alula.stages.simulation.world.encounters import rows_of_obstacles, seen_by
+from alula.stages.simulation.world.filters import (
+    filter_world,
+    needs_image,
+    risk_window_s,
+    safety_filters,
+    watcher,
+)
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.tasks import Missions, missions_of
@@ -47,20 +61,6 @@ _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
 _FAR_M = 1e9  # beyond every position
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
-
-
-class FlownChunk(FlownTrials, frozen=True, kw_only=True):
-    """Consecutive trials; times are measured and differ from run to run.
-
-    Attributes:
-        filter_times: of all filters in each tick.
-        tick_times: of each tick on board.
-        flights: samples of the trials that the log shows.
-    """
-
-    filter_times: Times
-    tick_times: Times
-    flights: list[WorldFlight]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +77,9 @@ class WorldRun:
         notes: for the summary.
         start_h_i_m: see `start_h_i` [m].
         filter_kind: whether all filters are native, in words.
-        filter_times: of all filters per tick.
+        filter_times: of the filters, see `PreparedRun.filter_seconds`.
         tick_times: of a tick on board.
+        command_s, reaction_s: of `FlownChunk`, shape (trials, n) with n moving obstacles [s].
     """
 
     scenario: WorldScenario
@@ -92,6 +93,8 @@ class WorldRun:
     filter_kind: str
     filter_times: Times
     tick_times: Times
+    command_s: FloatArray
+    reaction_s: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +105,11 @@ class PreparedRun:
         scenario: completed.
         vehicle: that it names.
         world: static obstacles.
+        told: what the filters were built for.
         missions: tasks of all trials.
         vehicle_spec, options: what the computer on board knows.
         spec: native simulation.
+        bare: the same, whose logs have only what the judge needs.
         filters: native, in their order.
         names: of the scenario's filters, in their order.
         judge: of the flights.
@@ -118,10 +123,12 @@ class PreparedRun:
     scenario: WorldScenario
     vehicle: Vehicle
     world: StaticWorld
+    told: FilterWorld
     missions: Missions
     vehicle_spec: _core.VehicleSpec
     options: _core.FlightOptions
     spec: _core.SimulationSpec
+    bare: _core.SimulationSpec
     filters: list[_core.SafetyFilter]
     names: list[str]
     judge: WorldJudge
@@ -132,13 +139,20 @@ class PreparedRun:
     notes: list[str] = field(default_factory=list)
 
     def fly(
-        self, first: int, count: int, *, jobs: int = 0, progress: Progress | None = None
+        self,
+        first: int,
+        count: int,
+        *,
+        is_logged: bool = True,
+        jobs: int = 0,
+        progress: Progress | None = None,
     ) -> list[dict[str, Any]]:
         """Fly consecutive trials; their native logs.
 
         Args:
             first: number of the first trial.
             count: number of trials.
+            is_logged: keep their path and a row per tick, besides what the judge needs.
             jobs: threads, 0 for all processors; only measured times depend on it.
             progress: called with (trials done, trials).
 
@@ -148,7 +162,7 @@ class PreparedRun:
         """
         try:
             return _core.simulate(
-                self.spec,
+                self.spec if is_logged else self.bare,
                 self.missions.tasks[first : first + count],
                 self.filters,
                 seed=self.scenario.rules.seed,
@@ -180,9 +194,10 @@ class PreparedRun:
         """
         goal = self.missions.goal[index]
         if self.scenario.mission.kind == "pilot":
-            goal = flown["path"][-1]
+            goal = flown["last"][:3]
         margin = math.inf if self.start_margin_m is None else float(self.start_margin_m[index])
-        trial = self.judge.trial(index, goal, self.missions.curves[index], flown, self.plans(index))
+        start, curve = self.missions.start[index], self.missions.curves[index]
+        trial = self.judge.trial(index, start, goal, curve, flown, self.plans(index))
         return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
 
     def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
@@ -197,6 +212,21 @@ class PreparedRun:
             flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
         rules = self.scenario.rules
         return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz, rules.filter_ticks)
+
+    def filter_seconds(self, flown: dict[str, Any]) -> NDArray[np.float32]:
+        """Measured times of the filters in a flight, shape (F,) [s].
+
+        Of all filters together in each tick; of one among moving obstacles in the ticks of a manoeuvre or a
+        warning, as in the others it has little to do.
+
+        Args:
+            flown: its native log.
+        """
+        if self.names == [self.judge.seen_by]:
+            return np.asarray(flown["active_tick_s"])
+        return np.asarray(
+            flown["filter_s"].sum(axis=1, dtype=np.float32)[:: self.scenario.rules.filter_ticks]
+        )
 
 
 def prepare(
@@ -252,22 +282,21 @@ def prepare(
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
     extent = _extent(full, world, most, pairs, plan)
-    told = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
-    of_what = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=told, extent_m=extent)
-    filters = safety_filters(full, of_what)
-    geofence = pilots_geofence(full, of_what)
-    judging = geofence if is_fenced(full, of_what) else None
+    known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
+    filters = safety_filters(full, told)
+    geofence = pilots_geofence(full, told)
+    judging = geofence if is_fenced(full, told) else None
     if judging is not None and not filters:
         filters = [_core.FenceFilter(judging, is_bare=True)]  # tells the figures of a flight without a filter
     among = None
     if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
-        among = barrier(of_what)
+        among = barrier(told)
     missions = missions_of(
         full,
         world,
         count=_count(full, pairs),
-        is_point=vehicle.model == "single-integrator",
-        has_attitude=vehicle.model == "quadrotor",
+        model=vehicle.model,
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,
@@ -280,10 +309,11 @@ def prepare(
     )
     paths = [missions.start, missions.goal]
     paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
-    lower, upper = world.room(paths)
+    lower, upper = world.room(paths, has_moving=bool(full.world.moving))
     known, has_pilot = full.estimation, geofence is not None
     has_losses = known.lost_share > 0 or known.lost_from_s is not None
     is_point = vehicle.model == "single-integrator"
+    waits = mission.receded_s is not None  # for what moves, and not for the goal
     stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
     dt_s = rules.dt_s
     flight = _core.FlightOptions(
@@ -293,19 +323,16 @@ def prepare(
         stale_s=min(known.stale_s, 1e3),
         has_losses=has_losses,
     )
-    simulation = _core.SimulationSpec(
+    # References and ellipsoids are compared with rows of ticks; a point's motion is that from tick to tick.
+    by_ticks = any(missions.curves) or is_point or world.ellipsoids is not None
+    needs = {
+        "keeps_path": world.polytopes is not None or bool(world.parts) or mission.kind == "plan",
+        "keeps_ticks": by_ticks,
+    }
+    spec_of = partial(
+        _core.SimulationSpec,
         spec,
         options=flight,
-        rules=_core.SimulationRules(
-            plant_steps=plant_steps_of(full, is_point=is_point),
-            stuck_ticks=max(1, round(stuck_s / dt_s)),
-            stuck_speed_m_s=1e-3 * most if is_point else 0.02,
-            receded_s=math.inf if mission.receded_s is None else mission.receded_s,
-            # A pilot has no reference near which the flight must stay.
-            lower=(-_FAR_M,) * 3 if has_pilot else lower,
-            upper=(_FAR_M,) * 3 if has_pilot else upper,
-            ends_when_refused=not full.world.moving and not has_losses and not has_pilot,
-        ),
         losses=_losses(full),
         moving=moving_spec(
             full.world.moving,
@@ -315,6 +342,25 @@ def prepare(
             where="estimation.",
         ),
         fence=judging,
+        watcher=watcher(full, told),
+    )
+    simulation, bare = (
+        spec_of(
+            rules=_core.SimulationRules(
+                plant_steps=plant_steps_of(full, is_point=is_point),
+                stuck_ticks=max(1, round(stuck_s / dt_s)),
+                stuck_speed_m_s=1e-3 * most if is_point else 0.02,
+                receded_s=math.inf if mission.receded_s is None else mission.receded_s,
+                # A pilot has no reference near which the flight must stay.
+                lower=(-_FAR_M,) * 3 if has_pilot else lower,
+                upper=(_FAR_M,) * 3 if has_pilot else upper,
+                ends_when_refused=not (full.world.moving or waits or has_losses or has_pilot),
+                ends_at_goal=not waits,
+                risk_window_s=risk_window_s(full),
+                **kept,
+            )
+        )
+        for kept in ({}, needs)
     )
     judge = WorldJudge(
         world=world,
@@ -322,8 +368,10 @@ def prepare(
         guides=int(mission.controller.guide != "none"),
         has_goal=mission.kind not in ("hover", "pilot"),
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
+        seen_by=seen_by(full),
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
         dt_s=dt_s,
+        by_ticks=by_ticks,
         is_point=is_point,
         jobs=jobs,
     )
@@ -357,10 +405,12 @@ def prepare(
         scenario=full,
         vehicle=vehicle,
         world=world,
+        told=told,
         missions=missions,
         vehicle_spec=spec,
         options=flight,
         spec=simulation,
+        bare=bare,
         filters=filters,
         names=names,
         judge=judge,
@@ -384,13 +434,14 @@ def simulate_world(
     pairs: Pairs | None = None,
     journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
+    scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> WorldRun:
     """Fly all trials of a scenario, and judge each from the truth.
 
     Trial k is a function of the scenario, its files and (seed, k) alone: except for measured times, results
-    do not depend on jobs or journal. The log keeps samples of the first `rules.logged` flights and of the
-    ones with the least clearance, which are flown again for it.
+    do not depend on jobs, scheduler or journal. The log keeps samples of the first `rules.logged` flights and
+    of the ones with the least clearance, which are flown again for it.
 
     Args:
         scenario: as read.
@@ -401,22 +452,28 @@ def simulate_world(
         pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, whose workers fly the trials.
         progress: called with (trials done, trials).
 
     Raises:
         UsageError, InputError, ArtifactError, InfeasibleError: as `prepare` and `PreparedRun.fly`.
+        LinkError: see `distribute`.
     """
-    ready = prepare(scenario, vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs, jobs=jobs)
-    total, rules, size = len(ready.missions.tasks), ready.scenario.rules, chunk_size(ready)
-    kept = TrialJournal(FlownChunk) if journal is None else journal
-    for first in range(0, total, size):
-        if first in kept.chunks:
-            continue
-        count = min(size, total - first)
-        kept.add(_flown(ready, first, count, rules.logged, jobs))
-        if progress is not None:
-            progress(min(first + size, total), total)
-    chunks = kept.in_order()
+    parts = RunParts(
+        key=uuid4().hex, scenario=scenario, vehicle=vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs
+    )
+    ready = _prepared(parts, jobs)
+    total, rules = len(ready.missions.tasks), ready.scenario.rules
+    chunks = fly_missing(
+        partial(fly_chunk, ready, jobs) if scheduler is None else fly_elsewhere,
+        lambda first, count: TrialChunk(None if scheduler is None else parts, first, count),
+        total,
+        chunk_size(ready),
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=1,  # threads are those of the native simulation
+        scheduler=scheduler,
+        progress=progress,
+    )
     trials = [trial for chunk in chunks for trial in chunk.trials]
     flights = [flight for chunk in chunks for flight in chunk.flights]
     worst = sorted(trials, key=lambda trial: (worst_clearance(trial), trial.index))[:WORST]
@@ -435,6 +492,8 @@ def simulate_world(
         filter_kind="python filter" if any(one.shares_state for one in ready.filters) else "native",
         filter_times=Times.joined([chunk.filter_times for chunk in chunks]),
         tick_times=Times.joined([chunk.tick_times for chunk in chunks]),
+        command_s=rows_of_obstacles([chunk.command_s for chunk in chunks], total),
+        reaction_s=rows_of_obstacles([chunk.reaction_s for chunk in chunks], total),
     )
 
 
@@ -448,23 +507,31 @@ def chunk_size(ready: PreparedRun) -> int:
     return max(1, min(CHUNK, int(CHUNK_TICKS * ready.scenario.rules.dt_s / longest_s)))
 
 
-def _flown(ready: PreparedRun, first: int, count: int, logged: int, jobs: int) -> FlownChunk:
-    trials, flights, filters, ticks = [], [], [], []
-    rules = ready.scenario.rules
-    for index, log in enumerate(ready.fly(first, count, jobs=jobs), first):
-        trials.append(ready.judged(index, log))
-        filters.append(log["filter_s"].sum(axis=1, dtype=np.float32)[:: rules.filter_ticks])
-        ticks.append(log["tick_s"][:: rules.filter_ticks])
-        if index < logged:
-            flights.append(ready.shown(index, log))
-    held_s = rules.dt_s * rules.filter_ticks
-    return FlownChunk(
-        first=first,
-        trials=trials,
-        filter_times=Times.of(np.concatenate(filters), held_s),
-        tick_times=Times.of(np.concatenate(ticks), held_s),
-        flights=flights,
-    )
+_ELSEWHERE = Lock()
+
+
+def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
+    """Fly a chunk on the calling thread of a worker, which prepares each run once.
+
+    Args:
+        chunk: with the parts of its run.
+    """
+    assert chunk.parts is not None
+    with _ELSEWHERE:
+        ready = _prepared_once(chunk.parts)
+    # A filter in Python has one state for all threads.
+    with _ELSEWHERE if any(one.shares_state for one in ready.filters) else nullcontext():
+        return fly_chunk(ready, 1, chunk)
+
+
+def _prepared(parts: RunParts, jobs: int) -> PreparedRun:
+    given = {role: getattr(parts, role) for role in ("cover", "scene", "plan", "pairs")}
+    return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs)
+
+
+@lru_cache(maxsize=1)
+def _prepared_once(parts: RunParts) -> PreparedRun:
+    return _prepared(parts, 1)
 
 
 def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:

@@ -12,7 +12,7 @@ from alula.schemas.run import Outcome, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import is_random
-from alula.schemas.world_tables import EstimationTable
+from alula.schemas.world_tables import EstimationTable, MissionTable
 from alula.stages.durations import Times
 from alula.stages.simulation.result import outcomes_of
 from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
@@ -23,6 +23,7 @@ from alula.stages.simulation.world.certificate import (
     judged_words,
     limits_words,
 )
+from alula.stages.simulation.world.encounters import encounter_summary, encounter_timing
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
 from alula.stages.simulation.world.simulate import WorldRun
@@ -58,7 +59,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         run: all trials.
     """
     trials = run.trials
-    good = ("reached", *_GOOD.get(run.scenario.mission.kind, ()))
+    good = ("reached", *_good(run.scenario.mission))
     steps = sum(trial.steps for trial in trials)
     outcomes = (*outcomes_of(trials), "passed", "held")
     moving = [[one.collision for one in trial.obstacles or []] for trial in trials]
@@ -78,6 +79,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         **totals(trials, _COUNTED),
         **run.counts,
         "filter_kind": run.filter_kind,
+        **encounter_summary(run.scenario, trials),
     }
     if run.scenario.world.scene is not None:
         summary |= {"sigma": run.world.sigma, "inflation_m": run.world.inflation_m}
@@ -114,8 +116,18 @@ def _extremes(trials: list[TrialResult]) -> dict[str, Any]:
     }
 
 
+def _good(mission: MissionTable) -> tuple[Outcome, ...]:
+    """Outcomes besides "reached" of a flight that did what its mission asks."""
+    # Such a flight waits until all obstacles have passed, and not for its goal.
+    waits: tuple[Outcome, ...] = () if mission.receded_s is None else ("passed", "timeout")
+    return (*waits, *_GOOD.get(mission.kind, ()))
+
+
 def world_timing(run: WorldRun) -> dict[str, Any]:
-    """Measured times of all filters together, and of whole ticks on board [s].
+    """Measured times of the filters, of whole ticks on board, and of encounters with moving obstacles [s].
+
+    Those of the filters are of all of them together in each tick; where there is one alone, and it sees
+    moving obstacles, of its ticks in a manoeuvre or with a warning.
 
     Args:
         run: all trials.
@@ -124,7 +136,8 @@ def world_timing(run: WorldRun) -> dict[str, Any]:
     if run.scenario.safety.filters:
         timing |= _spread("filter", run.filter_times)
         timing |= {"filter_calls": run.filter_times.calls, "filter_total_s": run.filter_times.total_s}
-    return timing | _spread("tick", run.tick_times)
+    timing |= _spread("tick", run.tick_times)
+    return timing | encounter_timing(run.command_s, run.reaction_s)
 
 
 def _spread(what: str, times: Times) -> dict[str, float]:

@@ -57,8 +57,7 @@ def missions_of(
     world: StaticWorld,
     *,
     count: int,
-    is_point: bool,
-    has_attitude: bool,
+    model: str,
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
@@ -75,8 +74,7 @@ def missions_of(
         scenario: completed.
         world: static obstacles.
         count: number of trials.
-        is_point: whether the vehicle is a single integrator, which flies straight at its goal.
-        has_attitude: whether the vehicle is a rigid body, which starts with the yaw of its mission.
+        model: of the vehicle.
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
@@ -101,7 +99,7 @@ def missions_of(
         return _piloted(scenario, world, count, geofence, jobs)
     if mission.kind == "hover":
         assert mission.start_m is not None
-        return _hovering(scenario, world, np.array(mission.start_m), count, speed_m_s, jobs)
+        return _hovering(scenario, world, np.array(mission.start_m), count, model, speed_m_s, jobs)
     if mission.kind == "plan":
         assert plan is not None
         curve = _curve(plan)
@@ -117,9 +115,7 @@ def missions_of(
                 pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
             )
             counts |= count_planned(plans)
-    return _along(
-        scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, is_point, has_attitude
-    )
+    return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
 
 
 def _along(
@@ -131,12 +127,12 @@ def _along(
     speed_m_s: float,
     max_speed_m_s: float,
     counts: dict[str, int],
-    is_point: bool,
-    has_attitude: bool,
+    model: str,
 ) -> Missions:
     """Tasks from starts to goals: along plans, through waypoints, or straight."""
     mission, rules = scenario.mission, scenario.rules
     by_velocity = scenario.vehicle.interface == "velocity"
+    is_point = model == "single-integrator"
     gain = mission.controller.gain_per_s
     tasks, curves, missions = [], [], []
     many = len(pairs.start) == 1 and count > 1  # the same mission, with other noise
@@ -151,7 +147,12 @@ def _along(
             curve = _through([start, *map(np.array, mission.waypoints_m)], speed_m_s)
         elif not is_point:
             curve = _core.ReferenceCurve(*rest_to_rest(start, goal, speed_m_s, yaw_rad=yaw))
-        if curve is None:
+        moves_by = _start_velocity(scenario, start)
+        if own is None and _flies_straight(scenario, model):
+            assert curve is not None
+            flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=speed_m_s)
+            allowed, curve = _TIME_FACTOR * curve.duration_s, None
+        elif curve is None:
             flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=max_speed_m_s)
             allowed = 5 * _diagonal(scenario, around, pairs) / max_speed_m_s + _EXTRA_TIME_S
         else:
@@ -160,15 +161,16 @@ def _along(
             allowed = slow
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
-        state = _at_rest(start, yaw if has_attitude else 0.0)
-        if mission.start_velocity_m_s is not None:
-            state[6:9] = mission.start_velocity_m_s
-        elif mission.kind in ("goal", "waypoints"):
-            way = np.array(mission.waypoints_m[0] if mission.kind == "waypoints" else mission.goal_m) - start
-            state[6:9] = mission.start_speed_m_s / np.linalg.norm(way) * way
+        state = _at_rest(start, yaw if model == "quadrotor" else 0.0)  # a point has no attitude
+        state[6:9] = moves_by
         tasks.append(
             _core.Task(
-                state, flown, max_time_s=max(rules.max_time_s or allowed, rules.dt_s), stop_distance_m=stop
+                state,
+                flown,
+                max_time_s=max(rules.max_time_s or allowed, rules.dt_s),
+                stop_distance_m=stop,
+                # An obstacle is drawn to meet the vehicle as it begins, which a straight flight goes on with.
+                expected_velocity_m_s=moves_by.tolist() if curve is None and moves_by.any() else None,
             )
         )
         curves.append(curve)
@@ -183,6 +185,25 @@ def _along(
         [plans[i] for i in pick],
         counts,
     )
+
+
+def _flies_straight(scenario: WorldScenario, model: str) -> bool:
+    """Whether the nominal command is an acceleration straight to the goal, or back to where it hovers."""
+    mission = scenario.mission
+    is_own = mission.kind in ("goal", "hover") and not mission.planned
+    return is_own and model == "double-integrator" and scenario.vehicle.interface == "acceleration"
+
+
+def _start_velocity(scenario: WorldScenario, start: FloatArray) -> FloatArray:
+    """Velocity of the first state of a flight to goals, shape (3,) [m/s]."""
+    mission = scenario.mission
+    if mission.start_velocity_m_s is not None:
+        return np.array(mission.start_velocity_m_s)
+    if mission.kind not in ("goal", "waypoints"):
+        return np.zeros(3)
+    way = np.array(mission.waypoints_m[0] if mission.kind == "waypoints" else mission.goal_m) - start
+    course: FloatArray = 1 / math.sqrt(sum(way * way)) * way
+    return mission.start_speed_m_s * course
 
 
 def _diagonal(scenario: WorldScenario, around: FloatArray, pairs: Pairs) -> float:
@@ -260,16 +281,21 @@ def _hovering(
     world: StaticWorld,
     start: FloatArray,
     count: int,
+    model: str,
     speed_m_s: float,
     jobs: int,
 ) -> Missions:
     require_clear(world, start[None], "`$.mission.start_m`: the start", jobs)
     yaw = math.radians(scenario.mission.start_yaw_deg)
-    rest = np.zeros((1, 4, 8))
-    rest[0, :, 0] = [*start, yaw]
-    curve = _core.ReferenceCurve(np.array([0.0, 1.0]), rest)
     gain = scenario.mission.controller.gain_per_s
-    flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
+    curve: _core.ReferenceCurve | None = None
+    if _flies_straight(scenario, model):
+        flown = _core.Mission.to(start.tolist(), gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
+    else:
+        rest = np.zeros((1, 4, 8))
+        rest[0, :, 0] = [*start, yaw]
+        curve = _core.ReferenceCurve(np.array([0.0, 1.0]), rest)
+        flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=speed_m_s, hovers=True)
     state = _at_rest(start, yaw)
     if scenario.mission.start_velocity_m_s is not None:
         state[6:9] = scenario.mission.start_velocity_m_s

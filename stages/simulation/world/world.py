@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.encounters import WallTable
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
@@ -24,10 +26,13 @@ from alula.stages.filtering.obstacles import (
     require_obstacles,
     union_of,
 )
-from alula.stages.simulation.encounters.world import static_walls
 from alula.stages.vehicles.fence import fence_faces
 
-_BEYOND_M = 20.0  # around obstacles and references; a flight that leaves this box is refused
+# Around static obstacles and references; a flight that leaves this box is refused. Those among moving
+# obstacles may fly far.
+_BEYOND_M, _BEYOND_MOVING_M = 20.0, 1e3
+_FACES = np.concatenate([np.eye(3), -np.eye(3)])
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,14 +128,17 @@ class StaticWorld:
         least: FloatArray = (self.faces[:, 3:] - self.faces[:, :3] @ points.T).min(axis=0)
         return least
 
-    def room(self, paths: list[FloatArray]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def room(
+        self, paths: list[FloatArray], *, has_moving: bool
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Lower and upper corner of the box that no flight may leave [m].
 
         Args:
             paths: points of the references, each of shape (N, 3) [m].
+            has_moving: whether there are moving obstacles.
         """
-        points = np.concatenate([self.centres, *paths])
-        return tuple(points.min(axis=0) - _BEYOND_M), tuple(points.max(axis=0) + _BEYOND_M)
+        points, beyond = np.concatenate([self.centres, *paths]), _BEYOND_MOVING_M if has_moving else _BEYOND_M
+        return tuple(points.min(axis=0) - beyond), tuple(points.max(axis=0) + beyond)
 
 
 def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
@@ -258,3 +266,40 @@ def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) 
         raise UsageError(
             f"{what} at ({where}) is {-clear[i]:.3g} m inside an obstacle or outside of the fence"
         )
+
+
+def static_walls(walls: Sequence[WallTable], cover: Artifact | None) -> Hulls | None:
+    """Join the hulls of a cover and the boxes of a scenario to one set; None when there are none.
+
+    Args:
+        walls: the boxes.
+        cover: an `alula/cover`, in metres, if there is one.
+    """
+    parts = [_box(wall) for wall in walls]
+    if cover is not None:
+        parts.insert(0, Hulls.from_cover(cover))
+    if not parts:
+        return None
+
+    def starts(each: list[Any]) -> Any:
+        lengths = np.concatenate([np.diff(start) for start in each])
+        return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+
+    return Hulls(
+        normal_world=np.concatenate([part.normal_world for part in parts]),
+        offset_m=np.concatenate([part.offset_m for part in parts]),
+        plane_start=starts([part.plane_start for part in parts]),
+        vertices_world=np.concatenate([part.vertices_world for part in parts]),
+        vertex_start=starts([part.vertex_start for part in parts]),
+    )
+
+
+def _box(wall: WallTable) -> Hulls:
+    lower, upper = np.array(wall.lower_m, np.float64), np.array(wall.upper_m, np.float64)
+    return Hulls(
+        normal_world=_FACES.copy(),
+        offset_m=np.concatenate([upper, -lower]),
+        plane_start=np.array([0, 6], np.int64),
+        vertices_world=lower + _CORNERS * (upper - lower),
+        vertex_start=np.array([0, 8], np.int64),
+    )

@@ -101,7 +101,7 @@ struct Fields<flight::SimulationRules> {
       Field{"ends_at_goal", &Rules::ends_at_goal, "a goal that is reached ends the flight, and being stuck"},
       Field{"risk_window_s", &Rules::risk_window_s, "window of the risk of encounters [s]"},
       Field{"keeps_path", &Rules::keeps_path, "the path is kept"},
-      Field{"keeps_ticks", &Rules::keeps_ticks, "a row per tick is kept"}};
+      Field{"keeps_ticks", &Rules::keeps_ticks, "a complete row per tick is kept, not only what a judge counts"}};
 };
 
 namespace flight {
@@ -378,14 +378,17 @@ void bind_specs(nb::module_& m) {
       .def(
           "__init__",
           [](SimulationSpec* self, const VehicleSpec& vehicle, const FlightOptions& options,
-             const SimulationRules& rules, const Losses& losses, const MovingSpec& moving, const Geofence* fence) {
-            const SimulationSpec spec{vehicle, options, rules, losses, moving, fence};
+             const SimulationRules& rules, const Losses& losses, const MovingSpec& moving, const Geofence* fence,
+             const SafetyFilter* watcher) {
+            const SimulationSpec spec{vehicle, options, rules, losses, moving, fence, watcher};
             check(spec);
             new (self) SimulationSpec(spec);
           },
           "vehicle"_a, nb::kw_only(), "options"_a = FlightOptions{}, "rules"_a = SimulationRules{},
-          "losses"_a = Losses{}, "moving"_a = MovingSpec{}, "fence"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
-          "fence: by whose fence and limits flights of a racer are judged.");
+          "losses"_a = Losses{}, "moving"_a = MovingSpec{}, "fence"_a.none() = nb::none(),
+          "watcher"_a.none() = nb::none(), nb::keep_alive<1, 7>(), nb::keep_alive<1, 8>(),
+          "fence: by whose fence and limits flights of a racer are judged; watcher: filter of accelerations among\n"
+          "moving obstacles that is not flown, for the metrics of encounters without one that is.");
 }
 
 }  // namespace

@@ -58,7 +58,8 @@ inline LogDict to_dict(FenceLog&& log) {
 
 inline LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   static constexpr const char* kEnds[] = {"flying", "reached", "stuck", "timeout", "refused", "passed", "ended"};
-  const std::size_t ticks = f.tick_s.size(), points = f.path.size() / 3, tracks = f.tracks.size();
+  const std::size_t ticks = f.tick_s.size(), rows = f.estimate.size() / 12, points = f.path.size() / 3,
+                    tracks = f.tracks.size();
   const std::size_t n = f.encounters.obstacle.size(), states = f.state.size() / 12, starts = f.track_start.size();
   LogDict d;
   add_metrics(d, std::move(f.encounters));
@@ -67,28 +68,29 @@ inline LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   d["end"] = kEnds[static_cast<std::size_t>(f.end)];
   d["ticks"] = f.ticks;
   d["path_length_m"] = f.path_length_m, d["max_speed_m_s"] = f.max_speed_m_s;
+  d["max_acceleration_m_s2"] = f.max_acceleration_m_s2;
   d["mean_jerk_m_s3"] = f.mean_jerk_m_s3, d["max_jerk_m_s3"] = f.max_jerk_m_s3;
   d["path"] = to_numpy(std::move(f.path), {points, 3});
   d["state"] = to_numpy(std::move(f.state), {states, 12});
   const std::size_t attitudes = f.attitude.size() / 4;
   d["attitude"] = to_numpy(std::move(f.attitude), {attitudes, 4});
-  d["estimate"] = to_numpy(std::move(f.estimate), {ticks, 12});
-  d["measured"] = to_numpy(std::move(f.measured), {ticks, 12});
-  d["nominal"] = to_numpy(std::move(f.nominal), {ticks, 3});
-  d["u_nominal"] = to_numpy(std::move(f.u_nominal), {ticks, 4});
-  d["a_command"] = to_numpy(std::move(f.a_command), {ticks, 3});
-  d["a_error"] = to_numpy(std::move(f.a_error), {ticks});
-  d["rotor_thrust"] = to_numpy(std::move(f.rotor_thrust), {ticks, 4});
-  d["command"] = to_numpy(std::move(f.command), {ticks, 11});
-  d["sticks"] = to_numpy(std::move(f.sticks), {ticks, 4});
-  d["obstacle"] = to_numpy(std::move(f.obstacle), {ticks, n, 3});
-  d["track"] = to_numpy(std::move(f.track), {ticks, n, 3});
+  d["estimate"] = to_numpy(std::move(f.estimate), {rows, 12});
+  d["measured"] = to_numpy(std::move(f.measured), {rows, 12});
+  d["nominal"] = to_numpy(std::move(f.nominal), {rows, 3});
+  d["u_nominal"] = to_numpy(std::move(f.u_nominal), {rows, 4});
+  d["a_command"] = to_numpy(std::move(f.a_command), {rows, 3});
+  d["a_error"] = to_numpy(std::move(f.a_error), {rows});
+  d["rotor_thrust"] = to_numpy(std::move(f.rotor_thrust), {rows, 4});
+  d["command"] = to_numpy(std::move(f.command), {rows, 11});
+  d["sticks"] = to_numpy(std::move(f.sticks), {rows, 4});
+  d["obstacle"] = to_numpy(std::move(f.obstacle), {rows, n, 3});
+  d["track"] = to_numpy(std::move(f.track), {rows, n, 3});
   d["margin"] = to_numpy(std::move(f.margin), {ticks, filters});
-  d["gate_m"] = to_numpy(std::move(f.gate_m), {ticks, filters});
-  d["active"] = to_numpy(std::move(f.active), {ticks, filters});
-  d["candidates"] = to_numpy(std::move(f.candidates), {ticks, filters});
-  d["rows"] = to_numpy(std::move(f.rows), {ticks, filters});
-  d["iterations"] = to_numpy(std::move(f.iterations), {ticks, filters});
+  d["gate_m"] = to_numpy(std::move(f.gate_m), {rows, filters});
+  d["active"] = to_numpy(std::move(f.active), {rows, filters});
+  d["candidates"] = to_numpy(std::move(f.candidates), {rows, filters});
+  d["rows"] = to_numpy(std::move(f.rows), {rows, filters});
+  d["iterations"] = to_numpy(std::move(f.iterations), {rows, filters});
   d["status"] = to_numpy(std::move(f.status), {ticks, filters});
   d["flags"] = to_numpy(std::move(f.flags), {ticks, filters});
   d["filter_s"] = to_numpy(std::move(f.filter_s), {ticks, filters});

@@ -49,6 +49,7 @@ class Trial {
         world_(spec.moving, spec.options.dt_s, spec.rules.plant_steps),
         flight_(spec.vehicle, spec.options, task.mission, filters),
         encounters_(spec.vehicle.radius_m, spec.rules.risk_window_s, spec.options.dt_s) {
+    if (spec.watcher != nullptr) watcher_ = spec.watcher->clone();
     if (spec.fence != nullptr) fence_.emplace(*spec.fence, spec.rules.keeps_ticks);
     if (task.pilot) hand_.emplace(*task.pilot, spec.vehicle.racer, random, task.start.p.z);
   }
@@ -58,7 +59,8 @@ class Trial {
  private:
   Vec3 mean_velocity() const;
   Observation see(double now);
-  void note(const Observation& seen, const Decision& decision, float seconds);
+  void note(const Decision& decision, float seconds);
+  void note_all(const Observation& seen, const Decision& decision);
   void note_state();
   void watch(const Observation& seen, const Decision& decision, double now);
   void step(std::int64_t index);
@@ -73,6 +75,7 @@ class Trial {
   MovingWorld world_;
   Flight flight_;
   EncounterRecorder encounters_;
+  std::unique_ptr<SafetyFilter> watcher_;
   std::optional<FenceRecorder> fence_;
   std::optional<PilotHand> hand_;
   double receded_s_ = 0;
@@ -132,7 +135,23 @@ Observation Trial::see(double now) {
   return seen;
 }
 
-void Trial::note(const Observation& seen, const Decision& decision, float seconds) {
+// What a judge counts.
+void Trial::note(const Decision& decision, float seconds) {
+  for (const FilterRecord& r : flight_.records()) {
+    const FilterReport& report = r.report;
+    log_.margin.push_back(report.margin);
+    log_.status.push_back(static_cast<std::uint8_t>(report.status));
+    log_.flags.push_back(static_cast<std::uint8_t>((report.capped ? 1 : 0) | (report.infeasible ? 2 : 0) |
+                                                   (report.certified ? 4 : 0) | (report.certified_moving ? 8 : 0) |
+                                                   (report.moving ? 16 * report.moving->mode : 0)));
+    log_.filter_s.push_back(r.seconds);
+  }
+  log_.tick_s.push_back(seconds);
+  log_.mark.push_back(static_cast<std::uint8_t>((decision.is_refused ? 1 : 0) | (decision.is_stale ? 2 : 0) |
+                                                (decision.is_limited ? 4 : 0)));
+}
+
+void Trial::note_all(const Observation& seen, const Decision& decision) {
   append(log_.estimate, flight_.estimate().x);
   if (seen.measured)
     append(log_.measured, *seen.measured);
@@ -159,22 +178,12 @@ void Trial::note(const Observation& seen, const Decision& decision, float second
     append(log_.track, p == nullptr ? Vec3{kNaN, kNaN, kNaN} : Vec3{p[0], p[1], p[2]});
   }
   for (const FilterRecord& r : flight_.records()) {
-    const FilterReport& report = r.report;
-    log_.margin.push_back(report.margin);
-    log_.gate_m.push_back(report.gate_m);
-    log_.active.push_back(report.active);
-    log_.candidates.push_back(report.candidates);
-    log_.rows.push_back(report.rows);
-    log_.iterations.push_back(report.iterations);
-    log_.status.push_back(static_cast<std::uint8_t>(report.status));
-    log_.flags.push_back(static_cast<std::uint8_t>((report.capped ? 1 : 0) | (report.infeasible ? 2 : 0) |
-                                                   (report.certified ? 4 : 0) | (report.certified_moving ? 8 : 0) |
-                                                   (report.moving ? 16 * report.moving->mode : 0)));
-    log_.filter_s.push_back(r.seconds);
+    log_.gate_m.push_back(r.report.gate_m);
+    log_.active.push_back(r.report.active);
+    log_.candidates.push_back(r.report.candidates);
+    log_.rows.push_back(r.report.rows);
+    log_.iterations.push_back(r.report.iterations);
   }
-  log_.tick_s.push_back(seconds);
-  log_.mark.push_back(static_cast<std::uint8_t>((decision.is_refused ? 1 : 0) | (decision.is_stale ? 2 : 0) |
-                                                (decision.is_limited ? 4 : 0)));
   log_.tracks.insert(log_.tracks.end(), seen.tracks.begin(), seen.tracks.end());
   log_.track_start.push_back(static_cast<std::int64_t>(log_.tracks.size()));
 }
@@ -193,11 +202,19 @@ void Trial::watch(const Observation& seen, const Decision& decision, double now)
   if (fence_ && !records.empty() && records.back().report.fence)
     fence_->note(vehicle_.racer(), seen.sticks, *records.back().report.fence);
   const auto last = std::find_if(records.rbegin(), records.rend(), [](const auto& r) { return r.report.moving; });
-  if (last == records.rend()) return;
+  FilterRecord answer;
+  if (last != records.rend()) {
+    answer = *last;
+  } else if (watcher_ && !decision.is_stale) {
+    const auto begin = Clock::now();
+    answer.report = watcher_->filter(flight_.estimate(), flight_.nominal());
+    answer.seconds = std::chrono::duration<float>(Clock::now() - begin).count();
+  }
+  if (!answer.report.moving) return;
   const Command& c = decision.command;
-  const Vec3 flown = c.interface == Interface::acceleration ? c.acceleration : last->report.acceleration;
-  encounters_.answer(*last->report.moving, flight_.estimate(), flown, flight_.nominal().acceleration, now,
-                     static_cast<double>(last->seconds), world_, vehicle_.kinematics());
+  const Vec3 flown = c.interface == Interface::acceleration ? c.acceleration : answer.report.acceleration;
+  encounters_.answer(*answer.report.moving, flight_.estimate(), flown, flight_.nominal().acceleration, now,
+                     static_cast<double>(answer.seconds), world_, vehicle_.kinematics());
 }
 
 void Trial::step(std::int64_t index) {
@@ -207,7 +224,8 @@ void Trial::step(std::int64_t index) {
   vehicle_.step();
   const State& x = vehicle_.state();
   if (spec_.rules.keeps_ticks && commanded_) error_ = std::max(error_, norm(vehicle_.acceleration() - *commanded_));
-  log_.path_length_m += norm(x.p - before.p);
+  const double moved = norm(x.p - before.p);
+  if (std::isfinite(moved)) log_.path_length_m += moved;
   log_.max_speed_m_s = std::max(log_.max_speed_m_s, norm(x.v));
   if (fence_) fence_->advance(before.p, x.p);
   if (spec_.rules.keeps_path) append(log_.path, x.p);
@@ -275,7 +293,8 @@ SimulatedFlight Trial::fly() {
     flight_.observe(seen);
     const Decision& decision = flight_.decide();
     const float seconds = std::chrono::duration<float>(Clock::now() - begin).count();
-    if (keeps_ticks) note(seen, decision, seconds);
+    note(decision, seconds);
+    if (keeps_ticks) note_all(seen, decision);
     watch(seen, decision, now);
     flight_.sent();
     vehicle_.command(decision.command);
@@ -284,8 +303,9 @@ SimulatedFlight Trial::fly() {
     vehicle_.end_tick();
     if (keeps_ticks) log_.a_error.push_back(error_);
     const Vec3 v = vehicle_.state().v;
-    if (log_.ticks > 0) {
-      const double change = norm(v - 2 * last_v + older_v) / (dt * dt);
+    log_.max_acceleration_m_s2 = std::max(log_.max_acceleration_m_s2, norm(v - last_v) / dt);
+    const double change = norm(v - 2 * last_v + older_v) / (dt * dt);
+    if (log_.ticks > 0 && std::isfinite(change)) {
       log_.max_jerk_m_s3 = std::max(log_.max_jerk_m_s3, change);
       jerk += change;
     }
@@ -305,6 +325,8 @@ SimulatedFlight Trial::fly() {
 
 void check(const SimulationSpec& spec) {
   check(spec.vehicle), check(spec.moving);
+  if (spec.watcher != nullptr && spec.watcher->kind() != CommandKind::acceleration)
+    throw std::invalid_argument("encounters are watched by a filter of accelerations");
   if (spec.fence != nullptr && spec.vehicle.model != VehicleModel::racer)
     throw std::invalid_argument("flights of a racer are judged by a geofence");
   const SimulationRules& r = spec.rules;

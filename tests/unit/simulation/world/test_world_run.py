@@ -129,13 +129,18 @@ def test_the_clearance_to_moving_obstacles_is_that_of_brute_force():
 
 def test_what_a_flight_did_is_that_of_its_log():
     log, trial = one(vehicle=QUADROTOR, mission=STRAIGHT | {"speed_m_s": 2.0})
-    velocity = log["state"][:, 6:9]
+    velocity, length = log["state"][:, 6:9], np.linalg.norm(np.diff(log["path"], axis=0), axis=1)
     assert trial.outcome == log["end"] == "reached"
     assert trial.steps == len(log["mark"])
     assert trial.duration_s == pytest.approx(0.01 * trial.steps)
-    assert trial.path_length_m == pytest.approx(np.linalg.norm(np.diff(log["path"], axis=0), axis=1).sum())
+    assert trial.path_length_m == pytest.approx(length.sum())
     assert trial.straight_length_m == pytest.approx(math.dist(STRAIGHT["start_m"], STRAIGHT["goal_m"]))
-    assert trial.max_speed_m_s == pytest.approx(np.linalg.norm(velocity, axis=1).max())
+    assert trial.max_speed_m_s == pytest.approx(length.max() / 1e-3)  # between ticks too
+    assert trial.max_speed_m_s >= np.linalg.norm(velocity, axis=1).max()
+    acceleration, jerk = np.diff(velocity, axis=0) / 0.01, np.diff(velocity, n=2, axis=0) / 1e-4
+    assert trial.max_acceleration_m_s2 == pytest.approx(np.linalg.norm(acceleration, axis=1).max())
+    assert trial.max_jerk_m_s3 == pytest.approx(np.linalg.norm(jerk, axis=1).max())
+    assert trial.mean_jerk_m_s3 == pytest.approx(np.linalg.norm(jerk, axis=1).mean())
     assert np.linalg.norm(log["state"][-1, :3] - STRAIGHT["goal_m"]) <= 0.05
     assert worst_clearance(trial) == math.inf
 

@@ -5,7 +5,8 @@
 // time, and so is the distance to the fence of a racer. Clearance to static obstacles is judged after the flight from
 // the path. A flight is a function of (seed, trial) and of its parts, except for measured times.
 //
-// Figures over the whole flight are always kept, its path and a row per tick where the rules say so.
+// Figures over the whole flight are always kept, and what a judge counts in each tick; its path and complete rows of
+// ticks where the rules say so.
 #pragma once
 
 #include <cstdint>
@@ -39,10 +40,10 @@ struct SimulationRules {
   double receded_s = std::numeric_limits<double>::infinity();  // ends when all obstacles have receded for this time
   Vec3 lower{-1e9, -1e9, -1e9};                                // a flight that leaves this box is refused
   Vec3 upper{1e9, 1e9, 1e9};
-  bool ends_when_refused = true;  // otherwise it flies on with what stands in for refused commands
-  bool ends_at_goal = true;       // otherwise neither a goal that is reached nor being stuck ends it
-  double risk_window_s = 0.4;     // window of the risk of encounters: assumed duration of a command
-  bool keeps_path = true, keeps_ticks = true;
+  bool ends_when_refused = true;               // otherwise it flies on with what stands in for refused commands
+  bool ends_at_goal = true;                    // otherwise neither a goal that is reached nor being stuck ends it
+  double risk_window_s = 0.4;                  // window of the risk of encounters: assumed duration of a command
+  bool keeps_path = true, keeps_ticks = true;  // ticks: complete rows of each
 };
 
 struct SimulationSpec {
@@ -52,6 +53,9 @@ struct SimulationSpec {
   Losses losses;
   MovingSpec moving;
   const Geofence* fence = nullptr;  // not owned; of a racer: flights are judged by its fence and its limits
+  // Not owned: a filter among moving obstacles that gets the nominal command of flights without filters, for the
+  // metrics of their encounters. Its answer is not flown.
+  const SafetyFilter* watcher = nullptr;
 };
 
 // One trial: where it starts and what it shall do.
@@ -72,6 +76,7 @@ struct SimulatedFlight {
   End end = End::flying;
   std::int64_t ticks = 0;
   double path_length_m = 0, max_speed_m_s = 0;   // over the steps of the plant
+  double max_acceleration_m_s2 = 0;              // first and
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity from tick to tick
   State last;
   EncounterLog encounters;
@@ -92,13 +97,14 @@ struct SimulatedFlight {
   std::vector<double> track;         // (ticks, n, 3), NaN without one
   // (ticks, filters); flags: 1 capped, 2 infeasible, 4 certified, 8 certified against tubes,
   // and 16 times the mode of a filter among moving obstacles
-  std::vector<double> margin, gate_m;
+  std::vector<double> margin;               // always kept,
+  std::vector<std::uint8_t> status, flags;  // too,
+  std::vector<float> filter_s;              // measured, too
+  std::vector<double> gate_m;
   std::vector<std::int64_t> active;
   std::vector<std::uint32_t> candidates, rows, iterations;
-  std::vector<std::uint8_t> status, flags;
-  std::vector<float> filter_s;            // measured
-  std::vector<float> tick_s;              // (ticks) measured: all of observe and decide
-  std::vector<std::uint8_t> mark;         // (ticks): 1 refused, 2 stale, 4 beyond the rotors' limits
+  std::vector<float> tick_s;              // (ticks) measured: all of observe and decide; always kept
+  std::vector<std::uint8_t> mark;         // (ticks): 1 refused, 2 stale, 4 beyond the rotors' limits; always kept
   std::vector<alula_track> tracks;        // as the flight saw them, of all ticks
   std::vector<std::int64_t> track_start;  // (ticks + 1): first row of a tick
 };

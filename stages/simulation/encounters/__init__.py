@@ -1,1 +1,0 @@
-"""Flights among moving obstacles."""

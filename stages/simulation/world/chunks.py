@@ -1,0 +1,94 @@
+"""Chunks of the trials of a scenario: what to fly, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.vehicle import Vehicle
+from alula.schemas.world import WorldScenario
+from alula.stages.durations import Times
+from alula.stages.simulation.chunks import FlownTrials, shown
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import WorldFlight
+
+if TYPE_CHECKING:
+    from alula.stages.simulation.world.simulate import PreparedRun
+
+
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
+    """Consecutive trials; times are measured and differ from run to run.
+
+    Attributes:
+        filter_times: of the filters, see `PreparedRun.filter_seconds`.
+        tick_times: of each tick on board.
+        command_s: time of the filter in the tick of the warning, per trial and obstacle, float64 [s]; NaN
+            without a warning.
+        reaction_s: time from the warning to the reaction, including `command_s`, float64 [s]; NaN without
+            one.
+        flights: samples of the trials that the log shows.
+    """
+
+    filter_times: Times
+    tick_times: Times
+    command_s: bytes
+    reaction_s: bytes
+    flights: list[WorldFlight]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunParts:
+    """What a run is prepared from, on this machine or another; `key` alone tells runs apart."""
+
+    key: str
+    scenario: WorldScenario = field(compare=False)
+    vehicle: Vehicle = field(compare=False)
+    cover: Artifact | None = field(compare=False)
+    scene: Artifact | None = field(compare=False)
+    plan: Artifact | None = field(compare=False)
+    pairs: Pairs | None = field(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class TrialChunk:
+    """Consecutive trials to fly; `parts` only where they are flown elsewhere."""
+
+    parts: RunParts | None
+    first: int
+    count: int
+
+
+def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:
+    """Fly the trials of a chunk and judge them.
+
+    Args:
+        ready: the run.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+        chunk: numbers of the trials.
+    """
+    trials, flights, filters, ticks, commands, reactions = [], [], [], [], [], []
+    rules, first = ready.scenario.rules, chunk.first
+    kept = shown(chunk, rules.logged)
+    logs = ready.fly(first, kept, jobs=jobs)
+    logs += ready.fly(first + kept, chunk.count - kept, is_logged=False, jobs=jobs)
+    for index, log in enumerate(logs, first):
+        trials.append(ready.judged(index, log))
+        filters.append(ready.filter_seconds(log))
+        ticks.append(log["tick_s"][:: rules.filter_ticks])
+        commands.append(log["command_s"].tobytes())
+        reactions.append((log["command_s"] + log["reaction_s"]).tobytes())
+        if index < rules.logged:
+            flights.append(ready.shown(index, log))
+    held_s = rules.dt_s * rules.filter_ticks
+    return FlownChunk(
+        first=first,
+        trials=trials,
+        filter_times=Times.of(np.concatenate(filters), held_s),
+        tick_times=Times.of(np.concatenate(ticks), held_s),
+        command_s=b"".join(commands),
+        reaction_s=b"".join(reactions),
+        flights=flights,
+    )

@@ -1,0 +1,116 @@
+"""Encounters of flights with moving obstacles: figures of a trial, of a run, and measured times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from alula.schemas.arrays import FloatArray
+from alula.schemas.run import ObstacleResult, TrialResult
+from alula.schemas.world import WorldScenario
+from alula.schemas.world_check import TRACKING
+from alula.schemas.world_tables import NO_FILTER
+from alula.stages.verdict import mean, success, totals
+
+
+def seen_by(scenario: WorldScenario) -> str | None:
+    """Name of the last filter that sees tracks, by whose answers encounters are measured.
+
+    `NO_FILTER` where a flight without filters is only watched, so that encounters with and without a filter
+    compare; None where nothing sees tracks.
+
+    Args:
+        scenario: completed.
+    """
+    names = [name for name in scenario.safety.filters if name in TRACKING]
+    if names:
+        return names[-1]
+    # Only the nominal acceleration of such a flight is what is flown.
+    is_bare = not scenario.safety.filters and scenario.mission.controller.guide == NO_FILTER
+    by_acceleration = scenario.vehicle.interface in ("acceleration", "wrench", "body-rates")
+    is_watched = is_bare and by_acceleration and scenario.mission.kind != "pilot"
+    return NO_FILTER if scenario.world.moving and is_watched else None
+
+
+def encounter_figures(flown: dict[str, Any], seen: str | None) -> dict[str, Any]:
+    """Figures of `TrialResult` that come from the answers of the filter that sees tracks.
+
+    Args:
+        flown: native log of the flight.
+        seen: of `seen_by`.
+    """
+    if seen is None:
+        return {}
+    return {
+        "active_steps": flown["active_ticks"],
+        "iterations": flown["total_iterations"],
+        "worst_violation_m_s2": flown["worst_violation"],
+        # Other filters have no rows with a risk.
+        "risk_spent": flown["risk_spent"] if seen.startswith("dr-acbf") else None,
+        "mission_risk": flown["mission_risk"],
+    }
+
+
+def encounter_summary(scenario: WorldScenario, trials: list[TrialResult]) -> dict[str, Any]:
+    """Figures over all trials, per moving obstacle too; means over obstacles with a warning.
+
+    Args:
+        scenario: completed.
+        trials: verdicts, at least one.
+    """
+    found: dict[str, Any] = {}
+    if scenario.world.moving:
+        met = zip(*(trial.obstacles or [] for trial in trials), strict=True)
+        found["obstacles"] = [_met(column) for column in met]
+        found["max_jerk_limit_m_s3"] = scenario.vehicle.max_jerk_m_s3
+    if seen_by(scenario) is None:
+        return found
+    steps = sum(trial.steps for trial in trials)
+    return found | {
+        **totals(trials, ("active_steps",)),
+        "mean_iterations": sum(trial.iterations or 0 for trial in trials) / steps if steps else None,
+        "worst_violation_m_s2": max(trial.worst_violation_m_s2 or 0.0 for trial in trials),
+        "mean_risk_spent": mean(trial.risk_spent for trial in trials),
+        "mean_mission_risk": mean(trial.mission_risk for trial in trials),
+    }
+
+
+def _met(met: tuple[ObstacleResult, ...]) -> dict[str, Any]:
+    """Success against one obstacle, which is not to touch it, with its 95 % Wilson interval, and means."""
+    return {
+        **success(sum(not obstacle.collision for obstacle in met), len(met)),
+        "detected": sum(obstacle.detected_s is not None for obstacle in met),
+        "warned": sum(obstacle.warned_s is not None for obstacle in met),
+        "mean_closing_m_s": mean(obstacle.closing_m_s for obstacle in met),
+        "mean_separation_m": mean(obstacle.separation_m for obstacle in met),
+        "mean_closest_m": mean(obstacle.closest_m for obstacle in met),
+        "least_closest_m": min(obstacle.closest_m for obstacle in met),
+        "mean_reaction_s": mean(obstacle.reaction_s for obstacle in met),
+        "mean_avoid_s": mean(obstacle.avoid_s for obstacle in met),
+    }
+
+
+def encounter_timing(command_s: FloatArray, reaction_s: FloatArray) -> dict[str, Any]:
+    """Mean measured times per obstacle: of the filter in the tick of its warning, and to the reaction.
+
+    Args:
+        command_s: shape (trials, n), NaN without a warning [s].
+        reaction_s: shape (trials, n), including `command_s`, NaN without a reaction [s].
+    """
+    if command_s.shape[1] == 0:
+        return {}
+    return {
+        f"{name}_mean_s": [mean(value for value in row.tolist() if value == value) for row in times.T]
+        for name, times in (("command", command_s), ("reaction", reaction_s))
+    }
+
+
+def rows_of_obstacles(stored: list[bytes], trials: int) -> FloatArray:
+    """Measured times of all trials and obstacles, shape (trials, n) [s].
+
+    Args:
+        stored: float64 numbers of consecutive trials.
+        trials: number of all trials.
+    """
+    return np.frombuffer(b"".join(stored), np.float64).reshape(trials, -1)
