@@ -173,38 +173,22 @@ def command(
 
         assert vehicle is not None
         config = resolve_splat(config, vehicle, plan, has_scene="scene" in paths)
-    else:
-        from alula.stages.simulation.hulls.simulate import resolve, simulate
-
-        config = resolve(config, plan, vehicle)
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None
         scene = read_artifact(paths["scene"], SCENE) if "scene" in paths else None
-        if splat:
-            assert vehicle is not None
-            result = simulate_splat(
-                config,
-                scene,
-                vehicle,
-                plan=plan,
-                cover=cover,
-                given=pairs,
-                jobs=common.jobs,
-                progress=progress,
-            )
-        else:
-            assert cover is not None
-            result = simulate(
-                config,
-                cover,
-                plan=plan,
-                scene=scene,
-                vehicle=vehicle,
-                given=pairs,
-                jobs=common.jobs,
-                progress=progress,
-            )
+        assert splat
+        assert vehicle is not None
+        result = simulate_splat(
+            config,
+            scene,
+            vehicle,
+            plan=plan,
+            cover=cover,
+            given=pairs,
+            jobs=common.jobs,
+            progress=progress,
+        )
         frame = result.map.manifest.frame
         return lambda: _write(common.output, config, provenance, result, frame), result.summary
 
