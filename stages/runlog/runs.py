@@ -1,4 +1,4 @@
-"""Logs of flights among hulls or ellipsoids, which Foxglove opens without configuration."""
+"""Logs of flights among ellipsoids, which Foxglove opens without configuration."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.maps import map_message
-from alula.stages.runlog.messages import DECIMALS, UPRIGHT, number, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.messages import number, pose_message, quaternion_of_mrp, xyz
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import LoggedTrial, write_trials
-from alula.stages.simulation.result import FlightLog, SplatFlightLog
+from alula.stages.simulation.result import SplatFlightLog
 
-AnyFlight = FlightLog | SplatFlightLog
 Messages = Iterator[tuple[str, dict[str, Any]]]
 
 
 def write_log(
-    stream: BinaryIO, record: RunRecord, flights: Sequence[AnyFlight], flown_through: Artifact, frame: str
+    stream: BinaryIO,
+    record: RunRecord,
+    flights: Sequence[SplatFlightLog],
+    flown_through: Artifact,
+    frame: str,
 ) -> None:
     """Write the log of a run; see `write_trials`. The map is hulls as triangles, or ellipsoids as spheres.
 
@@ -35,11 +38,9 @@ def write_log(
     write_trials(stream, FLIGHT_CHANNELS, record, map_, trials, frame)
 
 
-def _logged(trial: TrialResult, flight: AnyFlight, frame: str) -> LoggedTrial:
+def _logged(trial: TrialResult, flight: SplatFlightLog, frame: str) -> LoggedTrial:
     def messages(i: int, now_s: float) -> Messages:
-        if isinstance(flight, SplatFlightLog):
-            return _among_ellipsoids(flight, i, frame, now_s)
-        return _among_hulls(flight, i, frame, now_s)
+        return _among_ellipsoids(flight, i, frame, now_s)
 
     return LoggedTrial(
         trial, _words(trial), trial.outcome == "reached", flight.time_s, flight.position, messages
@@ -53,23 +54,6 @@ def _words(trial: TrialResult) -> str:
     if clearance is None:
         clearance = trial.map_clearance_m
     return words if clearance is None else f"{words}, minimum clearance {clearance:.4f} m"
-
-
-def _among_hulls(flight: FlightLog, i: int, frame: str, now_s: float) -> Messages:
-    position = xyz(flight.position[i])
-    yield "/pose", pose_message(position, UPRIGHT, frame, now_s)
-    yield "/state", {"position_m": position, "velocity_m_s": xyz(flight.velocity[i])}
-    status = FilterStatus(int(flight.status[i]))
-    yield (
-        "/safety",
-        {
-            "h_m": round(float(flight.margin[i]), DECIMALS),
-            "status": int(status),
-            "status_name": status.name.lower(),
-            "u_nom_m_s": xyz(flight.u_nom[i]),
-            "u_safe_m_s": xyz(flight.velocity[i]),
-        },
-    )
 
 
 def _among_ellipsoids(flight: SplatFlightLog, i: int, frame: str, now_s: float) -> Messages:

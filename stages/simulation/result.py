@@ -43,21 +43,6 @@ def logged_ticks(last: int, dt_s: float, rate_hz: float) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightLog:
-    """Samples of a flight among hulls at the log's rate and at its end; shapes (T,) and (T, 3).
-
-    `velocity` is the input flown from that time on; in the last sample, the one flown before.
-    """
-
-    time_s: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    u_nom: FloatArray
-    margin: NDArray[np.float32]
-    status: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
 class SplatFlightLog:
     """Samples of a flight among ellipsoids at the log's rate and at its end.
 
@@ -254,7 +239,7 @@ class RunResult:
     trials: list[TrialResult]
     summary: dict[str, Any]
     guarantee: Guarantee
-    flights: Sequence[FlightLog | SplatFlightLog]
+    flights: Sequence[SplatFlightLog]
     map: Artifact
     filter_s: NDArray[np.float32]
     tick_s: NDArray[np.float32] | None = None

@@ -10,7 +10,6 @@ void bind_union_measure(nb::module_& m);
 void bind_cover_check(nb::module_& m);
 void bind_polytope_cbf(nb::module_& m);
 void bind_onboard_map(nb::module_& m);
-void bind_rollout(nb::module_& m);
 void bind_clearance(nb::module_& m);
 void bind_obstacle_map(nb::module_& m);
 void bind_search(nb::module_& m);
@@ -44,7 +43,6 @@ NB_MODULE(_core, m) {
   bind_cover_check(m);
   bind_polytope_cbf(m);
   bind_onboard_map(m);
-  bind_rollout(m);
   bind_clearance(m);
   bind_search(m);
   bind_outer_solid(m);

@@ -264,6 +264,35 @@ void test_walls_are_shown_nearest_first() {
   CHECK(ticks == 200);
 }
 
+void test_threads_change_no_flight_among_hulls() {
+  static const std::vector<double> normal{1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1};
+  static const std::vector<double> offset{1, 0, 1, 0, 1, 0};
+  static const std::vector<std::int64_t> start{0, 6};
+  auto map = std::make_shared<const PolytopeMap>(make_polytope_map({normal, offset, start}, 20));
+  const VelocityFilter filter(PolytopeCbf(map, {.radius_m = 0.1}));
+  SimulationSpec spec{.vehicle = {.body = small_quadrotor().body}};
+  spec.vehicle.model = VehicleModel::single_integrator, spec.vehicle.interface = Interface::velocity;
+  spec.vehicle.max_speed = 1, spec.rules.plant_steps = 1;
+  std::vector<Task> tasks(12);
+  for (std::size_t i = 0; i < tasks.size(); ++i) {
+    const double y = 0.1 * static_cast<double>(i);
+    tasks[i].start.p = {-2, y, 0.5}, tasks[i].max_time_s = 20;
+    tasks[i].mission.kind = MissionKind::goal, tasks[i].mission.goal = {3, 1.3 - y, 0.4};
+  }
+  Control control;
+  const SafetyFilter* const filters[] = {&filter};
+  const auto one = simulate(spec, tasks, filters, 0, 0, 1, control),
+             many = simulate(spec, tasks, filters, 0, 0, 7, control);
+  int reached = 0;
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    CHECK(one[i].path == many[i].path && one[i].command == many[i].command && one[i].status == many[i].status);
+    CHECK(one[i].margin == many[i].margin && one[i].end == many[i].end);
+    CHECK(one[i].path.size() == 3 * (one[i].status.size() + 1));
+    reached += one[i].end == End::reached;
+  }
+  CHECK(reached > 0);
+}
+
 void test_invalid_specifications_are_rejected() {
   const auto refused = [](const std::function<void(SimulationSpec&)>& change) {
     Scene scene;
@@ -296,6 +325,7 @@ void test_all() {
   test_trials_do_not_depend_on_their_order();
   test_obstacles_are_drawn_to_meet_the_expected_velocity();
   test_walls_are_shown_nearest_first();
+  test_threads_change_no_flight_among_hulls();
   test_invalid_specifications_are_rejected();
 }
 

@@ -1,9 +1,10 @@
 // Simulated flights: a vehicle, what it measures, what moves around it, and the flight that decides.
 //
-// Per tick: the sensor measures, unless the measurement is lost; `Flight` decides; the vehicle flies the command in
-// steps, while obstacles move. The encounters with them are measured from the truth at every step, in continuous
-// time, and so is the distance to the fence of a racer. Clearance to static obstacles is judged after the flight from
-// the path. A flight is a function of (seed, trial) and of its parts, except for measured times.
+// Per tick: the sensor measures, unless the measurement is lost; `Flight` decides; the vehicle flies the command, a
+// zero-order hold, in steps, while obstacles move. The encounters with them are measured from the truth at every
+// step, in continuous time, and so is the distance to the fence of a racer. Clearance to static obstacles is judged
+// after the flight from the path. A flight is a function of (seed, trial) and of its parts, except for measured
+// times.
 //
 // Figures over the whole flight are always kept, and what a judge counts in each tick; its path and complete rows of
 // ticks where the rules say so.

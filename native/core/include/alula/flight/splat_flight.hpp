@@ -16,9 +16,10 @@
 #include "alula/dynamics/state_predictor.hpp"
 #include "alula/dynamics/tracking_controller.hpp"
 #include "alula/filters/safety_filter.hpp"
-#include "alula/flight/rollout.hpp"
 
 namespace alula::flight {
+
+enum class Outcome : std::uint8_t { flying, reached, stuck, timeout, refused };
 
 enum class PlantKind : std::uint8_t {
   quadrotor,         // the rigid body; accelerations are flown through the attitude loop

@@ -1,1 +1,0 @@
-"""Flights of a point mass among the hulls of a cover."""
