@@ -195,7 +195,7 @@ def _wrong_guide(scenario: WorldScenario) -> str | None:
         )
     if scenario.world.scene is None and (guide == "cone-di" or not scenario.world.has_hulls):
         needed = "ellipsoids; set world.scene" if guide == "cone-di" else "obstacles; set world.cover"
-        other = ", or mission.controller.guide=safer-splat among the hulls" if scenario.world.has_hulls else ""
+        other = ", or mission.controller.guide=safer-splat" if scenario.world.has_hulls else ""
         return (
             f"`$.mission.controller.guide`: {guide} needs {needed}{other}, or mission.controller.guide=none"
         )

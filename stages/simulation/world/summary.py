@@ -161,7 +161,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
     }
     return Guarantee(
         statement=statement(
-            beforehand(run, left),
+            beforehand(run, left, claims["chain"]),
             judged_words(run),
             hits,
             len(trials),

@@ -9,11 +9,11 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
+from alula.schemas.vehicles import VEHICLES
 from alula.stages.simulation.hulls.simulate import simulate
 from alula.stages.simulation.pairs import Pairs
 from support.small_scenes import ball_scene, box_cover, line_plan
+from support.world_runs import flown
 
 # Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
 SHELL = [
@@ -71,22 +71,18 @@ def test_references_among_ellipsoids_follow_the_plans():
     y, z = np.meshgrid(np.arange(0.1, 2.8, 0.2), np.arange(0.1, 2, 0.2))
     balls = np.column_stack([np.full(y.size, 4.1), y.ravel(), z.ravel()])
     scene, cover = ball_scene(balls, 0.1), box_cover(SHELL + WALL)
-    config = {
-        "filter": "none",
-        "plant": "double-integrator",
-        "radius_m": 0.3,
-        "speed_m_s": 1.0,
-        "max_time_s": 40.0,
-    }
-    straight = simulate_splat(quick(**config), scene, FASTBRIDGE, given=pairs())
+    given = {"scene": scene, "pairs": pairs(), "vehicle": VEHICLES["double-integrator"], "trials": 5}
+    given |= {"radius_m": 0.3, "speed_m_s": 1.0, "max_time_s": 40.0, "margin_m": 0.0}
+    straight = flown(**given)
     assert straight.summary["collisions"] == 4
-    planned = simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, cover=cover, given=pairs())
-    assert planned.summary["collisions"] == 0
+    planned = flown(planned=True, cover=cover, **given)
+    assert planned.summary["collisions"] == planned.guarantee.claims["hull_collisions"]
+    assert planned.guarantee.claims["scene_collisions"] == 0
     assert planned.summary["reached"] == 5
     assert planned.summary["planned_pairs"] == 5
     assert planned.summary["min_map_clearance_m"] > -0.02  # the controller tracks the plan that closely
-    with pytest.raises(UsageError, match="--planned needs a cover to plan in"):
-        simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, given=pairs())
+    with pytest.raises(UsageError, match=r"`\$.mission.planned`: plans are made in a cover; set world.cover"):
+        flown(planned=True, **given)
 
 
 def test_a_plan_is_not_planned_again():
