@@ -282,7 +282,7 @@ def _completed(scenario: WorldScenario, tree: Mapping[str, Any]) -> WorldScenari
         new[_field(name)] = _with(safety, name, tick_s=tick_s)
     if world.scene is None:
         for name in ("cone-ecbf", "cone-backup", "shield"):
-            if "shield_map" not in given.get(name, {}):
+            if "shield_map" not in given.get(name, {}) and given.get(name, {}).get("shield", True):
                 new[_field(name)] = _with(safety, name, shield_map="hulls")
     return msgspec.structs.replace(scenario, safety=msgspec.structs.replace(safety, **new))
 

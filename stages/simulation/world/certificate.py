@@ -38,18 +38,20 @@ def certifying(run: WorldRun) -> list[str]:
     return [name for name in (*_AGAINST[against], "fence") if name in run.world.parts]
 
 
-def beforehand(run: WorldRun, left: list[str]) -> str:
+def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> str:
     """State what the filters guarantee before the flights are judged.
 
     Args:
         run: all trials.
         left: what the flights had and the model of the last filter leaves out, in words.
+        chain: claim of that name.
     """
     names, guide = run.scenario.safety.filters, run.scenario.mission.controller.guide
     if not names:
         words = UNFILTERED
     elif certifying(run):
         words = _certified_words(run, left)
+        words += f" {chain['statement']}" if chain is not None else ""
     elif any(name not in FILTERS for name in names):
         words = f"alula does not check what {_listed(names)} guarantee{'s' if len(names) == 1 else ''}."
     elif len(names) == 1 and FILTER_COMMANDS[names[0]] in ("acceleration", "wrench"):

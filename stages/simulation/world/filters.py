@@ -99,12 +99,14 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
         UsageError: a parameter is wrong, or a filter is unknown.
     """
     controller, safety = scenario.mission.controller, scenario.safety
-    wanted = [(name, safety.parameters(name)) for name in safety.filters]
+    wanted = [(name, safety.parameters(name), f"safety.{name}") for name in safety.filters]
     if controller.guide != "none":
-        wanted.insert(0, (controller.guide, controller.guide_parameters))
+        wanted.insert(
+            0, (controller.guide, controller.guide_parameters, "mission.controller.guide_parameters")
+        )
     lag_s = scenario.vehicle.velocity_lag_s or 0.0
     made: list[_core.SafetyFilter] = []
-    for name, given in wanted:
+    for name, given, table in wanted:
         if FILTER_COMMANDS.get(name) == "sticks" and scenario.world.walls:
             raise UsageError(
                 f"`$.safety.filters`: {name} keeps inside a fence and out of a cover, not of walls; leave "
@@ -119,7 +121,7 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
         except (ValueError, TypeError, OverflowError, UsageError) as error:
             if "`$." in str(error):
                 raise
-            raise UsageError(f"`$.safety.{name}`: {str(error).removeprefix(f'{name}: ')}") from error
+            raise UsageError(f"`$.{table}`: {str(error).removeprefix(f'{name}: ')}") from error
         made.append(native)
     return made
 

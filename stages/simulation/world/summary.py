@@ -196,7 +196,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
     names = run.scenario.safety.filters
     among, limits, proof = proof_among_hulls(run.scenario, run.vehicle, cover, trials)
     claims |= proof
-    said = among or beforehand(run, left)
+    said = among or beforehand(run, left, claims["chain"])
     if names and names[-1] in HOLDS and run.scenario.mission.kind == "pilot":
         said, limits = HOLDS[names[-1]], ""
         claims |= {"as_modelled": not left, "proven": False}

@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.ellipsoids.closed_loop import fly
 from support import quadrotor_model as body
 from support import splat_filter_model as filters
+from support.reference_flights import along, vehicle_of
 from support.wrench_flight import (
     BACKUP,
     FILTERED,
@@ -306,23 +305,17 @@ def test_clones_and_repetitions_give_the_same_bits():
 def flown_through_a_cloud(**options):
     """Mean jerk [m/s^3] of flights on straight references through a cloud, and how many reach their goals."""
     scene = random_scene(np.random.default_rng(4), 100, size=2.5)
-    vehicle = _core.FlightVehicle(VEHICLE, _core.TrackingGains(catch_up_m_s=1.0), _core.PlantOptions())
+    vehicle = vehicle_of(VEHICLE, gains=_core.TrackingGains(catch_up_m_s=1.0))
     references = []
     for angle in np.linspace(0, np.pi, 8, endpoint=False):
         end = 4.0 * np.array([np.cos(angle), np.sin(angle), 0])
         path = rest_to_rest(-end, end, 2.0)
         references.append(_core.ReferenceCurve(path.time, path.coefficient))
-    flights = fly(
-        NativeFilter(ecbf(scene, **options), {}),
-        vehicle,
-        references,
-        _core.FlightRules(dt_s=DT, plant_steps=10),
-        jobs=1,
-    )
-    assert all(flight.certified.all() for flight in flights)
-    assert min(scene.clearance(flight.position) for flight in flights) > 0
-    jerk = [np.linalg.norm(np.diff(f.state[:, 6:9], n=2, axis=0), axis=1).mean() / DT**2 for f in flights]
-    return np.mean(jerk), sum(flight.outcome == "reached" for flight in flights)
+    flights = along(references, [ecbf(scene, **options)], vehicle, dt_s=DT)
+    assert all((flight["flags"] & 4).all() for flight in flights)  # certified
+    assert min(scene.clearance(flight["path"]) for flight in flights) > 0
+    jerk = [np.linalg.norm(np.diff(f["state"][:, 6:9], n=2, axis=0), axis=1).mean() / DT**2 for f in flights]
+    return np.mean(jerk), sum(flight["end"] == "reached" for flight in flights)
 
 
 def test_the_smooth_nominal_makes_flights_smoother_and_loses_no_goal():

@@ -12,6 +12,7 @@ from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support import quadrotor_model as model
 from support.paths import VEHICLES
+from support.reference_flights import along, vehicle_of
 from support.wrench_flight import Scene, empty_scene, moving, random_scene, wall_scene
 
 CRAZYFLIE = read_vehicle(VEHICLES / "crazyflie21.toml")
@@ -207,10 +208,10 @@ def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
     rng = np.random.default_rng(11)
     assumed = _core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay)
     options = _core.PlantOptions(motor_time_constant_s=lag, sensor=_core.SensorOptions(delay_s=delay))
-    vehicle = _core.FlightVehicle(
+    vehicle = vehicle_of(
         BODY,
-        GAINS,
-        options,
+        gains=GAINS,
+        plant=options,
         interface="body-rates",
         max_rate_rad_s=MAX_RATE,
         rate_time_constant_s=0.02,
@@ -225,9 +226,9 @@ def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
             for a, b in ends
             if scene.clearance(np.tile(a, (2, 1))) > 0.1
         ]
-        for log in _core.fly(vehicle, _core.FlightRules(max_time_s=3.0), references, made.native, jobs=1):
+        for log in along(references, [made], vehicle, max_time_s=3.0):
             assert ((log["flags"] & 4) != 0).all()
-            assert scene.clearance(log["position"]) >= 0.008
+            assert scene.clearance(log["path"]) >= 0.008
             ticks += len(log["flags"])
     assert ticks > 300
 

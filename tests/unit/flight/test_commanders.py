@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
+from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
@@ -21,6 +21,7 @@ from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.mission import make_commander, make_safety
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.flights import BALL, START, mission
+from support.reference_flights import along, vehicle_of
 from support.small_scenes import box_cover, line_plan
 
 DT = 0.01
@@ -35,35 +36,28 @@ def quat_of(sigma):
 def test_thrust_and_filter_are_those_of_simulate(name):
     made = mission(name, scene=BALL, is_clear=True)
     body, gains = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE, made.config.catch_up_m_s)
-    vehicle = _core.FlightVehicle(body, gains, _core.PlantOptions(), interface="body-rates")
-    trial = _core.FlightTrial(vehicle, _core.FlightRules(dt_s=DT), made.curve)
-    reference, commander = (
-        make_safety(made),
-        make_commander(made, make_safety(made), frozenset({RatesSetpoint})),
-    )
-    assert reference is not None
+    safety = make_safety(made)
+    assert safety is not None
+    vehicle = vehicle_of(body, gains=gains, interface="body-rates")
+    (log,) = along([made.curve], [safety], vehicle, dt_s=DT, max_time_s=450 * DT, ends_at_goal=False)
+    assert len(log["mark"]) == 450
+    commander = make_commander(made, make_safety(made), frozenset({RatesSetpoint}))
     changed = 0
-    for i in range(450):
-        state, nominal = FlightState(*trial.state()), Nominal(np.zeros(3), *trial.nominal())
-        result = reference(state, nominal)
-        seen = VehicleState(0.0, state.position, state.velocity, quat_of(state.sigma), state.omega)
+    for i, (x, status, margin) in enumerate(
+        zip(log["state"], log["status"][:, 0], log["margin"][:, 0], strict=False)
+    ):
+        seen = VehicleState(0.0, x[:3].copy(), x[6:9].copy(), quat_of(x[3:6]), x[9:].copy())
         decision = commander.decide(seen, 0.0, made.curve.at(np.array([i * DT])))
         commander.sent(decision.setpoint)
-        assert decision.status is result.status
-        assert decision.certified == result.certified
-        np.testing.assert_allclose(decision.nominal, nominal.acceleration, rtol=0, atol=1e-9)
-        if math.isfinite(result.margin):
-            assert decision.margin == pytest.approx(result.margin, rel=1e-6, abs=1e-8)
-        changed += result.status != FilterStatus.OK
-        trial.advance(
-            np.ascontiguousarray(result.u),
-            status=int(result.status),
-            margin=float(result.margin),
-            thrust_rate=float(result.thrust_rate),
-        )
-        flown = trial.log()["u"][i, 0] if i % 50 == 0 else None
-        if flown is not None:
-            assert decision.setpoint.thrust_m_s2 * body.mass == pytest.approx(flown, rel=1e-9)
+        assert decision.status == status
+        assert decision.certified == bool(log["flags"][i, 0] & 4)
+        np.testing.assert_allclose(decision.nominal, log["nominal"][i], rtol=0, atol=1e-9)
+        if math.isfinite(margin):
+            assert decision.margin == pytest.approx(margin, rel=1e-6, abs=1e-8)
+        changed += status != FilterStatus.OK
+        if i % 50 == 0:
+            thrust = decision.setpoint.thrust_m_s2 * body.mass
+            assert thrust == pytest.approx(log["command"][i, 3], rel=1e-9)
     assert changed > 20
 
 

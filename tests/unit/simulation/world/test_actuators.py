@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from support.reference_flights import BODY, GAINS, along, vehicle_of
 from support.wrench_flight import (
     RADIUS,
     Scene,
@@ -19,7 +18,6 @@ from support.wrench_flight import (
     wall_scene,
 )
 
-BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
 LAG, DELAY = 0.03, 0.02
 
 
@@ -196,8 +194,7 @@ def world_of(scene, lag):
 def flights(scene, name, references, *, options, assumed, **parameters):
     lag = assumed.motor_time_constant_s
     chosen = registry.make_filter(name, world_of(scene, lag), parameters)
-    vehicle = _core.FlightVehicle(BODY, GAINS, options, assumed=assumed)
-    return _core.fly(vehicle, _core.FlightRules(max_time_s=3.0), references, chosen.native, jobs=1)
+    return along(references, [chosen], vehicle_of(plant=options, assumed=assumed), max_time_s=3.0)
 
 
 def through(rng, count, speed):
@@ -221,8 +218,8 @@ def test_with_the_lag_and_delay_it_counts_with_a_flight_keeps_clear(name, policy
         ]
         for log in flights(scene, name, references, options=plant(lag, delay), assumed=model, policy=policy):
             assert ((log["flags"] & 4) != 0).all()  # certified
-            assert scene.clearance(log["position"]) >= 0.01
-            assert np.linalg.norm(log["position"][-1] - log["position"][0]) > 0.1
+            assert scene.clearance(log["path"]) >= 0.01
+            assert np.linalg.norm(log["path"][-1] - log["path"][0]) > 0.1
 
 
 def test_a_model_of_nothing_changes_no_bit():
@@ -235,5 +232,5 @@ def test_a_model_of_nothing_changes_no_bit():
         scene, "cone-ecbf", references, options=_core.PlantOptions(), assumed=_core.ActuatorModel(delay_s=0.0)
     )
     for a, b in zip(bare, delayed, strict=True):
-        np.testing.assert_array_equal(a["position"], b["position"])
-        np.testing.assert_array_equal(a["u"], b["u"])
+        np.testing.assert_array_equal(a["path"], b["path"])
+        np.testing.assert_array_equal(a["command"], b["command"])

@@ -5,17 +5,16 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import decoded
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_summary
 from support.small_scenes import ball_scene, box_cover
+from support.world_runs import flown
 
 # Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
 SHELL = [
@@ -54,21 +53,17 @@ def simulated(cover, **mission):
     return simulate_world(scenario, cover=cover, pairs=pairs())
 
 
-def quick(**options):
-    return SimulateConfig(**{"trials": 5, "bounds": BOUNDS, "radius_m": 0.3, "margin_m": 0.0, **options})
-
-
 def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
     cover = box_cover(SHELL + WALL)
-    straight, flown = world_summary(simulated(cover)), simulated(cover, planned=True)
-    planned = world_summary(flown)
+    straight, along = world_summary(simulated(cover)), simulated(cover, planned=True)
+    planned = world_summary(along)
     assert straight["reached"] <= 1
     assert "planned_pairs" not in straight
     assert planned["reached"] == 5
     assert planned["collisions"] == 0
     assert planned["planned_pairs"] == 5
     assert planned["unplanned_pairs"] == 0
-    for trial, given in zip(flown.trials, pairs().goal, strict=True):
+    for trial, given in zip(along.trials, pairs().goal, strict=True):
         np.testing.assert_array_equal(trial.goal_m, given)
         assert trial.max_speed_m_s <= 1 + 1e-6
 
@@ -88,22 +83,18 @@ def test_references_among_ellipsoids_follow_the_plans():
     y, z = np.meshgrid(np.arange(0.1, 2.8, 0.2), np.arange(0.1, 2, 0.2))
     balls = np.column_stack([np.full(y.size, 4.1), y.ravel(), z.ravel()])
     scene, cover = ball_scene(balls, 0.1), box_cover(SHELL + WALL)
-    config = {
-        "filter": "none",
-        "plant": "double-integrator",
-        "radius_m": 0.3,
-        "speed_m_s": 1.0,
-        "max_time_s": 40.0,
-    }
-    straight = simulate_splat(quick(**config), scene, FASTBRIDGE, given=pairs())
+    given = {"scene": scene, "pairs": pairs(), "vehicle": VEHICLES["double-integrator"], "trials": 5}
+    given |= {"radius_m": 0.3, "speed_m_s": 1.0, "max_time_s": 40.0, "margin_m": 0.0}
+    straight = flown(**given)
     assert straight.summary["collisions"] == 4
-    planned = simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, cover=cover, given=pairs())
-    assert planned.summary["collisions"] == 0
+    planned = flown(planned=True, cover=cover, **given)
+    assert planned.summary["collisions"] == planned.guarantee.claims["hull_collisions"]
+    assert planned.guarantee.claims["scene_collisions"] == 0
     assert planned.summary["reached"] == 5
     assert planned.summary["planned_pairs"] == 5
     assert planned.summary["min_map_clearance_m"] > -0.02  # the controller tracks the plan that closely
-    with pytest.raises(UsageError, match="--planned needs a cover to plan in"):
-        simulate_splat(quick(planned=True, **config), scene, FASTBRIDGE, given=pairs())
+    with pytest.raises(UsageError, match=r"`\$.mission.planned`: plans are made in a cover; set world.cover"):
+        flown(planned=True, **given)
 
 
 def test_a_plan_is_not_planned_again():
@@ -115,13 +106,14 @@ def test_the_command_plans_the_pairs_of_another_run(tmp_path, capsys):
     cover = tmp_path / "rooms.cover.npz"
     write_artifact(cover, box_cover(SHELL + WALL))
     assert read_artifact(cover, COVER) is not None
-    box = [str(value) for value in BOUNDS]
+    box = f"mission.bounds_m={','.join(map(str, BOUNDS))}"
+    radius = ["--set", "vehicle.radius_m=0.3"]
     first, second = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap"
     words = ["simulate", str(cover), "-q", "-o"]
-    assert run([*words, str(first), "--trials", "3", "--bounds", *box, "--radius", "0.3"]) == 0
-    assert run([*words, str(second), "--pairs-from", str(first), "--planned", "--radius", "0.3"]) == 0
+    assert run([*words, str(first), "--trials", "3", "--set", box, *radius]) == 0
+    assert run([*words, str(second), "--pairs-from", str(first), "--planned", *radius]) == 0
     one, two = read_run(first), read_run(second)
     assert [t.goal_m for t in one.trials] == [t.goal_m for t in two.trials]
     assert two.summary["reached"] == 3 > one.summary["reached"]
     assert two.summary["collisions"] == 0
-    assert two.provenance.parameters["planned"] is True
+    assert two.provenance.parameters["mission"]["planned"] is True

@@ -13,7 +13,6 @@ from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.run import read_run
@@ -26,8 +25,8 @@ from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
 from alula.stages.reconstruction.import_splat import import_splat
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from support.small_scenes import ball_scene, box_cover
+from support.world_runs import flown
 from support.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled
 
 BALL = ball_scene([[2.0, 0, 1]], 0.3)
@@ -62,12 +61,16 @@ def room():
     return Room(scene, cover, hulls, hull_obstacles(hulls))
 
 
-def quick(**fields):
-    return SimulateConfig(**({"trials": 8, "filter": "cone-backup", "speed_m_s": 2.5} | fields))
+def quick(filters="cone-backup", parameters=None, **fields):
+    return flown(filters, parameters, **({"trials": 8, "speed_m_s": 2.5} | fields))
+
+
+def against(which):
+    return {"shield_map": which}
 
 
 @pytest.mark.parametrize(
-    ("name", "with_scene", "against"),
+    ("name", "with_scene", "which"),
     [
         ("cone-backup", True, "hulls"),
         ("cone-ecbf", True, "both"),
@@ -75,26 +78,28 @@ def quick(**fields):
         ("shield", False, "hulls"),
     ],
 )
-def test_certified_flights_in_the_room_meet_neither_hulls_nor_ellipsoids(room, name, with_scene, against):
+def test_certified_flights_in_the_room_meet_neither_hulls_nor_ellipsoids(room, name, with_scene, which):
     """References run straight through the furniture: every pair is blocked where the scene can tell."""
-    config = quick(
-        filter=name,
-        filter_parameters={"shield_map": against},
-        pairs="blocked" if with_scene else "any",
+    result = quick(
+        name,
+        against(which),
+        which="blocked" if with_scene else "any",
         seed=5,
+        scene=room.scene if with_scene else None,
+        cover=room.cover,
     )
-    result = simulate_splat(config, room.scene if with_scene else None, FASTBRIDGE, cover=room.cover)
     assert len(result.trials) == 8
     for trial, flight in zip(result.trials, result.flights, strict=True):
         assert trial.certified_steps == trial.steps
         assert trial.map_clearance_m > 0
         assert not trial.collision
-        assert clearance_to_scene(flight.position, room.scene, 1.0).min() > RADIUS
+        assert clearance_to_scene(flight.rows("state")[:, :3], room.scene, 1.0).min() > RADIUS
         if with_scene:
             assert trial.scene_clearance_m > 0
     found = result.summary
-    assert found["certified_against"] == against
-    assert found["certified_share"] == 1
+    parts = ["ellipsoids", "hulls"] if which == "both" else [which]
+    assert found["certified_against"] == parts
+    assert found["certified_share_static"] == 1
     assert found["hull_radius_m"] == FASTBRIDGE.body.radius_m
     chain = result.guarantee.claims["chain"]
     assert chain["holds"]
@@ -136,27 +141,22 @@ def test_no_nominal_command_flies_the_shield_into_the_room(room):
 
 def test_a_shield_that_has_the_hulls_keeps_clear_of_them_and_one_without_does_not():
     """The box is wider than the ball in it: straight past the ball the hull is in the way."""
-    pairs = {"trials": 6, "bounds": AROUND, "seed": 2, "margin_m": 0.2, "filter": "cone-backup"}
-    one, other = (
-        simulate_splat(quick(**pairs, filter_parameters={"shield_map": against}), BALL, FASTBRIDGE, cover=BOX)
-        for against in ("ellipsoids", "hulls")
-    )
-    assert one.summary["certified_against"] == "ellipsoids"
+    pairs = {"trials": 6, "bounds_m": AROUND, "seed": 2, "margin_m": 0.2, "scene": BALL, "cover": BOX}
+    one, other = (quick("cone-backup", against(which), **pairs) for which in ("ellipsoids", "hulls"))
+    assert one.summary["certified_against"] == ["ellipsoids"]
     assert one.guarantee.claims["chain"] is None
-    assert one.summary["collisions"] == other.summary["collisions"] == 0
+    assert one.guarantee.claims["scene_collisions"] == other.summary["collisions"] == 0
+    assert one.summary["collisions"] == one.guarantee.claims["hull_collisions"] > 0  # hulls are obstacles
     assert one.summary["min_map_clearance_m"] < -0.1
     assert other.summary["min_map_clearance_m"] > 0
     assert other.summary["min_scene_clearance_m"] >= other.summary["min_map_clearance_m"]
 
 
 def test_flights_among_hulls_do_not_depend_on_jobs(room):
-    config = quick(filter="cone-backup", trials=4, filter_parameters={"shield_map": "both"})
-    one, many = (
-        simulate_splat(config, room.scene, FASTBRIDGE, cover=room.cover, jobs=jobs) for jobs in (1, 3)
-    )
+    files = {"scene": room.scene, "cover": room.cover}
+    one, many = (quick("cone-backup", against("both"), trials=4, jobs=jobs, **files) for jobs in (1, 3))
     assert one.trials == many.trials
-    for a, b in zip(one.flights, many.flights, strict=True):
-        np.testing.assert_array_equal(a.state, b.state)
+    assert one.flights == many.flights
 
 
 def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
@@ -166,9 +166,8 @@ def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
         disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, **lags),
         assumed=msgspec.structs.replace(FASTBRIDGE.assumed, **lags),
     )
-    config = quick(filter="shield", trials=6, speed_m_s=1.5, max_time_s=8.0)
-    found = simulate_splat(config, None, vehicle, cover=room.cover)
-    assert found.summary["certified_share"] == 1
+    found = quick("shield", trials=6, speed_m_s=1.5, max_time_s=8.0, vehicle=vehicle, cover=room.cover)
+    assert found.summary["certified_share_static"] == 1
     assert found.summary["min_map_clearance_m"] > 0
     chain = found.guarantee.claims["chain"]
     assert chain["holds"]
@@ -177,21 +176,15 @@ def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
 
 
 def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
-    hulls = {"filter_parameters": {"shield_map": "hulls"}}
-    with pytest.raises(
-        UsageError, match="shield_map=hulls needs the hulls of a cover, and there is none: give the cover"
+    for name, which, files, words in (
+        ("cone-backup", "hulls", {"scene": BALL}, "shield_map`: hulls needs world.cover"),
+        ("shield", "both", {"cover": BOX}, "shield_map`: both needs world.scene"),
+        ("shield", "x", {"cover": BOX}, "shield_map`"),
     ):
-        simulate_splat(quick(**hulls), BALL, FASTBRIDGE)
-    with pytest.raises(UsageError, match="shield: shield_map=both needs a scene"):
-        simulate_splat(
-            quick(filter="shield", filter_parameters={"shield_map": "both"}), None, FASTBRIDGE, cover=BOX
-        )
-    with pytest.raises(UsageError, match="shield: shield_map"):
-        simulate_splat(
-            quick(filter="shield", filter_parameters={"shield_map": "x"}), None, FASTBRIDGE, cover=BOX
-        )
-    with pytest.raises(UsageError, match="--guide cone-di needs a scene"):
-        simulate_splat(quick(filter="shield", guide="cone-di"), None, FASTBRIDGE, cover=BOX)
+        with pytest.raises(UsageError, match=rf"`\$.safety.{name}.{words}"):
+            quick(name, against(which), **files)
+    with pytest.raises(UsageError, match=r"cone-di needs ellipsoids; set world.scene, or .*safer-splat, or"):
+        quick("shield", guide="cone-di", cover=BOX)
 
 
 def test_hulls_that_have_grown_by_the_inflation_are_not_kept_from_again():
@@ -199,23 +192,24 @@ def test_hulls_that_have_grown_by_the_inflation_are_not_kept_from_again():
     scene = dataclasses.replace(
         BALL, manifest=msgspec.structs.replace(BALL.manifest, suggested_inflation_m=0.05)
     )
-    config = quick(filter="shield", trials=1, bounds=AROUND, filter_parameters={"shield_map": "hulls"})
     for cover, changes, beyond in ((BOX, {}, 0.05), (grown, {}, 0.02), (grown, {"inflation_m": 0.1}, 0.1)):
-        found = simulate_splat(dataclasses.replace(config, **changes), scene, FASTBRIDGE, cover=cover).summary
+        given = {"trials": 1, "bounds_m": AROUND, "scene": scene, "cover": cover}
+        found = quick("shield", against("hulls"), **given | changes).summary
         assert found["hull_radius_m"] == pytest.approx(FASTBRIDGE.body.radius_m + beyond)
 
 
 def test_what_breaks_the_chain_is_said():
+    windy = {"wind_m_s": (1.0, 0, 0), "linear_drag_n_s_m": (1e-3, 0, 0)}
     vehicle = msgspec.structs.replace(
-        FASTBRIDGE, disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, wind_m_s=(1.0, 0, 0))
+        FASTBRIDGE, disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, **windy)
     )
     thin = dataclasses.replace(BOX, manifest=msgspec.structs.replace(BOX.manifest, min_overlap=2))
-    for flown, cover, words in (
-        (vehicle, BOX, "These flights had wind"),
+    for body, cover, words in (
+        (vehicle, BOX, "These flights had drag, wind"),
         (FASTBRIDGE, thin, "The cover leaves out voxels that fewer than 2 ellipsoids touch"),
     ):
-        config = quick(filter="shield", trials=1, bounds=AROUND)
-        chain = simulate_splat(config, None, flown, cover=cover).guarantee.claims["chain"]
+        found = quick("shield", trials=1, bounds_m=AROUND, vehicle=body, cover=cover)
+        chain = found.guarantee.claims["chain"]
         assert not chain["holds"]
         assert words in chain["statement"]
 
