@@ -31,11 +31,11 @@ from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
-from alula.stages.simulation.chunks import TrialJournal, fly_missing
+from alula.stages.simulation.chunks import TrialJournal, fly_missing, shown
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk, fly_chunk
+from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
 from alula.stages.simulation.world.encounters import rows_of_obstacles, seen_by
 from alula.stages.simulation.world.filters import filter_world, risk_window_s, safety_filters, watcher
 from alula.stages.simulation.world.judge import WorldJudge, worst_clearance
@@ -453,6 +453,38 @@ def _prepared(parts: RunParts, jobs: int) -> PreparedRun:
 @lru_cache(maxsize=1)
 def _prepared_once(parts: RunParts) -> PreparedRun:
     return _prepared(parts, 1)
+
+
+def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:
+    """Fly the trials of a chunk and judge them.
+
+    Args:
+        ready: the run.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+        chunk: numbers of the trials.
+    """
+    trials, flights, filters, ticks, commands, reactions = [], [], [], [], [], []
+    rules, first = ready.scenario.rules, chunk.first
+    kept = shown(chunk, rules.logged)
+    logs = ready.fly(first, kept, jobs=jobs)
+    logs += ready.fly(first + kept, chunk.count - kept, is_logged=False, jobs=jobs)
+    for index, log in enumerate(logs, first):
+        trials.append(ready.judged(index, log))
+        filters.append(ready.filter_times(log).tobytes())
+        ticks.append(log["tick_s"][:: rules.filter_ticks].tobytes())
+        commands.append(log["command_s"].tobytes())
+        reactions.append((log["command_s"] + log["reaction_s"]).tobytes())
+        if index < rules.logged:
+            flights.append(WorldFlight.of(index, log, rules.dt_s, rules.log_rate_hz))
+    return FlownChunk(
+        first=first,
+        trials=trials,
+        filter_s=b"".join(filters),
+        tick_s=b"".join(ticks),
+        command_s=b"".join(commands),
+        reaction_s=b"".join(reactions),
+        flights=flights,
+    )
 
 
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
