@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.durations import Times
-from alula.stages.simulation.chunks import FlownTrials, shown
+from alula.stages.simulation.chunks import FlownTrials
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-
-if TYPE_CHECKING:
-    from alula.stages.simulation.world.simulate import PreparedRun
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
@@ -59,36 +53,3 @@ class TrialChunk:
     parts: RunParts | None
     first: int
     count: int
-
-
-def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:
-    """Fly the trials of a chunk and judge them.
-
-    Args:
-        ready: the run.
-        jobs: threads, 0 for all processors; only measured times depend on it.
-        chunk: numbers of the trials.
-    """
-    trials, flights, filters, ticks, commands, reactions = [], [], [], [], [], []
-    rules, first = ready.scenario.rules, chunk.first
-    kept = shown(chunk, rules.logged)
-    logs = ready.fly(first, kept, jobs=jobs)
-    logs += ready.fly(first + kept, chunk.count - kept, is_logged=False, jobs=jobs)
-    for index, log in enumerate(logs, first):
-        trials.append(ready.judged(index, log))
-        filters.append(ready.filter_seconds(log))
-        ticks.append(log["tick_s"][:: rules.filter_ticks])
-        commands.append(log["command_s"].tobytes())
-        reactions.append((log["command_s"] + log["reaction_s"]).tobytes())
-        if index < rules.logged:
-            flights.append(ready.shown(index, log))
-    held_s = rules.dt_s * rules.filter_ticks
-    return FlownChunk(
-        first=first,
-        trials=trials,
-        filter_times=Times.of(np.concatenate(filters), held_s),
-        tick_times=Times.of(np.concatenate(ticks), held_s),
-        command_s=b"".join(commands),
-        reaction_s=b"".join(reactions),
-        flights=flights,
-    )

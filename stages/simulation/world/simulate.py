@@ -34,12 +34,12 @@ from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan
-from alula.stages.simulation.chunks import TrialJournal, fly_missing
+from alula.stages.simulation.chunks import TrialJournal, fly_missing, shown
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.among_hulls import note_of_psi
-from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk, fly_chunk
+from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
 from alula.stages.simulation.world.encounters import rows_of_obstacles, seen_by
 from alula.stages.simulation.world.filters import (
     filter_world,
@@ -548,6 +548,39 @@ def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
     if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
         return 1
     return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
+
+
+def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:
+    """Fly the trials of a chunk and judge them.
+
+    Args:
+        ready: the run.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+        chunk: numbers of the trials.
+    """
+    trials, flights, filters, ticks, commands, reactions = [], [], [], [], [], []
+    rules, first = ready.scenario.rules, chunk.first
+    kept = shown(chunk, rules.logged)
+    logs = ready.fly(first, kept, jobs=jobs)
+    logs += ready.fly(first + kept, chunk.count - kept, is_logged=False, jobs=jobs)
+    for index, log in enumerate(logs, first):
+        trials.append(ready.judged(index, log))
+        filters.append(ready.filter_seconds(log))
+        ticks.append(log["tick_s"][:: rules.filter_ticks])
+        commands.append(log["command_s"].tobytes())
+        reactions.append((log["command_s"] + log["reaction_s"]).tobytes())
+        if index < rules.logged:
+            flights.append(ready.shown(index, log))
+    held_s = rules.dt_s * rules.filter_ticks
+    return FlownChunk(
+        first=first,
+        trials=trials,
+        filter_times=Times.of(np.concatenate(filters), held_s),
+        tick_times=Times.of(np.concatenate(ticks), held_s),
+        command_s=b"".join(commands),
+        reaction_s=b"".join(reactions),
+        flights=flights,
+    )
 
 
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
