@@ -222,7 +222,6 @@ def make_mission(
         [keeps[name] for name, _ in obstacles],
         config.filter,
         allow_tight=config.allow_tight,
-        insist="--allow-tight",
     )
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]

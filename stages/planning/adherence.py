@@ -126,7 +126,12 @@ def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatAr
 
 
 def require_room(
-    plan: PlanJudge, keeps_m: Sequence[float | None], filter_name: str, *, allow_tight: bool, insist: str
+    plan: PlanJudge,
+    keeps_m: Sequence[float | None],
+    filter_name: str,
+    *,
+    allow_tight: bool,
+    insist: str = "--allow-tight",
 ) -> list[str]:
     """Refuse a plan that is nearer to a map than the filter lets the vehicle be.
 

@@ -116,14 +116,14 @@ def _verdict(trials: Sequence[TrialResult], *, waits: bool) -> str:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
     if waits:
         good, word = sum(not trial.collision for trial in trials), "touched nothing"
+    elif any(trial.fence is not None for trial in trials):
+        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     elif any(map(is_composed, trials)):
         ends = [outcome_of(trial) for trial in trials]
         stays = "reached" not in ends and ("held" in ends or "passed" in ends)
         good, word = ends.count("reached"), "reached the goal"
         if stays:
             good, word = ends.count("held") + ends.count("passed"), "flew to the end"
-    elif any(trial.fence is not None for trial in trials):
-        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     else:
         good, word = sum(outcome_of(trial) == "reached" for trial in trials), "reached the goal"
     return f"{text(good)} of {text(len(trials))} {word}"

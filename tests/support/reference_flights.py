@@ -1,5 +1,6 @@
 """Flights of the native loop along reference curves, from the beginning of the curve to its end."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,9 +8,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.world_tables import RulesTable
 from alula.stages.filtering.bridge import native_filter
-from alula.stages.simulation.world.simulate import plant_steps_of
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
@@ -78,7 +77,7 @@ def along(
         vehicle or vehicle_of(),
         options=_core.FlightOptions(dt_s=dt_s, controller_ticks=controller_ticks, filter_ticks=filter_ticks),
         rules=_core.SimulationRules(
-            plant_steps=plant_steps or plant_steps_of(RulesTable(dt_s=dt_s)), **rules
+            plant_steps=plant_steps or max(1, math.ceil(dt_s / 1e-3 - 1e-9)), **rules
         ),
     )
     native = [one if isinstance(one, _core.SafetyFilter) else native_filter(one) for one in filters]

@@ -53,7 +53,8 @@ def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> 
         words = _certified_words(run, left)
         words += f" {chain['statement']}" if chain is not None else ""
     elif any(name not in FILTERS for name in names):
-        words = f"alula does not check what {_listed(names)} guarantee{'s' if len(names) == 1 else ''}."
+        what = f"the filter {names[0]!r} guarantees" if len(names) == 1 else f"{_listed(names)} guarantee"
+        words = f"alula does not check what {what}."
     elif len(names) == 1 and FILTER_COMMANDS[names[0]] in ("acceleration", "wrench"):
         words = f"The filter {names[0]!r} bounds the rate of a barrier at each step; it proves no flight."
     else:

@@ -165,11 +165,11 @@ class WorldJudge:
         )
 
     def _motion(self, flown: dict[str, Any], path: FloatArray) -> dict[str, float]:
-        """Length of the path and extremes of its derivatives, from tick to tick or as the loop has them."""
+        """Length of the path and extremes of its derivatives; a point begins with its first command."""
         names = ("path_length_m", "max_speed_m_s", "max_acceleration_m_s2", "mean_jerk_m_s3", "max_jerk_m_s3")
-        if not self.by_ticks:
+        if not self.is_point:
             return {name: flown[name] for name in names}
-        velocity = flown["state"][1 if self.is_point else 0 :, 6:9]
+        velocity = flown["state"][1:, 6:9]
         jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / self.dt_s**2
         jerk = jerk[np.isfinite(jerk)]
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / self.dt_s

@@ -165,11 +165,12 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
     limit = table.max_speed_m_s
     if vehicle.model == "quadrotor":
         assert vehicle.body.mass_kg is not None
-        flown = f"commanded by {_COMMANDED[table.interface or '']}"
-        body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}, {flown}"
+        body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}"
     else:
         body = f"{sphere}, {vehicle.model.replace('-', ' ')}"
         body += "" if limit is None or not math.isfinite(limit) else f" up to {exact(limit)} m/s"
+    if vehicle.model != "single-integrator":  # that has no other
+        body += f", commanded by {_COMMANDED[table.interface or '']}"
     guided = "" if guide == "none" else f", guided by {guide}"
     found = disturbances(scenario)
     disturbed = f", with {', '.join(found)}" if found else ""
@@ -260,8 +261,8 @@ def left_out(scenario: WorldScenario) -> list[str]:
         # A geofence tells when measurements are missing, and a racer has no rotors.
         "lost measurements": not by_sticks and (known.lost_share > 0 or known.lost_from_s is not None),
         f"a mass or thrust other than the model's ({mass})": mass,
-        "a motor lag other than assumed" if assumed_s else "motor lag": not by_sticks and lag_s != assumed_s,
-        f"a delay other than assumed (delay_s {exact(delay_s)})" if known_s else "delay": late,
+        "a motor lag other than assumed": not by_sticks and lag_s != assumed_s,
+        f"a delay other than assumed (delay_s {exact(delay_s)})": late,
         f"a rate loop other than the model's ({gain})": gain
         if table.interface in ("sticks", "body-rates")
         else "",

@@ -443,6 +443,7 @@ def log_of(run):
         interface=scene.vehicle.interface,
         filters=list(scene.safety.filters),
         radii_m=[],
+        radius_m=run.world.radius_m,
         hulls=run.world.hulls,
         scene=None,
         sigma=run.world.sigma,
@@ -543,7 +544,11 @@ def test_samples_hold_the_least_distance_since_the_one_before(ticks, rate_hz, fi
     flown = {name: rng.normal(size=(ticks + (name == "state"), size)) for name, size in shapes.items()}
     flown |= {"obstacle": np.empty((ticks, 0, 3)), "track": np.empty((ticks, 0, 3)), "fence": log}
     flown |= {"status": np.zeros((ticks, 1), np.uint8), "flags": np.zeros((ticks, 1), np.uint8)}
-    flight = WorldFlight.of(3, flown | {"mark": np.zeros(ticks)}, 0.0025, rate_hz, filter_ticks)
+    more = {"u_nominal": 4, "a_command": 3, "rotor_thrust": 4, "gate_m": 1}
+    flown |= {name: np.zeros((ticks, size)) for name, size in more.items()}
+    flown |= {name: np.zeros((ticks, 1), int) for name in ("active", "candidates", "rows", "iterations")}
+    flown |= {"a_error": np.zeros(ticks), "mark": np.zeros(ticks, np.uint8)}
+    flight = WorldFlight.of(3, flown, 0.0025, rate_hz, filter_ticks)
     sample = np.frombuffer(flight.tick, np.int64)
     assert sample[0] == 0
     assert sample[-1] == ticks  # the end of the flight

@@ -51,8 +51,8 @@ def test_a_run_does_not_depend_on_jobs(name):
     assert one.trials == many.trials
     assert one.summary == many.summary
     assert one.flights == many.flights
-    assert (one.run.tick_s > 0).all()
-    assert len(one.run.tick_s) == one.summary["steps"]
+    assert one.run.tick_times.quantile(1e-9) > 0
+    assert one.run.tick_times.calls == one.summary["steps"]
 
 
 def test_the_judge_measures_the_path_that_was_flown():
@@ -199,7 +199,7 @@ def test_a_filter_from_another_package_flies(others):
     assert result.summary["filter_kind"] == "python filter"
     assert result.summary["filtered_steps"] == result.summary["steps"] > 0
     assert all(t.min_margin == 0.5 for t in result.trials)
-    assert (result.run.filter_s > 0).all()
+    assert result.run.filter_times.quantile(1e-9) > 0
     with pytest.raises(UsageError, match="cannot be loaded from elsewhere:absent"):
         quick("absent")
     with pytest.raises(UsageError, match="no filter is called 'nome'; known: none, polytope-cbf, cone-"):
