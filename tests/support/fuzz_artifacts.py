@@ -626,13 +626,13 @@ def preload() -> None:
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
         *("alula.stages.simulation.hulls.simulate", "alula.stages.simulation.ellipsoids.simulate"),
         *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
-        *("alula.cli.simulate.geofence", "alula.cli.simulate.encounters", "alula.stages.reporting.tables"),
+        *("alula.cli.simulate.geofence", "alula.cli.simulate.world", "alula.stages.reporting.tables"),
         *(
             "alula.stages.alignment.transforms",
             "alula.stages.alignment.nerfstudio",
             "alula.stages.alignment.colmap",
         ),
-        *("alula.stages.simulation.geofence.simulate", "alula.stages.simulation.encounters.simulate"),
+        *("alula.stages.simulation.geofence.simulate", "alula.stages.simulation.world.simulate"),
     ):
         importlib.import_module(name)
 

@@ -297,7 +297,6 @@ def prepare(
             known.sensor,
             known.tracker,
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
-            where="estimation.",
         ),
         watcher=watcher(full, told),
     )
