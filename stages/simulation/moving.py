@@ -22,7 +22,6 @@ def moving_spec(
     tracker: TrackerTable,
     *,
     yaw_rate_rad_s: float,
-    where: str = "",
 ) -> _core.MovingSpec:
     """Make the native obstacles with the sensor that detects them and the tracker.
 
@@ -31,23 +30,22 @@ def moving_spec(
         sensor: of the vehicle.
         tracker: that makes tracks of its detections.
         yaw_rate_rad_s: maximum rate at which the sensor turns [rad/s].
-        where: path of the tables in the scenario, for messages.
 
     Raises:
         UsageError: values are inconsistent; the message has the path of their key.
     """
     detector = {key: getattr(sensor, key) for key in SensorTable.__struct_fields__}
-    options = _made(_core.TrackerOptions, msgspec.structs.asdict(tracker), f"{where}tracker")
-    _made(_core.Tracker, {"options": options}, f"{where}tracker")  # its constructor checks the options
+    options = _made(_core.TrackerOptions, msgspec.structs.asdict(tracker), "estimation.tracker")
+    _made(_core.Tracker, {"options": options}, "estimation.tracker")  # its constructor checks the options
     try:
         return _core.MovingSpec(
             obstacles=[_obstacle(i, table) for i, table in enumerate(obstacles)],
-            radar=_made(_core.RadarOptions, detector, f"{where}sensor"),
+            radar=_made(_core.RadarOptions, detector, "estimation.sensor"),
             tracker=options,
             yaw_rate_rad_s=yaw_rate_rad_s,
         )
     except ValueError as error:
-        raise UsageError(f"`$.{where}sensor`: {error}") from error
+        raise UsageError(f"`$.estimation.sensor`: {error}") from error
 
 
 def obstacle_results(log: dict[str, Any], reach_m: Sequence[float]) -> list[ObstacleResult]:
@@ -74,7 +72,7 @@ def _obstacle(index: int, table: ObstacleTable) -> _core.ObstacleSpec:
         values[key] = interval(values[key])
     values |= {"kind": values.pop("motion"), "way_points": list(values.pop("way_points_m"))}
     values |= {"is_relative": position is None, "position": position or (0.0, 0.0, 0.0)}
-    made: _core.ObstacleSpec = _made(_core.ObstacleSpec, values, f"obstacles[{index}]")
+    made: _core.ObstacleSpec = _made(_core.ObstacleSpec, values, f"world.moving[{index}]")
     return made
 
 

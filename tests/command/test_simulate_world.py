@@ -210,15 +210,15 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     short = ["--trials", "20", "--set", "rules.max_time_s=0.1"]
     assert run([*WORDS[:3], "whole.run.mcap", *short, "-q"]) == 0
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
-    flown = stage._flown
+    flown = stage.fly_chunk
 
-    def stopping(ready, first, *others):
-        if first:
+    def stopping(ready, jobs, chunk):
+        if chunk.first:
             raise KeyboardInterrupt
-        return flown(ready, first, *others)
+        return flown(ready, jobs, chunk)
 
     with monkeypatch.context() as patched:
-        patched.setattr(stage, "_flown", stopping)
+        patched.setattr(stage, "fly_chunk", stopping)
         assert run([*WORDS, *short]) == 130
     assert "the same command continues from r.run.mcap.journal, 16 trials" in capsys.readouterr().err
     assert not Path("r.run.mcap").exists()

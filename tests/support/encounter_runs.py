@@ -49,9 +49,11 @@ def trial(index, obstacles, risk=0.0, clearance=None, spent=0.75):
 
 
 def flown(scenario, variant, trials, mean_s=1e-5, **parameters):
-    tree = {"run": {"dt_s": 0.01}, "filter": {"parameters": {"trigger": "cvar"}}, "sensor": {}}
+    tree = {"rules": {"dt_s": 0.01}, "safety": {"dr-acbf": {"trigger": "cvar"}}, "estimation": {"sensor": {}}}
     for key, value in parameters.items():
         *parents, last = key.split("__")
+        if parents[0] == "safety":
+            parents[1] = parents[1].replace("_", "-")
         at = tree
         for name in parents:
             at = at.setdefault(name, {})

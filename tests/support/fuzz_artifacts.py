@@ -628,13 +628,13 @@ def preload() -> None:
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
         *("alula.stages.simulation.world.simulate", "alula.stages.simulation.ellipsoids.simulate"),
         *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
-        *("alula.cli.simulate.world", "alula.cli.simulate.encounters", "alula.stages.reporting.tables"),
+        *("alula.cli.simulate", "alula.cli.sources", "alula.stages.reporting.tables"),
         *(
             "alula.stages.alignment.transforms",
             "alula.stages.alignment.nerfstudio",
             "alula.stages.alignment.colmap",
         ),
-        *("alula.stages.simulation.world.simulate", "alula.stages.simulation.encounters.simulate"),
+        *("alula.stages.simulation.world.simulate", "alula.stages.simulation.world.summary"),
     ):
         importlib.import_module(name)
 

@@ -339,7 +339,6 @@ def prepare(
             known.sensor,
             known.tracker,
             yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
-            where="estimation.",
         ),
         fence=judging,
         watcher=watcher(full, told),

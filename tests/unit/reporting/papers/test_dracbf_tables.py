@@ -77,11 +77,11 @@ def test_a_choice_is_named_by_what_it_changes():
         "sensitivity-1",
         "jerk-20",
         [trial(i, [met(hit=True), met()]) for i in range(40)],
-        vehicle__j_max_m_s3=20.0,
+        vehicle__max_jerk_m_s3=20.0,
     )
     table = dracbf.sensitivity_table([base, worse], "sensitivity-1")
     row = row_of(table, "jerk-20")
-    assert row["changed"] == "vehicle.j_max_m_s3 20"
+    assert row["changed"] == "vehicle.max_jerk_m_s3 20"
     assert (row["runs [%]"], row["against the first row"]) == (0, "apart")
     assert row_of(table, "dr-acbf")["changed"] == "as specified"
 
@@ -110,13 +110,13 @@ def condition(trigger, delay, hits, always=None):
         "collapse",
         f"{trigger}_{delay}",
         [trial(i, [met(hit=i < hits)]) for i in range(10)],
-        filter__parameters__trigger=trigger,
-        filter__parameters__rows_before_warning=trigger == "cvar" if always is None else always,
-        sensor__delay_s=delay,
+        safety__dr_acbf__trigger=trigger,
+        safety__dr_acbf__rows_before_warning=trigger == "cvar" if always is None else always,
+        estimation__sensor__delay_s=delay,
         vehicle__actuation_delay_s=0.3,
-        sensor__noise_scale=2.0,
-        sensor__rate_hz=20.0,
-        sensor__detection_probability=0.95,
+        estimation__sensor__noise_scale=2.0,
+        estimation__sensor__rate_hz=20.0,
+        estimation__sensor__detection_probability=0.95,
     )
 
 

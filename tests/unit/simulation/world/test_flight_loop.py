@@ -3,21 +3,21 @@
 import json
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
 from alula import _core
-from alula.schemas.encounters import Encounters, ObstacleTable
+from alula.schemas.encounters import ObstacleTable, SensorTable, TrackerTable
+from alula.schemas.filter_options import MovingFilterParameters
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.schemas.vehicles import VEHICLES
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry
+from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.encounters.world import filter_options
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
@@ -209,19 +209,15 @@ BALLS = (
 
 
 def among_balls():
-    scenario = Encounters(obstacles=BALLS)
-    sensor = msgspec.structs.replace(scenario.sensor, kind="mocap", rate_hz=100.0, position_sigma_m=0.002)
-    tracker = msgspec.structs.replace(scenario.tracker, confirm_hits=2, confirm_scans=3)
+    sensor = SensorTable(kind="mocap", rate_hz=100.0, position_sigma_m=0.002)
+    tracker = TrackerTable(confirm_hits=2, confirm_scans=3)
     return moving_spec(BALLS, sensor, tracker, yaw_rate_rad_s=1.0)
 
 
 def avoiding():
-    scenario = Encounters()
-    scenario = msgspec.structs.replace(
-        scenario, filter=msgspec.structs.replace(scenario.filter, name="dr-acbf")
-    )
     limits = {"max_speed_m_s": 3.0, "max_acceleration_m_s2": 4.0, "radius_m": 0.15}
-    native = _core.moving_filter("dr_acbf", filter_options(scenario))
+    world = FilterWorld(radius_m=0.15, max_speed_m_s=12.0, max_acceleration_m_s2=6.0, max_jerk_m_s3=60.0)
+    native = _core.moving_filter("dr_acbf", moving_options(world, MovingFilterParameters()))
     return _core.MovingSafety(native, _core.EllipsoidMap(INDEX), **limits)
 
 
