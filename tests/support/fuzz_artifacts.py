@@ -624,7 +624,7 @@ def preload() -> None:
         *("alula.stages.reporting.figures", "alula.stages.reporting.view3d", "alula.stages.reporting.page"),
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
-        *("alula.stages.simulation.hulls.simulate", "alula.stages.simulation.ellipsoids.simulate"),
+        *("alula.stages.simulation.hulls.simulate", "alula.stages.simulation.world.simulate"),
         *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
         *("alula.cli.simulate.geofence", "alula.cli.simulate.encounters", "alula.stages.reporting.tables"),
         *(
