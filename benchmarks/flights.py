@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -21,13 +20,15 @@ from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown, fly
 from alula.stages.simulation.pairs import central_box, sample_pairs
 from alula.stages.vehicles.bodies import plant_options, quadrotor, tracking_gains
 
 CONFIDENCE, RADIUS_M, SPEED_M_S, DT_S = 0.99, 0.12, 3.1, 0.01
 _MARGIN_M, _SEPARATION = 0.05, 0.3  # of starts and goals, as in `simulate`
 _ROOM_M = 20.0
+_STOP_FRACTION, _STOP_FLOOR_M, _TIME_FACTOR = 0.01, 0.05, 3.0  # of the ends of flights, as in `simulate`
+
+Flown = dict[str, Any]  # native log
 
 # Name of the figures, filter, parameters that are not the default.
 FLOWN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
@@ -59,9 +60,8 @@ class Arena:
     scene_s: float
     index_s: float
     world: FilterWorld
-    vehicle: _core.FlightVehicle
-    rules: _core.FlightRules
-    references: list[_core.ReferenceCurve]
+    spec: _core.SimulationSpec
+    tasks: list[_core.Task]
 
     def filter(self, name: str, parameters: Mapping[str, Any]) -> NativeFilter:
         """Make a filter for this room."""
@@ -69,9 +69,9 @@ class Arena:
         assert isinstance(made, NativeFilter)
         return made
 
-    def fly(self, safety_filter: NativeFilter, pairs: int | None = None) -> list[SplatFlown]:
+    def fly(self, safety_filter: NativeFilter, pairs: int | None = None) -> list[Flown]:
         """Fly all pairs, or the first `pairs`, on one thread."""
-        return fly(safety_filter, self.vehicle, self.references[:pairs], self.rules, jobs=1)
+        return _core.simulate(self.spec, self.tasks[:pairs], [safety_filter.native], jobs=1)
 
 
 def arena(gaussians: int, pairs: int, seed: int) -> Arena:
@@ -105,20 +105,29 @@ def arena(gaussians: int, pairs: int, seed: int) -> Arena:
         scene_s=made - start,
         index_s=built - before,
         world=FilterWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=DT_S),
-        vehicle=_core.FlightVehicle(body, gains, plant_options(FASTBRIDGE)),
-        rules=_core.FlightRules(
-            dt_s=DT_S,
-            lower=tuple((mean.min(axis=0) - _ROOM_M).tolist()),
-            upper=tuple((mean.max(axis=0) + _ROOM_M).tolist()),
+        spec=_core.SimulationSpec(
+            _core.VehicleSpec(body, gains=gains, plant=plant_options(FASTBRIDGE)),
+            options=_core.FlightOptions(dt_s=DT_S),
+            rules=_core.SimulationRules(
+                lower=tuple((mean.min(axis=0) - _ROOM_M).tolist()),
+                upper=tuple((mean.max(axis=0) + _ROOM_M).tolist()),
+            ),
         ),
-        references=[
-            _core.ReferenceCurve(
-                *rest_to_rest(
-                    start, goal, SPEED_M_S, yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0])
-                )
-            )
-            for start, goal in zip(drawn.start, drawn.goal, strict=True)
-        ],
+        tasks=[_task(start, goal) for start, goal in zip(drawn.start, drawn.goal, strict=True)],
+    )
+
+
+def _task(start: FloatArray, goal: FloatArray) -> _core.Task:
+    """A straight septic from rest to rest."""
+    yaw = math.atan2(goal[1] - start[1], goal[0] - start[0])
+    curve = _core.ReferenceCurve(*rest_to_rest(start, goal, SPEED_M_S, yaw_rad=yaw))
+    state = np.zeros(12)
+    state[:3], state[5] = start, math.tan(yaw / 4)
+    return _core.Task(
+        state,
+        _core.Mission.along(curve),
+        max_time_s=_TIME_FACTOR * curve.duration_s,
+        stop_distance_m=max(_STOP_FRACTION * math.dist(start, goal), _STOP_FLOOR_M),
     )
 
 
@@ -126,7 +135,7 @@ def arena(gaussians: int, pairs: int, seed: int) -> Arena:
 class Timed:
     """The repeated flights of one filter, and the times of all ticks, shape (repeats, ticks) [s]."""
 
-    flights: list[SplatFlown]
+    flights: list[Flown]
     filter_s: FloatArray
     tick_s: FloatArray
     differs: bool = False  # whether a repetition differed, which must not happen
@@ -135,7 +144,7 @@ class Timed:
         """Percentiles [us] over all repetitions, and `best`: over the minimum of each tick."""
         found: dict[str, float] = {
             f"{name}_flights": len(self.flights),
-            f"{name}_reached": sum(flown.outcome == "reached" for flown in self.flights),
+            f"{name}_reached": sum(flown["end"] == "reached" for flown in self.flights),
             f"{name}_ticks": self.filter_s.shape[1],
         }
         for kind, seconds in ((name, self.filter_s), (f"{name}_tick", self.tick_s)):
@@ -155,7 +164,7 @@ def fly_all(room: Arena, repeats: int) -> dict[str, Timed]:
     for _ in range(repeats):
         for name, safety_filter in filters.items():
             flights = room.fly(safety_filter)
-            seconds = [np.concatenate([getattr(f, part) for f in flights]) for part in ("filter_s", "tick_s")]
+            seconds = [np.concatenate([f[part].ravel() for f in flights]) for part in ("filter_s", "tick_s")]
             if name not in found:
                 found[name] = Timed(flights, *(part[None] for part in seconds))
                 continue
@@ -168,10 +177,9 @@ def fly_all(room: Arena, repeats: int) -> dict[str, Timed]:
     return found
 
 
-def _is_same(a: SplatFlown, b: SplatFlown) -> bool:
-    measured = ("filter_s", "tick_s")
-    names = [field.name for field in dataclasses.fields(a) if field.name not in measured]
-    return all(np.array_equal(getattr(a, name), getattr(b, name), equal_nan=False) for name in names)
+def _is_same(a: Flown, b: Flown) -> bool:
+    names = ("end", "path", "state", "command", "nominal", "margin", "status", "flags", "rows", "iterations")
+    return all(np.array_equal(a[name], b[name]) for name in names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,11 +190,11 @@ class Replay:
     acceleration: FloatArray
 
     @classmethod
-    def of(cls, flights: Sequence[SplatFlown]) -> Replay:
+    def of(cls, flights: Sequence[Flown]) -> Replay:
         """Collect all ticks of some flights."""
         return cls(
-            np.concatenate([flown.state[:-1] for flown in flights]),
-            np.concatenate([flown.a_nominal for flown in flights]),
+            np.concatenate([flown["state"][:-1] for flown in flights]),
+            np.concatenate([flown["nominal"] for flown in flights]),
         )
 
     def spread(self, count: int, seed: int) -> Replay:

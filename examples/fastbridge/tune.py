@@ -21,9 +21,9 @@ from typing import Any
 from scipy.stats import qmc
 
 from alula.schemas.artifact import Artifact, read_artifact
-from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
+from alula.schemas.world import decoded
+from alula.stages.simulation.world.simulate import simulate_world
 
 ROOM_SPEED_M_S, TILE_SPEED_M_S = 4.1, 3.1
 PRINTED = {"return_time": 0.0, "min_speed_m_s": 0.0, "release_rad_s": 0.0, "shield": False}
@@ -89,16 +89,14 @@ def fly(method: str, gains: Gains, places: Sequence[Place], seed: int) -> tuple[
     """Count flights, collisions and goals over all places; last the mean integrated jerk [m/s^2]."""
     flown = []
     for scene, level, pairs, speed, trials in places:
-        config = SimulateConfig(
-            filter=METHODS[method][0],
-            filter_parameters=parameters_of(method, gains),
-            speed_m_s=speed,
-            trials=trials,
-            pairs=pairs,
-            seed=seed,
-            **level,
-        )
-        flown += simulate_splat(config, scene, FASTBRIDGE, jobs=0).trials
+        name = METHODS[method][0]
+        tree = {
+            "world": {"scene": "scene"} | level,
+            "mission": {"speed_m_s": speed, "which": pairs},
+            "safety": {"filters": [name], name: parameters_of(method, gains)},
+            "rules": {"trials": trials, "seed": seed, "logged": 0},
+        }
+        flown += simulate_world(decoded(tree, method), FASTBRIDGE, scene=scene).trials
     reached = sum(t.outcome == "reached" and not t.collision for t in flown)
     jerk = sum(t.mean_jerk_m_s3 * t.duration_s for t in flown) / len(flown)
     return len(flown), sum(t.collision for t in flown), reached, jerk

@@ -20,17 +20,16 @@ import numpy as np
 from alula import _core
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import write_text
-from alula.schemas.configs.simulate import SimulateConfig
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.vehicles import VEHICLES
+from alula.schemas.world import decoded
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.measure import half_spaces
 from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.reporting.papers.polymerge_flights import COACD, OURS, RULE, SAFER, Flights
-from alula.stages.simulation.ellipsoids.simulate import simulate_splat
 from alula.stages.simulation.pairs import Pairs, central_box, sample_pairs
-from alula.stages.vehicles.bodies import quadrotor
+from alula.stages.simulation.world.simulate import simulate_world
 
 RADIUS_M, MARGIN_M, SEPARATION, GAIN, BETA, KAPPA = 0.1, 0.05, 0.3, 2.0, 2.0, 100.0
 RATES_HZ = {10: 500.0, 30: 250.0, 50: 250.0, 100: 500 / 3, 150: 125.0}
@@ -165,21 +164,27 @@ class Scene:
 
     def among(self, method: str, speed_m_s: float, gains: dict[str, float]) -> Flights:
         """Fly all pairs among the ellipsoids, as a double integrator behind safer-splat."""
-        config = SimulateConfig(
-            filter="safer-splat",
-            plant="double-integrator",
-            radius_m=RADIUS_M,
-            inflation_m=0.0,
-            speed_m_s=speed_m_s,
-            filter_parameters=gains,
-            max_time_s=5 * self.diagonal_m / speed_m_s + 10,
+        count = len(self.pairs.start)
+        tree = {
+            "vehicle": {"radius_m": RADIUS_M, "max_acceleration_m_s2": math.inf},
+            "world": {"scene": "scene", "inflation_m": 0.0},
+            "mission": {"speed_m_s": speed_m_s},
+            "safety": {"filters": ["safer-splat"], "safer-splat": gains},
+            "rules": {
+                "trials": count,
+                "max_time_s": 5 * self.diagonal_m / speed_m_s + 10,
+                "logged": 0,
+            },
+        }
+        scenario = decoded(tree, method)
+        run = simulate_world(
+            scenario, VEHICLES["double-integrator"], scene=self.scene, pairs=self.pairs, jobs=1
         )
-        run = simulate_splat(config, self.scene, FASTBRIDGE, given=self.pairs, jobs=1)
         return Flights(
             scene=self.name,
             method=method,
             hulls=None,
-            rate_hz=1 / config.dt_s,
+            rate_hz=1 / scenario.rules.dt_s,
             reached=tuple(t.outcome == "reached" for t in run.trials),
             distance_m=tuple(
                 math.inf if t.scene_clearance_m is None else t.scene_clearance_m + RADIUS_M

@@ -626,7 +626,7 @@ def preload() -> None:
         *("alula.stages.reporting.figures", "alula.stages.reporting.view3d", "alula.stages.reporting.page"),
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
-        *("alula.stages.simulation.world.simulate", "alula.stages.simulation.ellipsoids.simulate"),
+        "alula.stages.simulation.world.simulate",
         *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
         *("alula.cli.simulate", "alula.cli.sources", "alula.stages.reporting.tables"),
         *(
@@ -634,7 +634,7 @@ def preload() -> None:
             "alula.stages.alignment.nerfstudio",
             "alula.stages.alignment.colmap",
         ),
-        *("alula.stages.simulation.world.simulate", "alula.stages.simulation.world.summary"),
+        "alula.stages.simulation.world.summary",
     ):
         importlib.import_module(name)
 

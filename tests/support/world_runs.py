@@ -4,16 +4,21 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import msgspec
+
 from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.vehicle import FASTBRIDGE, LimitsTable, Vehicle
+from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import WorldScenario, decoded
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.simulate import WorldRun, simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
 
+IDEAL_POINT = msgspec.structs.replace(VEHICLES["double-integrator"], limits=LimitsTable())
+"""A double integrator without limits."""
 _TABLES = {
     "vehicle": ("radius_m", "interface", "rate_gain_scale", "mass_scale"),
     "world": ("sigma", "inflation_m", "onboard"),

@@ -6,7 +6,6 @@ import pytest
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.vehicles import VEHICLES
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, GUIDES, parameters_of
 from alula.stages.filtering.protocol import FilterWorld
@@ -15,7 +14,7 @@ from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.fabricate import make_scene
 from support.foreign_filters import Passing
 from support.reference_flights import along, vehicle_of
-from support.world_runs import flown
+from support.world_runs import IDEAL_POINT, flown
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE, 1.0)
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
@@ -121,7 +120,7 @@ def test_a_guide_alone_flies_a_double_integrator_as_the_filter_would():
     (passed,) = fly("double-integrator", guide, Passing())
     np.testing.assert_array_equal(guided["state"], passed["state"])
     np.testing.assert_array_equal(guided["a_command"], passed["a_command"])
-    fast = {"vehicle": VEHICLES["double-integrator"], "speed_m_s": 3.0, "max_time_s": None}
+    fast = {"vehicle": IDEAL_POINT, "speed_m_s": 3.0, "max_time_s": None}
     alone, filtered = quick((), **fast), quick("cone-di", guide="none", **fast)
     for one, other in zip(alone.flights, filtered.flights, strict=True):
         assert one.state == other.state
@@ -144,7 +143,7 @@ def test_a_guided_run_does_not_depend_on_jobs_and_says_who_guided():
     assert "The guide 'cone-di' only changes the nominal command" in one.guarantee.statement
     other = quick()
     assert other.trials != one.trials
-    point = quick((), vehicle=VEHICLES["double-integrator"])
+    point = quick((), vehicle=IDEAL_POINT)
     assert point.vehicle.endswith("double integrator, commanded by acceleration, guided by cone-di")
 
 

@@ -8,13 +8,12 @@ from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
-from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import decoded
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_summary
 from support.small_scenes import ball_scene, box_cover
-from support.world_runs import flown
+from support.world_runs import IDEAL_POINT, flown
 
 # Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
 SHELL = [
@@ -83,7 +82,7 @@ def test_references_among_ellipsoids_follow_the_plans():
     y, z = np.meshgrid(np.arange(0.1, 2.8, 0.2), np.arange(0.1, 2, 0.2))
     balls = np.column_stack([np.full(y.size, 4.1), y.ravel(), z.ravel()])
     scene, cover = ball_scene(balls, 0.1), box_cover(SHELL + WALL)
-    given = {"scene": scene, "pairs": pairs(), "vehicle": VEHICLES["double-integrator"], "trials": 5}
+    given = {"scene": scene, "pairs": pairs(), "vehicle": IDEAL_POINT, "trials": 5}
     given |= {"radius_m": 0.3, "speed_m_s": 1.0, "max_time_s": 40.0, "margin_m": 0.0}
     straight = flown(**given)
     assert straight.summary["collisions"] == 4

@@ -2,7 +2,6 @@
 
 import functools
 
-import msgspec
 import pytest
 
 from alula.cli.main import run
@@ -10,7 +9,6 @@ from alula.schemas.artifact import write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.vehicles import VEHICLES
 from alula.stages.clearance import clearance_to_hulls
 from alula.stages.compression.hulls import Hulls
 from support import world_runs
@@ -22,9 +20,6 @@ PILLARS = box_cover(
     + [((x, y, -10), (x + 3, y + 5, 40)) for x in (16, 32) for y in (-14, 2)]
 )
 AROUND = (0.0, -2.5, 0.5, 4.5, 2.5, 2.5)
-
-
-POINT = msgspec.structs.replace(VEHICLES["double-integrator"], body=FASTBRIDGE.body)
 
 
 def flown(name, parameters=None, **fields):
@@ -52,7 +47,7 @@ def test_certified_flights_steer_around_pillars(name):
 
 
 def test_an_ideal_double_integrator_behind_safer_splat_meets_no_hull():
-    result = flown("safer-splat", vehicle=POINT, max_time_s=20.0)
+    result = flown("safer-splat", vehicle=world_runs.IDEAL_POINT, max_time_s=20.0)
     assert result.summary["collisions"] == 0
     assert result.summary["reached"] >= reached_by_the_shield_alone() + 6
     assert result.guarantee.claims["hulls_clear"]
@@ -116,7 +111,7 @@ def test_the_command_flies_in_a_cover_alone(name, tmp_path):
     cover, out = tmp_path / "pillars.cover.npz", tmp_path / "flown.run.mcap"
     write_artifact(cover, PILLARS)
     words = ["simulate", str(cover), "-o", str(out), "--filter", name, "--trials", "2", "--speed", "1"]
-    assert run([*words, "--bounds", *map(str, AROUND)]) == 0
+    assert run([*words, "--set", f"mission.bounds_m={','.join(map(str, AROUND))}"]) == 0
     record = read_run(out)
     assert record.summary.get("certified_against") == (None if name == "safer-splat" else "hulls")
     assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)
@@ -124,5 +119,5 @@ def test_the_command_flies_in_a_cover_alone(name, tmp_path):
 
 def test_a_cover_that_has_grown_by_less_than_the_scene_suggests_is_kept_from_by_the_rest():
     """The radius of the rows is that of the shield."""
-    found = flown("safer-splat", trials=2, vehicle=POINT, radius_m=0.2, inflation_m=0.1)
+    found = flown("safer-splat", trials=2, vehicle=world_runs.IDEAL_POINT, radius_m=0.2, inflation_m=0.1)
     assert found.summary["min_map_clearance_m"] > 0.1 - 1e-3
