@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from alula.schemas.run import RunRecord
-    from alula.stages.simulation.result import RunResult
 
 
 def check_log_name(output: Path) -> None:
@@ -52,30 +51,3 @@ def write_run(
     with atomic_outputs(output, record_path(output)) as (log, beside):
         write_log(log)
         beside.write(text)
-
-
-def flight_timing(result: RunResult, dt_s: float) -> dict[str, Any]:
-    """Statistics of the measured times of the filter, and of whole ticks where they were measured.
-
-    Args:
-        result: the run, with its measured times [s].
-        dt_s: period of a tick [s]; longer ticks count as overruns.
-    """
-    import numpy as np
-
-    timing: dict[str, Any] = {}
-    if result.filter != "none":
-        timing |= {"filter_calls": len(result.filter_s)} | _spread("filter", result.filter_s)
-        timing["filter_total_s"] = float(result.filter_s.sum(dtype=np.float64))
-    if result.tick_s is not None:
-        timing |= {"ticks": len(result.tick_s)} | _spread("tick", result.tick_s)
-        timing["tick_mean_s"] = float(result.tick_s.mean(dtype=np.float64))
-        timing["overruns"] = int((result.tick_s > dt_s).sum())
-    return timing
-
-
-def _spread(what: str, seconds: Any) -> dict[str, float]:
-    import numpy as np
-
-    found = np.percentile(seconds, [50, 99, 100]).tolist()
-    return dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))

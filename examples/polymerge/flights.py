@@ -20,6 +20,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import write_text
+from alula.schemas.vehicle import FASTBRIDGE
 from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import decoded
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
@@ -30,6 +31,7 @@ from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.reporting.papers.polymerge_flights import COACD, OURS, RULE, SAFER, Flights
 from alula.stages.simulation.pairs import Pairs, central_box, sample_pairs
 from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.vehicles.bodies import quadrotor
 
 RADIUS_M, MARGIN_M, SEPARATION, GAIN, BETA, KAPPA = 0.1, 0.05, 0.3, 2.0, 2.0, 100.0
 RATES_HZ = {10: 500.0, 30: 250.0, 50: 250.0, 100: 500 / 3, 150: 125.0}

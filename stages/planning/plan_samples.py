@@ -24,7 +24,6 @@ class Reference:
 
 
 MOST_SAMPLES = 2_000_000
-NO_REFERENCE = Reference(np.empty((0, 3)), np.empty((0, 3)))
 
 
 def sample_plan(plan: Artifact, dt_s: float) -> Reference:

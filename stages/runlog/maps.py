@@ -38,16 +38,6 @@ def map_message(
     return scene_message(entity("map", frame) | shape)
 
 
-def walls_message(walls: Hulls | None, frame: str) -> dict[str, Any]:
-    """`foxglove.SceneUpdate` of static walls; empty without any.
-
-    Args:
-        walls: convex hulls.
-        frame: name of their frame.
-    """
-    return scene_message() if walls is None else scene_message(_hulls(walls, frame))
-
-
 def world_message(
     hulls: Hulls | None,
     scene: Artifact | None,

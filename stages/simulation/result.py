@@ -1,9 +1,8 @@
-"""Results of simulated flights: outcomes, samples for the log, and everything that a run's files hold."""
+"""Results of simulated flights: outcomes, and samples for the log."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import msgspec
@@ -11,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.manifest import Guarantee
 from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
 
 LOOP_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # native numbers, from 1
@@ -42,54 +39,11 @@ def logged_ticks(last: int, dt_s: float, rate_hz: float) -> IntArray:
     return np.append(np.arange(0, last, stride, dtype=np.int64), np.int64(last))
 
 
-@dataclass(frozen=True, slots=True)
-class SplatFlightLog:
-    """Samples of a flight among ellipsoids at the log's rate and at its end.
+class WorldFlight(msgspec.Struct, frozen=True, kw_only=True):
+    """Samples of a flight behind f filters, with n moving obstacles around it, at the log's rate.
 
-    `flown` has rows of `SplatFlown` by name, shape (T, ...). `state`, shape (T, 12), and `position`, shape
-    (T, 3), are those at the time. Rows of controller and filter are of the tick that begins then; in the last
-    sample, of the tick before.
-    """
-
-    time_s: FloatArray
-    position: FloatArray
-    state: FloatArray
-    flown: dict[str, NDArray[Any]]
-
-
-class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
-    """Samples of a trial at the log's rate: T rows of numbers, as bytes so that a journal can hold them.
-
-    `tick` has the number of the tick of each sample, int64; `status` the filter's, a byte for each.
-    """
-
-    _SHAPES: ClassVar[dict[str, tuple[int, ...]]]  # of a row, by name
-
-    trial: int
-    tick: bytes
-    status: bytes
-
-    def rows(self, name: str) -> FloatArray:
-        """Numbers of a field, shape (T, ...) as the class documents it.
-
-        Args:
-            name: of the field.
-        """
-        flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
-        return flat.reshape(len(self.status), *self._SHAPES[name])
-
-    def time_s(self, tick_s: float) -> FloatArray:
-        """Times of the samples, shape (T,) [s].
-
-        Args:
-            tick_s: duration of a tick [s].
-        """
-        return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
-
-
-class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
-    """Samples of a flight behind f filters, with n moving obstacles around it.
-
+    T rows of numbers, as bytes so that a journal can hold them. `tick` has the number of the tick of each
+    sample, int64; `status` that of the last filter, a byte for each.
     The samples end with the end of the flight: there `state` is of the end, all else of the tick before.
     `state` has position, attitude (MRP), velocity and rates, shape (T, 12); `estimate` what the filters got;
     `nominal` the mission's velocity or acceleration, shape (T, 3), and `u_nominal` its wrench, shape (T, 4);
@@ -106,13 +60,16 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
     shape (T, 1); `fence_status` a byte, the number of alula_geofence_status.
     """
 
-    _SHAPES = {
+    _SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {  # of a row, by name
         **{"state": (12,), "estimate": (12,), "nominal": (3,), "command": (11,), "sticks": (4,)},
         **{"u_nominal": (4,), "a_command": (3,), "a_error": (), "rotor_thrust": (4,)},
         **{"obstacles": (-1, 3), "tracks": (-1, 3), "margin": (-1,), "gate_m": (-1,), "counts": (-1, 4)},
         **{"figure": (-1,), "distance": (-1,)},
     }
 
+    trial: int
+    tick: bytes
+    status: bytes
     state: bytes
     estimate: bytes
     nominal: bytes
@@ -180,10 +137,13 @@ class WorldFlight(_StoredFlight, frozen=True, kw_only=True):
             **(_fence_samples(flown["fence"], sample // filter_ticks) if "fence" in flown else {}),
         )
 
-    def mode(self) -> NDArray[np.uint8]:
-        """Modes of the last filter, one among moving obstacles: 0 nominal, 1 avoid, 2 hover; shape (T,)."""
-        last: NDArray[np.uint8] = self.of_filters("each_flags")[:, -1] >> np.uint8(4)
-        return last
+    def time_s(self, tick_s: float) -> FloatArray:
+        """Times of the samples, shape (T,) [s].
+
+        Args:
+            tick_s: duration of a tick [s].
+        """
+        return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
     def of_filters(self, name: str) -> NDArray[np.uint8]:
         """Bytes of a field for each filter, shape (T, f).
@@ -216,30 +176,3 @@ def _fence_samples(log: dict[str, Any], at: IntArray) -> dict[str, bytes]:
         "distance": nearest.tobytes(),
         "fence_status": log["status"][at].tobytes(),
     }
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """Contents of a run's record and log; `filter_s` and `tick_s` are measured times, the rest is not.
-
-    Attributes:
-        filter: name of the filter.
-        vehicle: the vehicle in words.
-        trials: verdicts, in their order.
-        summary: numbers over all trials.
-        guarantee: statement and claims.
-        flights: samples for the log, in the order of `trials`.
-        map: the cover or the scene that was flown through.
-        filter_s: time of the filter per call, shape (C,) [s].
-        tick_s: time of controller and filter per tick, shape (S,) [s]; None where it was not measured.
-    """
-
-    filter: str
-    vehicle: str
-    trials: list[TrialResult]
-    summary: dict[str, Any]
-    guarantee: Guarantee
-    flights: Sequence[SplatFlightLog]
-    map: Artifact
-    filter_s: NDArray[np.float32]
-    tick_s: NDArray[np.float32] | None = None
