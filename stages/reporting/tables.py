@@ -163,7 +163,7 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
         "maximum realisation error [m/s²]": "peak_realisation_error_m_s2",
     }
     found: dict[str, Any] = {
-        "guide": run.record.provenance.parameters.get("guide"),
+        "guide": _guide(run),
         "level of the ellipsoids [σ]": summary.get("sigma"),
         "pairs with a blocked line": summary.get("blocked_pairs"),
         "steps with qp infeasible": sum(trial.infeasible_steps for trial in trials),
@@ -173,6 +173,14 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
     return found | {
         title: sum(_known(trials, key)) / steps if steps else None for title, key in counts.items()
     }
+
+
+def _guide(run: Run) -> Any:
+    """Name of the guide; in scenarios of version 2.0 it belongs to the mission."""
+    parameters = run.record.provenance.parameters
+    mission = parameters.get("mission")
+    controller = mission.get("controller") if isinstance(mission, dict) else None
+    return controller.get("guide") if isinstance(controller, dict) else parameters.get("guide")
 
 
 def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:

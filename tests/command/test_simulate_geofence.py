@@ -92,7 +92,7 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
     assert {key: summary[key] for key in golden} == pytest.approx(golden, rel=1e-3)
     found = record("wall.run.json")
     assert (found.name, found.filter) == ("wall at 100 km/h", "geofence")
-    assert found.vehicle == "racer7, quadrotor, by sticks, radius 0.25 m"
+    assert found.vehicle == ("racer7: quadrotor of 0.9 kg in a sphere of radius 0.25 m, commanded by sticks")
     assert found.timing["filter_calls"] == 2000
     assert {"filter_p50_s", "filter_p99_s", "filter_max_s", "overruns"} < found.timing.keys()
     trial = found.trials[0]
@@ -296,15 +296,15 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     monkeypatch.setattr(stage, "CHUNK", 4)
     assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
-    flown = stage._flown
+    flown = stage.fly_chunk
 
-    def stopping(ready, first, *others):
-        if first == 8:
+    def stopping(ready, jobs, chunk):
+        if chunk.first == 8:
             raise KeyboardInterrupt
-        return flown(ready, first, *others)
+        return flown(ready, jobs, chunk)
 
     with monkeypatch.context() as patched:
-        patched.setattr(stage, "_flown", stopping)
+        patched.setattr(stage, "fly_chunk", stopping)
         assert run([*WORDS, "--jobs", "1"]) == 130
     assert "the same command continues from r.run.mcap.journal, 8 trials" in capsys.readouterr().err
     assert not Path("r.run.mcap").exists()

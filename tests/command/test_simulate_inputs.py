@@ -41,8 +41,8 @@ def test_a_single_integrator_flies_among_hulls_with_the_limits_of_its_file(maps,
     assert not any(t.collision for t in record.trials)
     assert 0.69 < max(t.max_speed_m_s for t in record.trials) <= 0.7 + 1e-9
     parameters = record.provenance.parameters
-    assert (parameters["radius_m"], parameters["speed_m_s"]) == (0.15, 0.7)
-    assert parameters["vehicle"]["limits"]["max_speed_m_s"] == 0.7
+    assert parameters["vehicle_file"]["body"]["radius_m"] == 0.15
+    assert parameters["vehicle_file"]["limits"]["max_speed_m_s"] == 0.7
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "vehicle"]
     smaller = simulate(
         maps / "two.cover.npz",
@@ -59,7 +59,7 @@ def test_a_single_integrator_flies_among_hulls_with_the_limits_of_its_file(maps,
 def test_the_parameters_hold_the_whole_vehicle(maps, tmp_path):
     """A run can be flown again from its log: without a vehicle file, and with one that omits keys."""
     record = simulate(maps / "field.scene.npz", tmp_path / "a.run.mcap", "--filter", "none", *SCENE_WORDS)
-    recorded = record.provenance.parameters["vehicle"]
+    recorded = record.provenance.parameters["vehicle_file"]
     assert recorded == contents(FASTBRIDGE)
     assert recorded["body"]["gravity_m_s2"] == 9.81
     assert recorded["rates"] == {"max_rad_s": [10.0, 10.0, 4.0], "time_constant_s": 0.02}
@@ -98,7 +98,7 @@ def test_the_pairs_of_another_run_are_flown_again(maps, tmp_path, name, words):
     fewer = simulate(source, tmp_path / "few.run.mcap", *other, "--pairs-from", first, "--trials", 2)
     assert ends(fewer) == ends(record)[:2]
     assert [ref.role for ref in again.provenance.inputs] == sorted([name.split(".")[1], "pairs"])
-    assert not {"pairs", "bounds", "margin_m", "separation"} & again.provenance.parameters.keys()
+    assert again.provenance.parameters["mission"]["which"] == "any"  # as are all keys of random pairs
 
 
 def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
@@ -125,9 +125,12 @@ def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--trials", "4"], "--trials 4: the run of --pairs-from has 3"),
-        (["--set", "mission.which=blocked"], "--pairs is for random pairs; leave it out with --pairs-from"),
-        (["--set", "mission.margin_m=0.2"], "--margin is for random pairs"),
+        (["--trials", "4"], "`$.rules.trials`: 4, but the run of mission.pairs_from has 3"),
+        (
+            ["--set", "mission.which=blocked"],
+            "`$.mission.which` is for random pairs; leave it out with pairs_from",
+        ),
+        (["--set", "mission.margin_m=0.2"], "`$.mission.margin_m` is for random pairs"),
         (["--set", "world.inflation_m=1"], "closer to an obstacle than this run allows"),
     ],
 )
@@ -147,20 +150,24 @@ def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, messag
     ("words", "code", "message"),
     [
         (
-            ["COVER", "--vehicle", "QUADROTOR"],
+            ["COVER", "--vehicle", "QUADROTOR", "--filter", "cone-di"],
             2,
-            "is a quadrotor, which flies among the ellipsoids of a scene",
+            "`$.safety.filters`: cone-di needs ellipsoids; set world.scene",
         ),
         (
             ["COVER", "--vehicle", "DOT", "--speed", "2"],
             2,
-            "--speed 2: single-integrator flies at most 1 m/s",
+            "`$.mission.speed_m_s`: single-integrator flies at most 1 m/s",
         ),
-        (["SCENE", "--vehicle", "DOT", "--filter", "none"], 2, "which flies among the hulls of a cover"),
+        (
+            ["SCENE", "--vehicle", "DOT", "--filter", "cone-di"],
+            2,
+            "cone-di is for commands of acceleration, and single-integrator takes velocity",
+        ),
         (
             ["SCENE", "--filter", "none", "--set", "world.sigma=2", "--set", "world.confidence=0.9"],
             2,
-            "sets sigma: give one",
+            "`$.world.confidence` sets sigma; give one",
         ),
         (["BOTH"], 2, "`$.map.confidence`: sets sigma; give one of the two"),
         (["SCENE", "--filter", "none", "--pairs-from", "SCENE"], 3, "is not an MCAP log"),

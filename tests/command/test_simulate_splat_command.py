@@ -23,6 +23,7 @@ from support.paths import VEHICLES
 
 FAST = ["--trials", "2", "--speed", "2"]
 GUIDED = ["--filter", "cone-ecbf", "--set", "mission.controller.guide=cone-di"]
+DI = ["SCENE", "--filter", "cone-di", "--set"]
 LIGHT = ["--vehicle", str(VEHICLES / "crazyflie21.toml")]
 
 
@@ -68,9 +69,10 @@ def test_every_filter_flies_and_any_number_of_threads_writes_the_same_bytes(scen
     assert ("filter_p50_s" in timing) == (name != "none")
     assert (name == "cone-backup") <= (first.summary["certified_steps"] > 0)
     parameters = first.provenance.parameters
-    assert (parameters["speed_m_s"], parameters["plant"], parameters["radius_m"]) == (2.0, "quadrotor", 0.15)
-    assert "beta" not in parameters
-    assert bool(parameters["filter_parameters"]) == (name != "none")
+    assert (parameters["mission"]["speed_m_s"], parameters["vehicle"]["type"]) == (2.0, "fastbridge")
+    assert parameters["vehicle_file"]["model"] == "quadrotor"
+    assert parameters["vehicle_file"]["body"]["radius_m"] == 0.15
+    assert parameters["safety"]["filters"] == ([] if name == "none" else [name])
     for trial in first.trials:
         assert trial.reference_speed_m_s == pytest.approx(2, rel=1e-3)
         assert trial.peak_realisation_error_m_s2 >= 0
@@ -143,8 +145,10 @@ def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
         str(scene),
         "--filter",
         "cone-di",
-        "--plant",
+        "--vehicle",
         "double-integrator",
+        "--set",
+        "vehicle.max_acceleration_m_s2=1000",
     ]
     assert run([*words, "--set", "world.confidence=0.5", "-o", str(out), "-q"]) in (0, 4)
     record = read_run(out)
@@ -153,7 +157,7 @@ def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
     assert trial.goal_m == pytest.approx([3.0, 0.5, 1.0])
     assert trial.peak_realisation_error_m_s2 == 0
     assert record.summary["sigma"] == pytest.approx(1.5382, abs=1e-4)  # median of the chi law
-    assert record.provenance.parameters["sigma"] == record.summary["sigma"]
+    assert record.provenance.parameters["world"]["confidence"] == 0.5
     report = tmp_path / "report.html"
     assert run(["report", str(out), "-o", str(report), "-q"]) == 0
     tables = report.with_suffix(".md").read_text()
@@ -162,14 +166,17 @@ def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
     assert run(["info", str(out), "-q"]) == 0
 
 
-def test_a_cover_beside_a_scene_is_only_judged_against(scene, tmp_path):
+def test_a_cover_beside_a_scene_is_part_of_the_world(scene, tmp_path, capsys):
     cover, out = tmp_path / "c.cover.npz", tmp_path / "r.run.mcap"
     write_artifact(cover, make_cover([box((0, 0, 0), (120, 80, 60))]))
     words = ["simulate", str(cover), "--scene", str(scene), *FAST, "-o", str(out), "-q"]
+    assert run([*words, "--filter", "cone-backup", "--set", "mission.bounds_m=0,0,0,6,4,3"]) == 5
+    assert "no start and goal" in capsys.readouterr().err
+    write_artifact(cover, make_cover([box((-90, -90, -90), (-80, -80, -80))]))
     assert run([*words, "--filter", "cone-backup"]) == 0
     record = read_run(out)
-    assert all(t.map_clearance_m < 0 for t in record.trials)
-    assert not any(t.collision for t in record.trials)
+    assert all(t.map_clearance_m > 0 < t.scene_clearance_m for t in record.trials)
+    assert record.guarantee.claims["certified_against"] == ["ellipsoids"]
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scene"]
 
 
@@ -183,37 +190,39 @@ def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
         '[filter]\nname = "cone-backup"\nparameters = { horizon_s = 1.0, nodes = 10 }\n'
         "[trials]\ncount = 2\nseed = 5\n[run]\nmax_time_s = 4\n"
     )
-    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=12", "-q"]) == 0
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "safety.cone-backup.nodes=12", "-q"]) == 0
     record = read_run(out)
     parameters = record.provenance.parameters
     assert (record.name, len(record.trials), record.provenance.seed) == ("mine", 2, 5)
-    assert (parameters["sigma"], parameters["radius_m"]) == (1.2, 0.1)
-    chosen = parameters["filter_parameters"]
+    assert (parameters["world"]["sigma"], parameters["vehicle"]["radius_m"]) == (1.2, 0.1)
+    chosen = parameters["safety"]["cone-backup"]
     assert (chosen["horizon_s"], chosen["nodes"], chosen["alpha_terminal"]) == (1.0, 12, 5.0)
     assert [ref.role for ref in record.provenance.inputs] == ["scenario", "scene", "vehicle"]
     assert all(t.duration_s <= 4 for t in record.trials)
     before = out.read_bytes()
-    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=12", "-q"]) == 0
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "safety.cone-backup.nodes=12", "-q"]) == 0
     assert out.read_bytes() == before
-    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=13", "-q"]) == 2
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "safety.cone-backup.nodes=13", "-q"]) == 2
 
 
 def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
     a, b, report = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap", tmp_path / "report.html"
     words = ["simulate", str(scene), *FAST, *GUIDED, "--set", "mission.which=blocked", "-q"]
-    for setting in ("guide.alpha=3", "guide.count=8", "lambda_=4", "solver=clarabel"):
+    guide = "mission.controller.guide_parameters"
+    for setting in (f"{guide}.alpha=3", f"{guide}.count=8"):
         words += ["--set", setting]
+    for setting in ("lambda_=4", "solver=clarabel"):
+        words += ["--set", f"safety.cone-ecbf.{setting}"]
     for path, jobs in ((a, "1"), (b, "2")):
         assert run([*words, "-o", str(path), "--jobs", jobs]) in (0, 4)
     assert a.read_bytes() == b.read_bytes()
     record = read_run(a)
     parameters, summary = record.provenance.parameters, record.summary
-    assert parameters["guide"] == "cone-di"
-    chosen = parameters["guide_parameters"]
-    assert (chosen["alpha"], chosen["count"], chosen["escape_rate"]) == (3.0, 8, 5.0)
-    assert (chosen["solver"], parameters["filter_parameters"]["solver"]) == ("active-set", "clarabel")
-    assert parameters["filter_parameters"]["lambda_"] == 4.0
-    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (1.0, "blocked")
+    controller, chosen = parameters["mission"]["controller"], parameters["safety"]["cone-ecbf"]
+    assert controller["guide"] == "cone-di"
+    assert controller["guide_parameters"] == {"alpha": 3, "count": 8}
+    assert (chosen["lambda_"], chosen["solver"]) == (4.0, "clarabel")
+    assert parameters["mission"]["which"] == "blocked"
     assert record.vehicle.endswith("guided by cone-di")
     assert "no proof depends on it" in record.guarantee.statement
     assert summary["blocked_pairs"] == 2 <= summary["sampled_pairs"]
@@ -241,13 +250,15 @@ def test_a_scenario_names_guide_pairs_and_solver(scene, tmp_path):
         'catch_up_m_s = 0.4\n[trials]\ncount = 1\npairs = "blocked"\n[run]\nmax_time_s = 2\n'
     )
     scenario.write_text(text)
-    words = ["simulate", str(scenario), "-o", str(out), "-q", "--set", "guide.beta=4"]
+    words = ["simulate", str(scenario), "-o", str(out), "-q"]
+    words += ["--set", "mission.controller.guide_parameters.beta=4"]
     assert run(words) in (0, 4)
     parameters = read_run(out).provenance.parameters
-    assert parameters["guide"] == "safer-splat"
-    assert (parameters["guide_parameters"]["alpha"], parameters["guide_parameters"]["beta"]) == (3.0, 4.0)
-    assert parameters["filter_parameters"]["solver"] == "interpolation"
-    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (0.4, "blocked")
+    controller = parameters["mission"]["controller"]
+    assert controller["guide"] == "safer-splat"
+    assert controller["guide_parameters"] == {"alpha": 3, "beta": 4}
+    assert parameters["safety"]["cone-backup"]["solver"] == "interpolation"
+    assert (controller["catch_up_m_s"], parameters["mission"]["which"]) == (0.4, "blocked")
     scenario.write_text(text.replace('guide = "safer-splat"\n', ""))
     assert run([*words, "-f"]) == 2
 
@@ -258,7 +269,7 @@ def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
     plan = write_plan(tmp_path / "p.plan.npz", (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
     words = ["simulate", str(plan), "--map", str(path), "-o", str(out)]
     assert run([*words, "--filter", "cone-di", "-q", "--set", "mission.allow_tight=true"]) == 4
-    assert "1 of 1 filtered flights collided" in capsys.readouterr().err
+    assert "1 of 1 filtered flights touched a static obstacle" in capsys.readouterr().err
     assert read_run(out).summary["collisions"] == 1
     assert run([*words, "--filter", "none", "-q", "-f"]) == 0
 
@@ -272,108 +283,84 @@ def unaligned(path):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["SCENE"], 2, "polytope-cbf needs a cover, for its hulls; in a scene --filter is cone-di, "),
+        (["SCENE", "--filter", "polytope-cbf"], 2, "`$.safety.filters`: polytope-cbf needs hulls"),
         (["SCENE", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf, cone-di"),
-        (["COVER", "--filter", "cone-di"], 2, "cone-di needs a scene, for its ellipsoids; add --scene"),
-        (["SCENE", "--filter", "cone-di", "--set", "alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
-        (["SCENE", "--filter", "cone-di", "--set", "alpha=nan"], 2, "--set alpha: 'nan' is not finite"),
-        (["SCENE", "--filter", "cone-di", "--set", "alpha=-1"], 2, "cone-di: "),
-        (["SCENE", "--filter", "cone-di", "--set", "alpha"], 2, "--set needs NAME=VALUE"),
-        (["SCENE", "--filter", "cone-backup", "--set", "policy=fly"], 2, "cone-backup: "),
-        (["SCENE", "--filter", "cone-backup", "--set", "weight=1,2"], 2, "weight must be 4 numbers"),
-        (["SCENE", "--filter", "none", "--set", "alpha=1"], 2, "the filter none has no parameters"),
-        (["COVER", "--set", "beta=1"], 2, "polytope-cbf has the options --beta"),
-        (["COVER", "--set", "world.sigma=2"], 2, "--sigma is for flights among the ellipsoids"),
         (
-            ["SCENE", "--filter", "cone-di", "--set", "safety.polytope-cbf.beta=2"],
+            ["COVER", "--filter", "cone-di"],
             2,
-            "--beta is for flights among the hulls",
+            "`$.safety.filters`: cone-di needs ellipsoids; set world.scene",
         ),
-        (
-            ["SCENE", "--filter", "none", "--set", "world.confidence=1"],
-            2,
-            "--confidence must be between 0 and 1",
-        ),
+        ([*DI, "safety.cone-di.alhpa=1"], 2, "unknown field `alhpa` - at `$.safety.cone-di`"),
+        ([*DI, "safety.cone-di.alpha=nan"], 2, "--set safety.cone-di.alpha: 'nan' is not finite"),
+        ([*DI, "safety.cone-di.alpha=-1"], 2, "at `$.safety.cone-di.alpha`"),
+        ([*DI, "alpha"], 2, "--set needs PATH=VALUE, not 'alpha'"),
+        ([*DI, "alpha=1"], 2, "--set alpha: needs the whole path of a key; is it safety.cone-di.alpha?"),
+        (["SCENE", "--set", "safety.cone-backup.policy=fly"], 2, "at `$.safety.cone-backup.policy`"),
+        (["SCENE", "--set", "safety.cone-backup.weight=1,2"], 2, "at `$.safety.cone-backup.weight`"),
+        (["COVER", "--set", "beta=1"], 2, "is it safety.polytope-cbf.beta or"),
+        (["SCENE", "--set", "world.confidence=1"], 2, "at `$.world.confidence`"),
         (["SCENE", "--filter", "none", "--speed", "nan"], 2, "is not finite"),
-        (["SCENE", "--filter", "cone-ecbf", "--vehicle", "double-integrator"], 2, "has no thrust and torque"),
+        (
+            ["SCENE", "--filter", "cone-ecbf", "--vehicle", "double-integrator"],
+            2,
+            "cone-ecbf is for commands of wrench",
+        ),
         (["SCENE", "--filter", "none", "--set", "vehicle.radius_m=9"], 5, "trial 0: no start and goal"),
         (["SCENE", "--map", "SCENE", "--filter", "none"], 2, "is a scene; --map"),
         (["SCENE", "--scene", "SCENE", "--filter", "none"], 2, "is a scene; --scene"),
         (["UNALIGNED", "--filter", "none"], 3, "not metres; run scale-align first"),
         (["absent.scene.npz", "--filter", "none"], 3, "does not exist"),
         (["COVER", "--scene", "absent.npz", "--filter", "cone-di"], 3, "cannot read"),
-        (["PLAN", "--map", "SCENE", "--filter", "none", "--speed", "1"], 2, "a plan has its own speed"),
-        (["PLAN", "--map", "SCENE", "--filter", "none", "--trials", "3"], 2, "a plan is flown once"),
-        (["PLAN", "--map", "VEHICLE", "--filter", "none"], 3, "is not an alula artifact"),
         (
-            ["ELSEWHERE", "--map", "SCENE", "--filter", "none"],
-            3,
-            "in the frame 'other', the scene in 'world'",
-        ),
-        (
-            ["SCENE", *GUIDED, "--set", "mission.controller.guide=nome"],
+            ["PLAN", "--map", "SCENE", "--filter", "none", "--trials", "3"],
             2,
-            "--guide nome: a guide is cone-di or safer-splat",
+            "all 3 flights would be the same",
         ),
+        (["PLAN", "--map", "VEHICLE", "--filter", "none"], 3, "is not an alula artifact"),
+        (["ELSEWHERE", "--map", "SCENE", "--filter", "none"], 3, "in frame 'world', the plan in 'other'"),
+        (["SCENE", *GUIDED, "--set", "mission.controller.guide=nome"], 2, "at `$.mission.controller.guide`"),
         (
             ["SCENE", *GUIDED, "--set", "mission.controller.guide=cone-backup"],
             2,
-            "cone-backup: a guide is cone-di or safer-splat",
-        ),
-        (["SCENE", *GUIDED, "--set", "guide.alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
-        (["SCENE", *GUIDED, "--set", "guide.alpha=-1"], 2, "cone-di: "),
-        (["SCENE", "--filter", "cone-ecbf", "--set", "guide.alpha=1"], 2, "guide.alpha: there is no --guide"),
-        (["SCENE", "--filter", "cone-di", "--set", "solver=osqp"], 2, "must be active-set or clarabel, not"),
-        (["SCENE", "--filter", "safer-splat", "--set", "solver=clarabel"], 2, "unknown parameter 'solver'"),
-        (
-            ["SCENE", "--filter", "none", "--set", "mission.which=blocked", "--set", "vehicle.radius_m=9"],
-            5,
-            "trial 0: no start and",
+            "at `$.mission.controller.guide`",
         ),
         (
-            ["PLAN", "--map", "SCENE", "--filter", "none", "--set", "mission.which=blocked"],
+            ["SCENE", *GUIDED, "--set", "mission.controller.guide_parameters.alhpa=1"],
             2,
-            "for random pairs; a plan",
+            "unknown parameter 'alhpa'; it has alpha",
         ),
-        (["COVER", "--set", "mission.which=blocked"], 2, "--pairs is for flights among the ellipsoids"),
+        (
+            ["SCENE", *GUIDED, "--set", "mission.controller.guide_parameters.alpha=-1"],
+            2,
+            "guide_parameters`: alpha must be above 0",
+        ),
+        ([*DI, "mission.controller.guide_parameters.alpha=1"], 2, "`$.mission.controller.guide_parameters`"),
+        ([*DI, "safety.cone-di.solver=osqp"], 2, "Invalid enum value 'osqp' - at `$.safety.cone-di.solver`"),
+        (["SCENE", "--set", "safety.safer-splat.solver=clarabel"], 2, "unknown field `solver`"),
+        (
+            ["PLAN", "--map", "SCENE", "--set", "mission.which=blocked"],
+            2,
+            "`$.mission.which` is for missions of kind pairs, and this one is plan",
+        ),
         (
             ["COVER", "--set", "mission.controller.guide=cone-di"],
             2,
-            "--guide is for flights among the ellipsoids",
-        ),
-        (["COVER", "--set", "guide.alpha=1"], 2, "--set guide.NAME is for flights among the ellipsoids"),
-        (
-            ["COVER", "--set", "mission.controller.catch_up_m_s=1"],
-            2,
-            "--catch-up is for flights among the ellipsoids",
+            "`$.mission.controller.guide`: cone-di changes accelerations, and the vehicle takes velocity",
         ),
         (
-            ["SCENE", "--filter", "none", "--set", "mission.controller.catch_up_m_s=0"],
+            ["SCENE", "--set", "mission.controller.catch_up_m_s=0"],
             2,
-            "--catch-up must be between",
+            "at `$.mission.controller.catch_up_m_s`",
         ),
         (["SCENE", "--vehicle", "BAD", "--filter", "none"], 2, "wings"),
         (["SCENE", "--vehicle", "absent.toml", "--filter", "none"], 3, "absent.toml: cannot read"),
         (
-            ["SCENE", "--vehicle", "POINT", "--filter", "none", "--plant", "quadrotor"],
+            ["SCENE", "--filter", "none", "--vehicle", "POINT", "--set", "vehicle.interface=body-rates"],
             2,
-            "--plant quadrotor: ",
+            "`$.vehicle.interface`: double-integrator is a double-integrator",
         ),
-        (
-            [
-                "SCENE",
-                "--filter",
-                "none",
-                "--vehicle",
-                "double-integrator",
-                "--set",
-                "vehicle.interface=body-rates",
-            ],
-            2,
-            "a double integrator is commanded by acceleration",
-        ),
-        (["SCENE", "--filter", "cone-di", "--set", "count=-1"], 2, "cone-di: count must be a whole number"),
-        (["SCENE", *LIGHT, "--filter", "cone-backup", "--set", "policy=hover"], 2, "they do not settle"),
+        ([*DI, "safety.cone-di.count=-1"], 2, "at `$.safety.cone-di.count`"),
+        (["SCENE", *LIGHT, "--set", "safety.cone-backup.policy=hover"], 2, "they do not settle"),
     ],
 )
 def test_errors_are_one_line_and_leave_nothing(
@@ -434,7 +421,7 @@ def test_a_scene_of_nothing_needs_bounds(tmp_path, capsys):
     write_artifact(path, empty)
     words = ["simulate", str(path), "--filter", "cone-backup", "--trials", "1", "-o", str(out), "-q"]
     assert run(words) == 2
-    assert "no Gaussians to take bounds from; give --bounds" in capsys.readouterr().err
+    assert "no obstacles to take bounds from; set mission.bounds_m" in capsys.readouterr().err
     assert run([*words, "--set", "mission.bounds_m=0,0,0,3,3,3"]) == 0
     (trial,) = read_run(out).trials
     assert (trial.outcome, trial.scene_clearance_m, trial.min_gamma) == ("reached", None, None)

@@ -85,7 +85,10 @@ def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     record = read_run(out)
     assert record.vehicle.endswith("commanded by thrust and body rates, with motor lag")
     assert "the model with a rate loop with a time constant of 0.02 s." in record.guarantee.statement
-    assert "These flights had motor lag, which that model leaves out." in record.guarantee.statement
+    assert (
+        "These flights had a motor lag other than assumed, which that model leaves out."
+        in record.guarantee.statement
+    )
     run([*words, "-o", str(out), "-q", "-f"])
     assert "leaves out" not in read_run(out).guarantee.statement
     run([*words[:-2], "-o", str(out), "-q", "-f"])

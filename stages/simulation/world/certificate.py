@@ -11,7 +11,7 @@ from alula.schemas.decimals import exact
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.filters.values import Options
 from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import level_words, mass_within
 from alula.stages.simulation.world.simulate import WorldRun, plant_steps_of
@@ -47,6 +47,7 @@ def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> 
         chain: claim of that name.
     """
     names, guide = run.scenario.safety.filters, run.scenario.mission.controller.guide
+    tracks = TRACKING.issuperset(names)
     if not names:
         words = UNFILTERED
     elif certifying(run):
@@ -55,11 +56,14 @@ def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> 
     elif any(name not in FILTERS for name in names):
         what = f"the filter {names[0]!r} guarantees" if len(names) == 1 else f"{_listed(names)} guarantee"
         words = f"alula does not check what {what}."
-    elif len(names) == 1 and FILTER_COMMANDS[names[0]] in ("acceleration", "wrench"):
+    elif len(names) == 1 and FILTER_COMMANDS[names[0]] in ("acceleration", "wrench") and not tracks:
         words = f"The filter {names[0]!r} bounds the rate of a barrier at each step; it proves no flight."
     else:
         verb = "decides" if len(names) == 1 else "decide"
-        words = f"{_listed(names)} {verb} tick by tick; nothing was guaranteed beforehand for this vehicle."
+        seen = "by what was tracked, " if tracks else ""
+        words = (
+            f"{_listed(names)} {verb} {seen}tick by tick; nothing was guaranteed beforehand for this vehicle."
+        )
     if guide != "none":
         words += f" The guide {guide!r} only changes the nominal command; no proof depends on it."
     return words

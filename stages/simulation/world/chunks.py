@@ -39,7 +39,7 @@ class RunParts:
 
     key: str
     scenario: WorldScenario = field(compare=False)
-    vehicle: Vehicle = field(compare=False)
+    vehicle: Vehicle | None = field(compare=False)
     cover: Artifact | None = field(compare=False)
     scene: Artifact | None = field(compare=False)
     plan: Artifact | None = field(compare=False)

@@ -164,7 +164,7 @@ class WorldJudge:
             **encounter_figures(flown, self.seen_by),
         )
 
-    def _motion(self, flown: dict[str, Any], path: FloatArray) -> dict[str, float]:
+    def _motion(self, flown: dict[str, Any], path: FloatArray) -> dict[str, Any]:
         """Length of the path and extremes of its derivatives; a point begins with its first command."""
         names = ("path_length_m", "max_speed_m_s", "max_acceleration_m_s2", "mean_jerk_m_s3", "max_jerk_m_s3")
         if not self.is_point:

@@ -163,6 +163,8 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
     table, guide = scenario.vehicle, scenario.mission.controller.guide
     sphere = f"sphere of radius {exact(table.radius_m or 0.0)} m"
     limit = table.max_speed_m_s
+    if vehicle.model == "single-integrator" and scenario.mission.kind != "plan":
+        limit = scenario.mission.speed_m_s or limit
     if vehicle.model == "quadrotor":
         assert vehicle.body.mass_kg is not None
         body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}"
