@@ -30,11 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.encounters import Encounters, read_encounters
+from alula.schemas.world import WorldScenario, read_world
+from alula.schemas.world_defaults import vehicle_of
+from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate
-from alula.stages.simulation.encounters.simulate import flight_logs, fly_encounters
-from alula.stages.simulation.encounters.world import filter_options
+from alula.stages.simulation.world.simulate import PreparedRun, prepare, simulate_world
 from alula.stages.verdict import wilson_interval
 
 FloatArray = NDArray[np.float64]
@@ -76,20 +77,30 @@ class Tick:
     is_active: bool
 
 
-def record(scenario: Encounters, count: int, seed: int) -> list[list[Tick]]:
+def record(scenario: WorldScenario, count: int, seed: int) -> list[list[Tick]]:
     """Record all ticks of some trials, flown with DR-ACBF.
 
     Positions of tracks are those of the flight. Velocities and covariances are not recorded: velocities are
     the true ones over ten ticks, covariances follow roughly from the sensor's noise at that distance.
     """
-    trials = msgspec.structs.replace(scenario.trials, seed=seed)
-    seeded = msgspec.structs.replace(scenario, trials=trials)
-    return [list(_ticks(log, scenario)) for log in flight_logs(seeded, None, 0, count, jobs=0)]
+    ready = prepared(scenario, trials=count, seed=seed)
+    return [list(_ticks(log, scenario)) for log in ready.fly(0, count)]
 
 
-def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
-    vehicle, tracks, sensor = log["state"], log["track"], scenario.sensor
-    back, dt = 10, scenario.run.dt_s
+def prepared(scenario: WorldScenario, **rules: int) -> PreparedRun:
+    """Make all parts of a run with other rules."""
+    changed = msgspec.structs.replace(scenario, rules=msgspec.structs.replace(scenario.rules, **rules))
+    return prepare(changed, vehicle_of(changed, SCENARIO.parent))
+
+
+def filter_options(scenario: WorldScenario) -> dict[str, float]:
+    """All options of the native filter."""
+    return moving_options(prepared(scenario, trials=1).told, scenario.safety.dr_acbf)
+
+
+def _ticks(log: dict[str, Any], scenario: WorldScenario) -> Iterator[Tick]:
+    vehicle, tracks, sensor = log["state"], log["track"], scenario.estimation.sensor
+    back, dt = 10, scenario.rules.dt_s
     for k in range(back, len(tracks)):
         rows = []
         for i in range(tracks.shape[1]):
@@ -99,7 +110,9 @@ def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
             velocity = (log["obstacle"][k, i] - log["obstacle"][k - back, i]) / (back * dt)
             across = float(np.linalg.norm(now - vehicle[k, :3])) * sensor.sigma_azimuth_rad
             variance = np.diag([*[0.25 * (sensor.sigma_range_m**2 + across**2)] * 3, *[0.25] * 3])
-            rows.append([i, *now, *velocity, *variance[np.tril_indices(6)], scenario.obstacles[i].radius_m])
+            rows.append(
+                [i, *now, *velocity, *variance[np.tril_indices(6)], scenario.world.moving[i].radius_m]
+            )
         yield Tick(
             position=vehicle[k, :3].tolist(),
             velocity=vehicle[k, 6:9].tolist(),
@@ -148,7 +161,7 @@ def backends() -> dict[str, Any]:
 
 
 def ticks_side_by_side(
-    scenario: Encounters, trials: list[list[Tick]], repeats: int, seconds: float
+    scenario: WorldScenario, trials: list[list[Tick]], repeats: int, seconds: float
 ) -> Figures:
     """Measure percentiles of every filter over the same active ticks, trial by trial in turns."""
     options = filter_options(scenario)
@@ -195,7 +208,7 @@ def saving(ours: list[float], theirs: list[float]) -> dict[str, float | None]:
     return {"value": 1 - found.value, "low": low, "high": high}
 
 
-def crowd(scenario: Encounters, obstacles: int, repeats: int, seed: int) -> float:
+def crowd(scenario: WorldScenario, obstacles: int, repeats: int, seed: int) -> float:
     """Median time of a tick with a warning among many approaching obstacles [us]."""
     rng = np.random.default_rng(seed)
     native = _core.moving_filter("dr_acbf", filter_options(scenario))
@@ -253,23 +266,23 @@ def _by_qp(programs: list[tuple[FloatArray, list[float]]], runs: int = 15) -> fl
     return float(np.median(took))
 
 
-def flights(scenario: Encounters, size: int, rounds: int, seconds: float) -> Figures:
+def flights(scenario: WorldScenario, size: int, rounds: int, seconds: float) -> Figures:
     """Measure trials per second with one and with two workers in turns, and the success of all trials."""
     wall = {1: 0.0, 2: 0.0}
     flown = 0
-    hits = np.zeros(len(scenario.obstacles), np.int64)
+    hits = np.zeros(len(scenario.world.moving), np.int64)
     good = 0
     end = time.perf_counter() + seconds
     for number in range(rounds):
         if number >= 2 and time.perf_counter() > end:
             break
         table = msgspec.structs.replace(
-            scenario.trials, count=size, seed=scenario.trials.seed + number, logged=0
+            scenario.rules, trials=size, seed=scenario.rules.seed + number, logged=0
         )
-        block = msgspec.structs.replace(scenario, trials=table)
+        block = msgspec.structs.replace(scenario, rules=table)
         for jobs in (1, 2) if number % 2 == 0 else (2, 1):
             start = time.perf_counter()
-            trials = fly_encounters(block, jobs=jobs).trials
+            trials = simulate_world(block, vehicle_of(block, SCENARIO.parent), jobs=jobs).trials
             wall[jobs] += time.perf_counter() - start
         flown += size
         good += sum(not trial.collision for trial in trials)
@@ -292,7 +305,7 @@ def flights(scenario: Encounters, size: int, rounds: int, seconds: float) -> Fig
 def run(options: argparse.Namespace) -> Figures:
     """Measure all figures."""
     start = time.perf_counter()
-    scenario = read_encounters(SCENARIO, {"trials.seed": options.seed})
+    scenario = read_world(SCENARIO, {"rules.seed": options.seed})
     recorded = record(scenario, options.recorded, options.seed)
     figures = ticks_side_by_side(scenario, recorded, options.repeats, options.tick_seconds)
     if options.ticks_only:

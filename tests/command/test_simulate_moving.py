@@ -1,6 +1,7 @@
 """`alula simulate` on scenarios with moving obstacles: results, what is recorded, interruption, refusals."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from alula.cli.main import run
 from alula.schemas.flights import read_flights
 from alula.schemas.journal import TRIALS, unpack
 from alula.schemas.manifest import producer
+from alula.schemas.mcap_log import messages
 from alula.schemas.run import RunRecord, read_run
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.world import simulate as stage
@@ -184,6 +186,28 @@ def test_flights_into_walls_fail_the_check(here, capsys):
     assert record().trials[0].map_clearance_m == pytest.approx(-0.65, abs=2e-3)
     assert run(["simulate", "wall.toml", "-o", "r.run.mcap", "-q", "-f", "--filter", "dr-acbf"]) == 0
     assert record().summary["min_map_clearance_m"] > 0
+
+
+def test_the_log_has_modes_obstacles_and_their_true_clearance(here):
+    words = ["--filter", "dr-acbf", "--trials", "2"]
+    assert run(["simulate", "small.toml", "-o", "r.run.mcap", "-q", *words]) == 0
+    with Path("r.run.mcap").open("rb") as file:
+        found = [
+            (topic, json.loads(data)) for topic, data in messages(file, ("/safety", "/state", "/obstacles"))
+        ]
+    safety, state, seen = (
+        [m for topic, m in found if topic == f"/{name}"] for name in ("safety", "state", "obstacles")
+    )
+    assert {message["mode_name"] for message in safety} >= {"nominal", "avoid"}
+    assert len(safety) == len(state) == len(seen) > 100
+    for answer, at, scene in zip(safety, state, seen, strict=True):
+        (ball,) = next(each for each in scene["entities"] if each["id"] == "obstacles")["spheres"]
+        apart = [ball["pose"]["position"][axis] - at["position_m"][axis] for axis in "xyz"]
+        assert answer["moving_clearance_m"] == pytest.approx(math.hypot(*apart) - 0.35, abs=1e-5)
+        assert answer["margin_unit"] == "of the filter's barrier"
+    flight = read_flights(Path("r.run.mcap")).by_trial[0]
+    assert flight.margin_unit == "m"
+    assert flight.margin.min() >= record().trials[0].moving_clearance_m - 1e-6
 
 
 def bare(path) -> RunRecord:

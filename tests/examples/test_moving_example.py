@@ -71,5 +71,5 @@ def test_every_table_is_made_from_runs_of_the_same_trials_and_only_once(tmp_path
     assert (first["variant"], first["obstacle 2 [%]"]) == ("none", "0.0")
     again = make(folder, *FEW)
     assert " simulate " not in again
-    changed = make(folder, *FEW, "VARIANT.hold-0.1=--set hold_s=0.15")
+    changed = make(folder, *FEW, "VARIANT.hold-0.1=--set safety.dr-acbf.hold_s=0.15")
     assert changed.count(" simulate ") == 1

@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 from pathlib import Path
 
 import msgspec
@@ -19,7 +20,7 @@ from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.world import simulate as module
-from alula.stages.simulation.world.chunks import FlownChunk
+from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
 from alula.stages.simulation.world.judge import worst_clearance
 from alula.stages.simulation.world.simulate import prepare, simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
@@ -210,6 +211,21 @@ def test_the_trial_that_came_closest_is_always_logged():
     assert len(shown) <= scenario.rules.logged + 3
     more = fly(made(rules={"logged": worst + 1}))
     assert msgspec.json.encode(more.flights[worst]) == shown[worst]
+
+
+def test_a_chunk_that_is_flown_elsewhere_is_the_same():
+    walls = [{"lower_m": (-5, 1.5, 0), "upper_m": (60, 2.5, 20)}]
+    scenario = made(world={"moving": [AHEAD], "walls": walls}, rules={"trials": 20})
+    whole = fly(scenario)
+    given = {"cover": None, "scene": None, "plan": None, "pairs": None}
+    parts = RunParts(key="a", scenario=scenario, vehicle=vehicle_of(scenario, Path()), **given)
+    sent = [pickle.loads(pickle.dumps(TrialChunk(parts, first, 5))) for first in (0, 15)]
+    module._prepared_once.cache_clear()
+    found = [module.fly_elsewhere(chunk) for chunk in sent]
+    assert module._prepared_once.cache_info().misses == 1
+    assert [trial for chunk in found for trial in chunk.trials] == whole.trials[:5] + whole.trials[15:]
+    assert found[0].flights == whole.flights[:2]
+    assert found[1].flights == []
 
 
 @pytest.mark.slow

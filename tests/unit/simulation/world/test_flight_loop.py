@@ -216,7 +216,8 @@ def among_balls():
 
 def avoiding():
     limits = {"max_speed_m_s": 3.0, "max_acceleration_m_s2": 4.0, "radius_m": 0.15}
-    world = FilterWorld(radius_m=0.15, dt_s=0.01, max_speed_m_s=12.0, max_acceleration_m_s2=6.0, max_jerk_m_s3=60.0)
+    points = {"max_speed_m_s": 12.0, "max_acceleration_m_s2": 6.0, "max_jerk_m_s3": 60.0}
+    world = FilterWorld(radius_m=0.15, dt_s=0.01, **points)
     native = _core.moving_filter("dr_acbf", moving_options(world, MovingFilterParameters()))
     return _core.MovingSafety(native, _core.EllipsoidMap(INDEX), **limits)
 
