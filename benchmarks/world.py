@@ -37,7 +37,8 @@ from alula.schemas.world import WorldScenario, decoded, plain, read_world
 from alula.schemas.world_defaults import vehicle_of
 from alula.stages.compression.merge import merge
 from alula.stages.simulation.world.judge import hits_static
-from alula.stages.simulation.world.simulate import prepare, simulate_world
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.verdict import wilson_interval
 from support import combinations
 

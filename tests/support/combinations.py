@@ -15,7 +15,7 @@ from alula.schemas.run import Outcome, TrialResult
 from alula.schemas.world import decoded
 from alula.schemas.world_defaults import vehicle_of
 from alula.stages.simulation.world.judge import hits_static
-from alula.stages.simulation.world.simulate import prepare
+from alula.stages.simulation.world.prepare import prepare
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 TIME_S = 0.3  # of a flight

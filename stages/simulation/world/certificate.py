@@ -14,7 +14,8 @@ from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import level_words, mass_within
-from alula.stages.simulation.world.simulate import WorldRun, plant_steps_of
+from alula.stages.simulation.world.prepare import plant_steps_of
+from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
 
 _SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on

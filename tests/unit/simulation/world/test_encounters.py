@@ -22,7 +22,8 @@ from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.world import simulate as module
 from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
 from alula.stages.simulation.world.judge import worst_clearance
-from alula.stages.simulation.world.simulate import prepare, simulate_world
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
 from alula.stages.simulation.world.world import static_walls
 from alula.stages.verdict import wilson_interval

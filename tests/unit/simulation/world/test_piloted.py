@@ -24,9 +24,11 @@ from alula.stages.runlog.world import write_world_log
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world import simulate as stage
+from alula.stages.simulation.world.chunks import FlownChunk
 from alula.stages.simulation.world.judge import worst_clearance
 from alula.stages.simulation.world.piloted import fence_distance
-from alula.stages.simulation.world.simulate import FlownChunk, chunk_size, prepare, simulate_world
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.simulate import chunk_size, simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
 from alula.stages.vehicles.racer import racer_model
 from support.fence_flights import STATUSES, fly_in

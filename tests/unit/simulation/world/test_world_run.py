@@ -13,7 +13,8 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.world import decoded
 from alula.schemas.world_defaults import vehicle_of
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
-from alula.stages.simulation.world.simulate import prepare, simulate_world
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
 from support.covers import with_manifest
 from support.foreign_filters import Broken, Holding, Limiting, Passing

@@ -1,0 +1,463 @@
+"""The parts of a scenario of version 2.0, made into a native simulation that is ready to fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError, UsageError
+from alula.schemas.filter_options import FILTERS
+from alula.schemas.progress import Progress
+from alula.schemas.run import TrialResult
+from alula.schemas.vehicle import Vehicle
+from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
+from alula.schemas.world import WorldScenario
+from alula.schemas.world_check import refusal
+from alula.schemas.world_defaults import completed, vehicle_of
+from alula.stages.filtering.polytope_cbf import barrier
+from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.registry import filter_kind
+from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
+from alula.stages.planning.plan_samples import sample_plan
+from alula.stages.simulation.moving import moving_spec
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import WorldFlight
+from alula.stages.simulation.world.among_hulls import note_of_psi
+from alula.stages.simulation.world.encounters import seen_by
+from alula.stages.simulation.world.filters import (
+    filter_world,
+    needs_image,
+    risk_window_s,
+    safety_filters,
+    watcher,
+)
+from alula.stages.simulation.world.judge import WorldJudge
+from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
+from alula.stages.simulation.world.tasks import Missions, missions_of
+from alula.stages.simulation.world.vehicle import vehicle_spec
+from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
+
+_PLANT_STEP_S = 1e-3
+_STUCK_S = 2.0
+_STUCK_POINT_S = 1.0
+_FAR_M = 1e9  # beyond every position
+_PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedRun:
+    """A scenario ready to be flown; `fly` flies some of its trials.
+
+    Attributes:
+        scenario: completed.
+        vehicle: that it names.
+        world: static obstacles.
+        told: what the filters were built for.
+        missions: tasks of all trials.
+        vehicle_spec, options: what the computer on board knows.
+        spec: native simulation.
+        bare: the same, whose logs have only what the judge needs.
+        filters: native, in their order.
+        names: of the scenario's filters, in their order.
+        judge: of the flights.
+        plans: judges of the plans, by trial.
+        start_h_i_m: see `start_h_i` [m].
+        among: barrier of the hulls, where the vehicle is flown by velocities among them.
+        start_margin_m: psi less what filters keep, at the start of each trial, with that barrier [m].
+        notes: for the summary.
+    """
+
+    scenario: WorldScenario
+    vehicle: Vehicle
+    world: StaticWorld
+    told: FilterWorld
+    missions: Missions
+    vehicle_spec: _core.VehicleSpec
+    options: _core.FlightOptions
+    spec: _core.SimulationSpec
+    bare: _core.SimulationSpec
+    filters: list[_core.SafetyFilter]
+    names: list[str]
+    judge: WorldJudge
+    plans: Callable[[int], PlanJudge | None]
+    start_h_i_m: float | None
+    among: _core.PolytopeCbf | None
+    start_margin_m: FloatArray | None
+    notes: list[str] = field(default_factory=list)
+
+    def fly(
+        self,
+        first: int,
+        count: int,
+        *,
+        is_logged: bool = True,
+        jobs: int = 0,
+        progress: Progress | None = None,
+    ) -> list[dict[str, Any]]:
+        """Fly consecutive trials; their native logs.
+
+        Args:
+            first: number of the first trial.
+            count: number of trials.
+            is_logged: keep their path and a row per tick, besides what the judge needs.
+            jobs: threads, 0 for all processors; only measured times depend on it.
+            progress: called with (trials done, trials).
+
+        Raises:
+            UsageError: an obstacle cannot meet the vehicle, or the motion diverges.
+            InputError: a filter returned no command or one beyond the limits.
+        """
+        try:
+            return _core.simulate(
+                self.spec if is_logged else self.bare,
+                self.missions.tasks[first : first + count],
+                self.filters,
+                seed=self.scenario.rules.seed,
+                first_trial=first,
+                jobs=1 if any(one.shares_state for one in self.filters) else jobs,
+                progress=progress,
+            )
+        except ValueError as error:
+            if not self.scenario.world.moving:
+                raise InputError(str(error)) from error
+            raise UsageError(f"`$.world.moving`: {error}") from error
+        except OverflowError as error:
+            raise UsageError(f"`$.vehicle`: {error}") from error
+
+    def on_board(self, index: int) -> _core.Flight:
+        """The flight of one trial as the computer on board sees it, without a simulation around it.
+
+        Args:
+            index: number of the trial.
+        """
+        return _core.Flight(self.vehicle_spec, self.options, self.missions.missions[index], self.filters)
+
+    def judged(self, index: int, flown: dict[str, Any]) -> TrialResult:
+        """Verdict on one flight.
+
+        Args:
+            index: number of the trial.
+            flown: its native log.
+        """
+        goal = self.missions.goal[index]
+        if self.scenario.mission.kind == "pilot":
+            goal = flown["last"][:3]
+        margin = math.inf if self.start_margin_m is None else float(self.start_margin_m[index])
+        start, curve = self.missions.start[index], self.missions.curves[index]
+        trial = self.judge.trial(index, start, goal, curve, flown, self.plans(index))
+        return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
+
+    def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
+        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf.
+
+        Args:
+            index: number of the trial.
+            flown: its native log.
+        """
+        if self.among is not None and not self.filters:
+            smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
+            flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
+        rules = self.scenario.rules
+        return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz, rules.filter_ticks)
+
+    def filter_seconds(self, flown: dict[str, Any]) -> NDArray[np.float32]:
+        """Measured times of the filters in a flight, shape (F,) [s].
+
+        Of all filters together in each tick; of one among moving obstacles in the ticks of a manoeuvre or a
+        warning, as in the others it has little to do.
+
+        Args:
+            flown: its native log.
+        """
+        if self.names == [self.judge.seen_by]:
+            return np.asarray(flown["active_tick_s"])
+        return np.asarray(
+            flown["filter_s"].sum(axis=1, dtype=np.float32)[:: self.scenario.rules.filter_ticks]
+        )
+
+
+def prepare(
+    scenario: WorldScenario,
+    vehicle: Vehicle | None = None,
+    *,
+    cover: Artifact | None = None,
+    scene: Artifact | None = None,
+    plan: Artifact | None = None,
+    pairs: Pairs | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> PreparedRun:
+    """Make all parts of a run.
+
+    Args:
+        scenario: as read.
+        vehicle: of the file that it names; default: the one built in by its name.
+        cover: that it names.
+        scene: that it names.
+        plan: that it names.
+        pairs: starts and goals of the run that it names.
+        jobs: threads, 0 for all processors.
+        progress: of planning.
+
+    Raises:
+        UsageError: parts that make no sense together, in one sentence with what would work instead; or values
+            that are inconsistent.
+        InputError: files do not fit each other.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
+        InfeasibleError: no clear start-goal pairs were found.
+    """
+    if vehicle is None:
+        vehicle = vehicle_of(scenario, Path())
+    require_named(scenario, cover=cover, scene=scene, plan=plan)
+    foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
+    if words := refusal(scenario, vehicle, foreign):
+        raise UsageError(words)
+    full = completed(scenario, vehicle)
+    rules, mission, table = full.rules, full.mission, full.vehicle
+    assert table.radius_m is not None
+    peak, most = _speeds(full, vehicle, plan)
+    names = list(full.safety.filters)
+    if mission.controller.guide != "none":
+        names.insert(0, mission.controller.guide)
+    world = static_world(
+        full,
+        radius_m=table.radius_m,
+        cover=cover,
+        scene=scene,
+        needs_image=full.world.onboard or needs_image(full),
+        jobs=jobs,
+    )
+    spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
+    extent = _extent(full, world, most, pairs, plan)
+    known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
+    filters = safety_filters(full, told)
+    geofence = pilots_geofence(full, told)
+    judging = geofence if is_fenced(full, told) else None
+    if judging is not None and not filters:
+        filters = [_core.FenceFilter(judging, is_bare=True)]  # tells the figures of a flight without a filter
+    among = None
+    if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
+        among = barrier(told)
+    missions = missions_of(
+        full,
+        world,
+        count=_count(full, pairs),
+        model=vehicle.model,
+        speed_m_s=peak,
+        max_speed_m_s=most,
+        plan=plan,
+        cover=cover,
+        given=pairs,
+        geofence=geofence,
+        psi=None if among is None else lambda points: among.psi(points, jobs=jobs)[1],
+        jobs=jobs,
+        progress=progress,
+    )
+    paths = [missions.start, missions.goal]
+    paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
+    lower, upper = world.room(paths, has_moving=bool(full.world.moving))
+    known, has_pilot = full.estimation, geofence is not None
+    has_losses = known.lost_share > 0 or known.lost_from_s is not None
+    is_point = vehicle.model == "single-integrator"
+    waits = mission.receded_s is not None  # for what moves, and not for the goal
+    stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
+    dt_s = rules.dt_s
+    flight = _core.FlightOptions(
+        dt_s=dt_s,
+        controller_ticks=rules.controller_ticks,
+        filter_ticks=rules.filter_ticks,
+        stale_s=min(known.stale_s, 1e3),
+        has_losses=has_losses,
+    )
+    # References and ellipsoids are compared with rows of ticks; a point's motion is that from tick to tick.
+    by_ticks = any(missions.curves) or is_point or world.ellipsoids is not None
+    needs = {
+        "keeps_path": world.polytopes is not None or bool(world.parts) or mission.kind == "plan",
+        "keeps_ticks": by_ticks,
+    }
+    spec_of = partial(
+        _core.SimulationSpec,
+        spec,
+        options=flight,
+        losses=_losses(full),
+        moving=moving_spec(
+            full.world.moving,
+            known.sensor,
+            known.tracker,
+            yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
+        ),
+        fence=judging,
+        watcher=watcher(full, told),
+    )
+    simulation, bare = (
+        spec_of(
+            rules=_core.SimulationRules(
+                plant_steps=plant_steps_of(full, is_point=is_point),
+                stuck_ticks=max(1, round(stuck_s / dt_s)),
+                stuck_speed_m_s=1e-3 * most if is_point else 0.02,
+                receded_s=math.inf if mission.receded_s is None else mission.receded_s,
+                # A pilot has no reference near which the flight must stay.
+                lower=(-_FAR_M,) * 3 if has_pilot else lower,
+                upper=(_FAR_M,) * 3 if has_pilot else upper,
+                ends_when_refused=not (full.world.moving or waits or has_losses or has_pilot),
+                ends_at_goal=not waits,
+                risk_window_s=risk_window_s(full),
+                **kept,
+            )
+        )
+        for kept in ({}, needs)
+    )
+    judge = WorldJudge(
+        world=world,
+        filters=names,
+        guides=int(mission.controller.guide != "none"),
+        has_goal=mission.kind not in ("hover", "pilot"),
+        obstacle_radii_m=[one.radius_m for one in full.world.moving],
+        seen_by=seen_by(full),
+        via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
+        dt_s=dt_s,
+        by_ticks=by_ticks,
+        is_point=is_point,
+        jobs=jobs,
+    )
+    flown_plan = judge.of_plan(plan if mission.kind == "plan" else None)
+    notes: list[str] = []
+    if flown_plan is not None and names:
+        sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
+        keeps: list[float | None] = [
+            world.hull_keep_m
+            if each is world.polytopes
+            else None
+            if names == ["polytope-cbf"]  # it does not see them
+            else world.keep_m
+            for each in sets
+        ]
+        notes = require_room(
+            flown_plan,
+            keeps,
+            " + ".join(names),
+            allow_tight=mission.allow_tight,
+            insist="--set mission.allow_tight=true",
+        )
+        if among is not None and "polytope-cbf" in names and not notes:
+            assert plan is not None
+            notes = note_of_psi(sample_plan(plan, dt_s), among, world.hull_keep_m)
+
+    def of_trial(index: int) -> PlanJudge | None:
+        return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
+
+    return PreparedRun(
+        scenario=full,
+        vehicle=vehicle,
+        world=world,
+        told=told,
+        missions=missions,
+        vehicle_spec=spec,
+        options=flight,
+        spec=simulation,
+        bare=bare,
+        filters=filters,
+        names=names,
+        judge=judge,
+        plans=of_trial,
+        start_h_i_m=start_h_i(full, geofence),
+        among=among,
+        start_margin_m=None
+        if among is None
+        else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
+        notes=notes,
+    )
+
+
+def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
+    """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
+
+    One is exact for a point whose velocity is held, where nothing else moves.
+
+    Args:
+        scenario: completed.
+        is_point: whether the vehicle is a single integrator.
+    """
+    if scenario.rules.plant_steps is not None:
+        return scenario.rules.plant_steps
+    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
+        return 1
+    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
+
+
+def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
+    """Peak speed of the references, and limit of velocity commands [m/s]."""
+    mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
+    is_point = vehicle.model == "single-integrator"
+    if mission.kind == "plan" and plan is not None:
+        peak = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+        fast = limit if is_point and limit else PLAN_SPEED_FACTOR * peak
+    else:
+        peak = mission.speed_m_s or (limit if is_point and limit else None) or (DEFAULT_SPEED_M_S)
+        fast = peak if is_point else PLAN_SPEED_FACTOR * peak
+        if mission.planned and is_point:
+            peak /= PLAN_SPEED_FACTOR
+    if vehicle.model == "double-integrator":
+        return peak, math.inf if limit is None else limit
+    return peak, fast if limit is None else min(fast, limit)
+
+
+def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
+    if scenario.rules.trials is not None:
+        return scenario.rules.trials
+    if scenario.mission.kind != "pairs":
+        return 1
+    return 100 if pairs is None else len(pairs.start)
+
+
+def _extent(
+    scenario: WorldScenario, world: StaticWorld, most: float, pairs: Pairs | None, plan: Artifact | None
+) -> float:
+    """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
+    points = [world.vertices if scenario.world.has_hulls else world.centres]
+    mission = scenario.mission
+    given = [mission.start_m, mission.goal_m, *mission.waypoints_m]
+    points += [np.array([point]) for point in given if point is not None]
+    for box in (mission.bounds_m, mission.start_box_m):
+        if box is not None:
+            points.append(np.array(box).reshape(2, 3))
+    if pairs is not None:
+        points += [pairs.start, pairs.goal]
+    if plan is not None:
+        curve = _core.ReferenceCurve(
+            np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
+        )
+        points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
+    speed = most if math.isfinite(most) else 10.0
+    seconds = 1 + (scenario.vehicle.velocity_lag_s or 0.0)
+    radii = _PLANNED_RADII if mission.planned else 1
+    return (
+        2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed
+    )
+
+
+def _losses(scenario: WorldScenario) -> _core.Losses:
+    known, pilot = scenario.estimation, scenario.mission.pilot
+
+    def outage(what: str, begins_s: float | None, lasts_s: float | None) -> dict[str, float]:
+        if begins_s is None:
+            return {}
+        return {f"{what}from_s": begins_s, f"{what}for_s": 1e9 if lasts_s is None else lasts_s}
+
+    return _core.Losses(
+        share=known.lost_share,
+        **outage("", known.lost_from_s, known.lost_for_s),
+        **outage("radio_", pilot.radio_from_s, pilot.radio_for_s),
+    )
