@@ -145,8 +145,8 @@ def _composed(run: Run) -> dict[str, Any]:
 
 
 def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
-    """Rows that only flights among ellipsoids have; empty for others."""
-    trials, summary = run.record.trials, run.record.summary
+    """Rows that only flights by commanded accelerations have; empty for others."""
+    trials, summary, parameters = run.record.trials, run.record.summary, run.record.provenance.parameters
     if all(trial.peak_realisation_error_m_s2 is None for trial in trials):
         return {}
     counts = {
@@ -163,7 +163,7 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
         "maximum realisation error [m/s²]": "peak_realisation_error_m_s2",
     }
     found: dict[str, Any] = {
-        "guide": run.record.provenance.parameters.get("guide"),
+        "guide": parameters.get("guide") or _guide_of(parameters.get("mission")),
         "level of the ellipsoids [σ]": summary.get("sigma"),
         "pairs with a blocked line": summary.get("blocked_pairs"),
         "steps with qp infeasible": sum(trial.infeasible_steps for trial in trials),
@@ -173,6 +173,13 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
     return found | {
         title: sum(_known(trials, key)) / steps if steps else None for title, key in counts.items()
     }
+
+
+def _guide_of(mission: Any) -> str | None:
+    """Guide of a scenario's mission, from the parameters of its run."""
+    controller = mission.get("controller") if isinstance(mission, dict) else None
+    found = controller.get("guide") if isinstance(controller, dict) else None
+    return found if isinstance(found, str) else None
 
 
 def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:

@@ -221,7 +221,7 @@ def test_the_command_flies_a_quadrotor_in_a_cover_alone(tmp_path, capsys):
     bounds = ["--bounds", *map(str, AROUND)]
     assert run(["simulate", str(cover), "-o", str(out), "--filter", "shield", "--trials", "2", *bounds]) == 0
     record = read_run(out)
-    assert record.summary["certified_against"] == "hulls"
+    assert record.summary["certified_against"] == ["hulls"]
     assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)
     assert "quadrotor" in record.vehicle
     capsys.readouterr()
@@ -234,9 +234,9 @@ def test_the_command_flies_a_quadrotor_in_a_cover_alone(tmp_path, capsys):
         "--filter",
         "cone-backup",
         "--set",
-        "shield_map=hulls",
+        "safety.cone-backup.shield_map=hulls",
     ]
     assert run(given) == 2
     message = capsys.readouterr().err
-    assert "shield_map=hulls needs the hulls of a cover" in message
+    assert "`$.safety.cone-backup.shield_map`: hulls needs world.cover" in message
     assert len(message.strip().splitlines()) == 1

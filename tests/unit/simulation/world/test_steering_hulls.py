@@ -113,7 +113,7 @@ def test_the_command_flies_in_a_cover_alone(name, tmp_path):
     words = ["simulate", str(cover), "-o", str(out), "--filter", name, "--trials", "2", "--speed", "1"]
     assert run([*words, "--bounds", *map(str, AROUND)]) == 0
     record = read_run(out)
-    assert record.summary.get("certified_against") == (None if name == "safer-splat" else "hulls")
+    assert record.summary.get("certified_against") == (None if name == "safer-splat" else ["hulls"])
     assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)
 
 

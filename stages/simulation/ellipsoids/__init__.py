@@ -1,1 +1,0 @@
-"""Flights of a rigid body among the ellipsoids of a scene."""
