@@ -57,21 +57,6 @@ class FlightLog:
     status: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class SplatFlightLog:
-    """Samples of a flight among ellipsoids at the log's rate and at its end.
-
-    `flown` has rows of `SplatFlown` by name, shape (T, ...). `state`, shape (T, 12), and `position`, shape
-    (T, 3), are those at the time. Rows of controller and filter are of the tick that begins then; in the last
-    sample, of the tick before.
-    """
-
-    time_s: FloatArray
-    position: FloatArray
-    state: FloatArray
-    flown: dict[str, NDArray[Any]]
-
-
 class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
     """Samples of a trial at the log's rate: T rows of numbers, as bytes so that a journal can hold them.
 
@@ -255,7 +240,7 @@ class RunResult:
         summary: numbers over all trials.
         guarantee: statement and claims.
         flights: samples for the log, in the order of `trials`.
-        map: the cover or the scene that was flown through.
+        map: the cover that was flown through.
         filter_s: time of the filter per call, shape (C,) [s].
         tick_s: time of controller and filter per tick, shape (S,) [s]; None where it was not measured.
     """
@@ -265,7 +250,7 @@ class RunResult:
     trials: list[TrialResult]
     summary: dict[str, Any]
     guarantee: Guarantee
-    flights: Sequence[FlightLog | SplatFlightLog]
+    flights: Sequence[FlightLog]
     map: Artifact
     filter_s: NDArray[np.float32]
     tick_s: NDArray[np.float32] | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from alula._core import (
-    ActuatorModel,
     DoubleIntegrator,
     Plant,
     PlantOptions,
@@ -103,16 +102,6 @@ def plant_options(vehicle: Vehicle) -> PlantOptions:
     )
 
 
-def actuator_model(vehicle: Vehicle) -> ActuatorModel:
-    """Lag and delay that controller and filters assume.
-
-    Args:
-        vehicle: a quadrotor.
-    """
-    table = vehicle.assumed
-    return ActuatorModel(motor_time_constant_s=table.motor_time_constant_s, delay_s=table.delay_s)
-
-
 def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleIntegrator:
     """Simulated plant; noise and gusts are a function of seed, trial and step.
 
@@ -132,45 +121,6 @@ def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleI
             trial=trial,
         )
     return Plant(quadrotor(vehicle), plant_options(vehicle), seed=seed, trial=trial)
-
-
-def disturbances(vehicle: Vehicle) -> list[str]:
-    """Disturbances that the file adds to a bare rigid body, in words.
-
-    Args:
-        vehicle: of any model.
-    """
-    table = vehicle.disturbance
-    noise = (
-        *(table.position_noise_m, table.velocity_noise_m_s),
-        *(table.attitude_noise_rad, table.rate_noise_rad_s),
-    )
-    found = {
-        "motor lag": table.motor_time_constant_s > 0,
-        "drag": any((*table.linear_drag_n_s_m, *table.quadratic_drag_n_s2_m2)),
-        "wind": any((*table.wind_m_s, *table.gust_m_s)),
-        "noise": any(noise),
-        "delay": table.delay_s > 0,
-    }
-    return [name for name, is_there in found.items() if is_there]
-
-
-def left_out(vehicle: Vehicle) -> list[str]:
-    """Differences of the plant and the model of the filters, in words.
-
-    Args:
-        vehicle: of any model.
-    """
-    assumed, true = vehicle.assumed, vehicle.disturbance
-    pairs = {
-        "motor lag": (assumed.motor_time_constant_s, true.motor_time_constant_s),
-        "delay": (assumed.delay_s, true.delay_s),
-    }
-    found = [name for name in disturbances(vehicle) if name not in pairs]
-    for name, (modelled, flown) in pairs.items():
-        if modelled != flown:
-            found.append(f"a {name} other than assumed" if modelled else name)
-    return found
 
 
 def _or_infinity(value: float | None) -> float:
