@@ -31,7 +31,6 @@ from alula.schemas.geofence import PilotTable as SticksTable
 NO_FILTER = "none"
 # What commands there are, from the outer to the inner loop; body rates with a throttle are sticks.
 COMMANDS = ("velocity", "acceleration", "wrench", "sticks")
-GUIDES = ("cone-di", "safer-splat")
 
 NotNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]

@@ -34,13 +34,6 @@ _PARTS = {
 }
 
 
-def _has_policy(name: str) -> bool:
-    return any(part.argument == _POLICY for part in PARTS[name])
-
-
-GUIDES = tuple(name for name in _CLASSES if not _has_policy(name))
-
-
 def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """All parameters of a native filter: those given, else their defaults.
 

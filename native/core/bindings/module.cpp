@@ -22,7 +22,6 @@ void bind_qp(nb::module_& m);
 void bind_splat_filters(nb::module_& m);
 void bind_backup(nb::module_& m);
 void bind_wrench_filters(nb::module_& m);
-void bind_splat_flight(nb::module_& m);
 void bind_flight(nb::module_& m);
 void bind_tracker(nb::module_& m);
 void bind_moving_world(nb::module_& m);
@@ -55,7 +54,6 @@ NB_MODULE(_core, m) {
   bind_backup(m);
   bind_obstacle_map(m);
   bind_wrench_filters(m);
-  bind_splat_flight(m);
   bind_tracker(m);
   bind_moving_world(m);
   bind_moving_filters(m);

@@ -1,5 +1,6 @@
-// Simulated encounters fly the command within the vehicle's limits, and their metrics are those of the true motion,
-// also between steps.
+// Simulated encounters fly the command within the limits of the vehicle, and their metrics are those of the true
+// motion, also between steps. Flights among hulls and along references on several threads, and filters that
+// misbehave.
 #include "alula/flight/simulation.hpp"
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include <stdexcept>
 
 #include "alula/filters/adapters.hpp"
+#include "alula/filters/cone_di.hpp"
 #include "check.hpp"
 
 namespace alula::flight {
@@ -293,6 +295,97 @@ void test_threads_change_no_flight_among_hulls() {
   CHECK(reached > 0);
 }
 
+const Quadrotor kBody(0.461, {6.5e-4, 6.9e-4, 1.1e-3},
+                      {.x = {0.078, -0.078, 0.078, -0.078},
+                       .y = {0.078, -0.078, -0.078, 0.078},
+                       .spin = {-1, -1, 1, 1},
+                       .torque_ratio = 0.0116,
+                       .f_min = {0, 0, 0, 0},
+                       .f_max = {4.25, 4.25, 4.25, 4.25}});
+
+// Rest to rest along x by two metres in two seconds, at y: 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7.
+Task along(double y) {
+  std::vector<double> coefficient(32, 0.0);
+  const double term[] = {35, -84, 70, -20};
+  for (std::size_t j = 0; j < 4; ++j) coefficient[4 + j] = 2 * term[j] / std::pow(2.0, 4.0 + static_cast<double>(j));
+  coefficient[8] = y, coefficient[16] = 1;
+  Task task;
+  task.start.p = {0, y, 1};
+  task.mission.curve = std::make_shared<const ReferenceCurve>(std::vector<double>{0, 2}, coefficient);
+  task.max_time_s = 6;
+  return task;
+}
+
+// Returns one wrench, whatever it is.
+class Wrong final : public SafetyFilter {
+ public:
+  explicit Wrong(double thrust) : thrust_(thrust) {}
+  CommandKind kind() const override { return CommandKind::wrench; }
+  FilterReport filter(const FlightState&, const Nominal& nominal) override {
+    FilterReport report;
+    report.status = SafetyStatus::filtered;
+    report.wrench = {thrust_, nominal.wrench.torque};
+    return report;
+  }
+  std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<Wrong>(*this); }
+
+ private:
+  double thrust_;
+};
+
+std::vector<SimulatedFlight> among_ellipsoids(const SimulationSpec& spec, const SafetyFilter* filter, unsigned jobs,
+                                              double most_s = 6) {
+  Control control;
+  std::vector<Task> tasks;
+  for (int i = 0; i < 6; ++i) tasks.push_back(along(0.2 * i)), tasks.back().max_time_s = most_s;
+  std::vector<const SafetyFilter*> filters;
+  if (filter != nullptr) filters.push_back(filter);
+  return simulate(spec, tasks, filters, 0, 0, jobs, control);
+}
+
+void test_flights_along_references_do_not_depend_on_threads() {
+  const std::vector<float> mean{1, 0.05F, 1, 1, 1, 1.1F}, scale{0.2F, 0.2F, 0.2F, 0.1F, 0.3F, 0.2F},
+      quat{1, 0, 0, 0, 1, 0, 0, 0};
+  const auto index = std::make_shared<const EllipsoidIndex>(Splats{mean, scale, quat, {}}, 1.0, 0.1);
+  const ConeDi cone(index, ConeDiOptions{});
+  const SimulationSpec spec{.vehicle = {.body = kBody}};
+  const auto one = among_ellipsoids(spec, &cone, 1), many = among_ellipsoids(spec, &cone, 4);
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    CHECK(one[i].state == many[i].state && one[i].path == many[i].path && one[i].command == many[i].command);
+    CHECK(one[i].status == many[i].status && one[i].margin == many[i].margin && one[i].end == many[i].end);
+    CHECK(one[i].a_error == many[i].a_error && one[i].a_command == many[i].a_command);
+    CHECK(one[i].path.size() == 3 * (10 * static_cast<std::size_t>(one[i].ticks) + 1));
+  }
+  CHECK(one[5].end == End::reached);
+  const auto plain = among_ellipsoids(spec, nullptr, 2);
+  CHECK(plain[0].end == End::reached && plain[0].state != one[0].state);
+  CHECK(least_gamma(*index, plain[0].path) < 0);  // straight through the first ellipsoid
+
+  SimulationSpec point = spec;
+  point.vehicle.model = VehicleModel::double_integrator, point.vehicle.interface = Interface::acceleration;
+  const auto exact = among_ellipsoids(point, &cone, 2);
+  for (const double error : exact[0].a_error) CHECK(error == 0);
+  bool refused = false;  // it has no wrench; the error reaches the caller from a thread
+  try {
+    among_ellipsoids(point, std::make_unique<Wrong>(1.0).get(), 2);
+  } catch (const std::invalid_argument&) {
+    refused = true;
+  }
+  CHECK(refused);
+}
+
+// One that is not finite hovers; one far beyond the rotors' limits is clipped, and finally leaves the box.
+void test_wrenches_that_no_rotor_makes() {
+  SimulationSpec spec{.vehicle = {.body = kBody}};
+  const Wrong nan(std::nan("")), full(1e6);
+  const SimulatedFlight odd = among_ellipsoids(spec, &nan, 2, 0.5)[0];
+  CHECK(odd.end == End::timeout && std::isfinite(odd.state.back()));
+  spec.rules.upper = {9, 9, 1.2};
+  const SimulatedFlight up = among_ellipsoids(spec, &full, 2, 2)[0];
+  CHECK(up.end == End::refused && up.state[up.state.size() - 10] > 1.2);
+  CHECK((up.mark[0] & 4) != 0);
+}
+
 void test_invalid_specifications_are_rejected() {
   const auto refused = [](const std::function<void(SimulationSpec&)>& change) {
     Scene scene;
@@ -326,6 +419,8 @@ void test_all() {
   test_obstacles_are_drawn_to_meet_the_expected_velocity();
   test_walls_are_shown_nearest_first();
   test_threads_change_no_flight_among_hulls();
+  test_flights_along_references_do_not_depend_on_threads();
+  test_wrenches_that_no_rotor_makes();
   test_invalid_specifications_are_rejected();
 }
 

@@ -124,6 +124,27 @@ def test_starts_and_goals_are_clear_and_the_log_says_what_was_flown():
     assert result.summary["sampled_points"] > 5
 
 
+def test_the_summary_has_the_extremes_of_the_trials():
+    result = quick("cone-ecbf", speed_m_s=3.0, which="blocked")
+    for key, least in (
+        ("min_gamma", min),
+        ("min_margin", min),
+        ("max_speed_m_s", max),
+        ("max_jerk_m_s3", max),
+    ):
+        assert result.summary[key] == least(getattr(trial, key) for trial in result.trials)
+    worst = max(trial.peak_realisation_error_m_s2 for trial in result.trials)
+    assert result.summary["peak_realisation_error_m_s2"] == worst > 0
+    assert result.summary["mean_jerk_m_s3"] == pytest.approx(
+        np.mean([t.mean_jerk_m_s3 for t in result.trials])
+    )
+    assert result.summary["capped_steps"] == sum(trial.capped_steps for trial in result.trials)
+    for trial in result.trials:
+        assert trial.line_clearance_m < 0
+        ends = _core.least_gamma(result.run.world.index, np.array([trial.start_m]))
+        assert 0 < trial.min_gamma <= ends
+
+
 @pytest.mark.parametrize("early_end", [True, False])
 def test_the_guarantee_names_the_margin_that_is_kept_and_what_is_only_tested(early_end):
     chosen = {"margin_m": 0.03, "early_end": early_end}
