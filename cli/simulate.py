@@ -107,11 +107,12 @@ def command(
         scenario = read_world(source, changes | given)
     else:
         from alula.cli.sources import source_files
+        from alula.stages.filtering.registry import filter_kind
 
         files = source_files(source, map_path, scene_path)
         chosen = given.pop("safety.filters", names)
         chosen = [chosen] if isinstance(chosen, str) else chosen
-        tree = source_tree(files, filters=chosen, vehicle=vehicle, speed_m_s=speed)
+        tree = source_tree(files, filter_kind, filters=chosen, vehicle=vehicle, speed_m_s=speed)
         scenario = changed(tree, str(source), changes | given)
     _fly(scenario, source, scheduler, common)
 

@@ -115,6 +115,10 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
 def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
     states.sort(key=lambda state: state.time_s)
     answers.sort(key=lambda answer: answer.time_s)
+    if (
+        answers[-1].fence_distance_m is not None
+    ):  # such a log ends with the end of the flight, which is no tick
+        states, answers = states[:-1], answers[:-1]
 
     def known(values: list[float | None]) -> FloatArray:
         return np.array(values, np.float64)  # None becomes NaN

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from alula.schemas.artifact import read_manifest
-from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.vehicles import VEHICLES, point_limits
-from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.world_check import TRACKING
 from alula.schemas.world_tables import NO_FILTER
 
 IN_A_COVER, IN_A_SCENE = "polytope-cbf", "cone-backup"
@@ -20,6 +19,7 @@ _LOGGED = 1000  # first flights in the log, besides the worst ones
 
 def source_tree(
     files: Mapping[str, Path],
+    kind_of: Callable[[str], str],
     *,
     filters: Sequence[str] | None = None,
     vehicle: str | None = None,
@@ -31,6 +31,7 @@ def source_tree(
 
     Args:
         files: `cover`, `scene`, `plan`; at least one of the first two.
+        kind_of: kind of command of a filter, by its name.
         filters: names; default: `IN_A_COVER`, or `IN_A_SCENE` where there is no cover.
         vehicle: name of a built-in vehicle, or a file; default: the one that the filters are made for, a
             point moved by velocities or accelerations, a racer or the quadrotor of FastBridge.
@@ -45,7 +46,11 @@ def source_tree(
     mission: dict[str, Any] = {"kind": "plan" if "plan" in files else "pairs"}
     if "plan" in files:
         mission["plan"] = str(files["plan"])
-    flown = vehicle_table(vehicle) if vehicle is not None else {"type": _made_for(names, "cover" in files)}
+    flown = (
+        vehicle_table(vehicle)
+        if vehicle is not None
+        else {"type": _made_for(names, {kind_of(name) for name in names}, "cover" in files)}
+    )
     if vehicle is None and flown["type"] == "single-integrator":
         flown |= point_limits(files.get("plan"), speed_m_s=speed_m_s)
     elif speed_m_s is not None:
@@ -72,10 +77,8 @@ def vehicle_table(vehicle: str) -> dict[str, Any]:
     return {"type": vehicle} if vehicle in VEHICLES else {"file": vehicle}
 
 
-def _made_for(names: Sequence[str], has_cover: bool) -> str:
+def _made_for(names: Sequence[str], kinds: set[str], has_cover: bool) -> str:
     """Name of the built-in vehicle that filters are made for; without one, of the world."""
-    known = [NO_FILTER, *FILTER_COMMANDS, *foreign_names()]
-    kinds = {FILTER_COMMANDS.get(name) or kind_of(name, foreign_filter(name, known)) for name in names}
     if "velocity" in kinds or (not names and has_cover):
         return "single-integrator"
     if "sticks" in kinds:

@@ -22,7 +22,7 @@ TICK_S = float(np.float32(0.0025))  # as the native filter has it
 def test_ticks_are_those_that_were_flown(tmp_path):
     log = tmp_path / "wall.run.mcap"
     words = ["--set", "mission.pilot.radio_from_s=2.5", "--set", "mission.pilot.radio_for_s=0.2"]
-    words += ["--max-time", "3", "--set", f"rules.dt_s={TICK_S}"]
+    words += ["--set", "rules.max_time_s=3", "--set", f"rules.dt_s={TICK_S}"]
     assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
     ticks = read_ticks(log)[0]
     vehicle = read_vehicle(EXAMPLE / "../vehicles/racer7.toml")
@@ -57,7 +57,7 @@ def test_ticks_are_those_that_were_flown(tmp_path):
 
 def test_states_without_answers_are_damage(tmp_path, monkeypatch):
     log = tmp_path / "wall.run.mcap"
-    words = ["--max-time", "0.05"]
+    words = ["--set", "rules.max_time_s=0.05"]
     assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
     monkeypatch.setattr("alula.schemas.fence_ticks.SAFETY_TOPIC", "/nothing")
     with pytest.raises(DamagedError, match="have different times"):

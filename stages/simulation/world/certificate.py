@@ -102,7 +102,8 @@ def limits_words(run: WorldRun) -> str:
     contains = "its ellipsoids contain it" if run.world.ellipsoids is not None else "the hulls contain it"
     table = run.scenario.world
     real = f", and for the real scene as far as {contains}" if table.scene or table.cover else ""
-    return f"This holds for the simulated {model_words(run)}{real}."
+    flown = "obstacles, the sensor and the vehicle as simulated" if table.moving else ""
+    return f"This holds for the {flown or f'simulated {model_words(run)}'}{real}."
 
 
 def model_words(run: WorldRun) -> str:

@@ -202,7 +202,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
     said = among or beforehand(run, left, claims["chain"])
     if names and names[-1] in HOLDS and run.scenario.mission.kind == "pilot":
         said, limits = HOLDS[names[-1]], ""
-        claims |= {"as_modelled": not left, "proven": False}
+        claims["as_modelled"] = not left
         if left:
             limits = f"The vehicle differed from the filter's model: {', '.join(left)}."
     else:

@@ -45,6 +45,7 @@ def logged(filters, interface, guide="none"):
         interface=interface,
         filters=ready.names,
         radii_m=[],
+        radius_m=0.15,
         hulls=None,
         scene=FIELD,
         sigma=1.0,

@@ -348,7 +348,7 @@ def test_nothing_is_promised_of_a_filter_that_goes_by_tracks():
     )
     assert found.statement.endswith("This holds for the obstacles, the sensor and the vehicle as simulated.")
     hits = sum(trial.collision for trial in run.trials)
-    assert found.claims["proven"] is False
+    assert found.claims["proven_by_filter"] is False
     assert (found.claims["trials"], found.claims["collisions"]) == (4, hits)
 
 

@@ -588,7 +588,7 @@ def test_what_the_filter_does_not_know_makes_it_leave_and_is_said():
     assert "mass_scale 1.5" in said.statement
     assert "The vehicle differed from the filter's model" in said.statement
     assert said.claims["as_modelled"] is False
-    assert said.claims["proven"] is False
+    assert said.claims["proven_by_filter"] is False
     careful = fly(HEAVY | {"safety.geofence.reserve_m": 6.0})
     assert world_summary(careful)["fence"]["violations"] == 0
 
