@@ -200,6 +200,12 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
 
     parameters = {key: value for key, value in parameters.items() if key not in ("schema", "version", "fly")}
     parameters["vehicle_file"] = contents(vehicle)
+    # Without filters, those two say how encounters and flights in a fence are measured.
+    told = scenario.safety.filters or ("dr-acbf", "geofence")
+    safety = parameters["safety"]
+    parameters["safety"] = {name: safety[name] for name in ("filters", *told) if name in safety} | {
+        name: safety["others"][name] for name in told if name in safety["others"]
+    }
     seed = parameters["rules"].pop("seed")
     run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=seed)
     kept.remove()

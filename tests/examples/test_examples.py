@@ -272,7 +272,7 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     assert flown == {*swept.split(), *paper.split()}
     best = next(row for row in tried if (row["method"], row["best"]) == ("cone-ecbf", "yes"))
     tuned = json.loads((out / "room/cone-ecbf-tuned@2.1.run.json").read_text())
-    parameters = tuned["provenance"]["parameters"]["filter_parameters"]
+    parameters = tuned["provenance"]["parameters"]["safety"]["cone-ecbf"]
     for word in best["gains"].split():
         name, value = word.split("=")
         assert parameters[name] == float(value)

@@ -40,7 +40,12 @@ def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=
     )
 
 
-SHIELDED = {"filter_parameters": {"policy": "brake", "shield": True, "count": 64}}
+SHIELDED = {
+    "safety": {
+        "filters": ["cone-ecbf"],
+        "cone-ecbf": {"policy": "brake", "shield": True, "count": 64},
+    }
+}
 
 
 def sweep(variant, speed, trials, scene="room", seconds=1e-4, parameters=None, filter_name=None):

@@ -15,6 +15,7 @@ from alula.stages.reporting.papers.sweeps import (
     Sweep,
     changed_parameters,
     compare,
+    filter_parameters,
     find,
     realisation_error,
     scenes_of,
@@ -257,7 +258,7 @@ def flight_tables(
         clearance = _finite(sweep.values(lambda t: t.scene_clearance_m))
         seconds = sum(t.duration_s for t in trials)
         which = (sweep.scene, sweep.variant, sweep.speed_m_s)
-        parameters = sweep.run.record.provenance.parameters.get("filter_parameters", {})
+        parameters = filter_parameters(sweep.run)
         backup, certified = (
             sum(t.backup_steps or 0 for t in trials),
             sum(t.certified_steps or 0 for t in trials),

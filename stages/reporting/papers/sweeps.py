@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
 from alula.stages.reporting.table import flat, text
 
+_PREFIX = re.compile(r"^(filter_parameters|safety\.(?!filters)[^.]*)\.")  # of a filter's parameter
 _ROUNDING_M_S2 = 1e-9  # of an acceleration; the rounding error in flight is about 1e-15
 
 
@@ -49,11 +52,25 @@ def realisation_error(trial: TrialResult) -> float | None:
     return 0.0 if error is not None and error < _ROUNDING_M_S2 else error
 
 
+def filter_parameters(run: Run) -> dict[str, Any]:
+    """Parameters of the last filter of a run; of a scenario of version 2.0 those under its name.
+
+    Args:
+        run: any.
+    """
+    parameters = run.record.provenance.parameters
+    safety = parameters.get("safety")
+    if not isinstance(safety, dict):
+        return dict(parameters.get("filter_parameters", {}))
+    names = safety.get("filters") or [None]
+    return dict(safety.get(names[-1], {}))
+
+
 def changed_parameters(sweep: Sweep, base: Sweep) -> str:
     """List in words the parameters that differ from those of `base`, except the name."""
     ours, theirs = (flat(s.run.record.provenance.parameters) for s in (sweep, base))
     keys = sorted(key for key in ours.keys() | theirs.keys() if ours.get(key) != theirs.get(key))
-    names = {key: key.removeprefix("filter_parameters.") for key in keys if key != "name"}
+    names = {key: _PREFIX.sub("", key) for key in keys if key != "name"}
     return ", ".join(f"{name} {text(ours.get(key))}" for key, name in names.items())
 
 

@@ -152,7 +152,8 @@ def test_the_flight_table_counts_ticks_and_keeps_the_published_row_apart(pair):
 
 def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
     base = sweep("cone-ecbf", 1.0, [trial(0)])
-    bare = {"filter_parameters": {"policy": "brake", "shield": False, "count": 16}, "name": "mine"}
+    own = {"policy": "brake", "shield": False, "count": 16}
+    bare = {"safety": {"filters": ["cone-ecbf"], "cone-ecbf": own}, "name": "mine"}
     other = sweep("ecbf-bare", 1.0, [trial(0)], parameters=bare, filter_name="cone-ecbf")
     foreign = sweep("cone-di", 1.0, [trial(0)], parameters={"filter_parameters": {"alpha": 3.0}})
     flights, loops = flight_tables([base, other, foreign], "a", "A", bases=[base])
