@@ -300,7 +300,7 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     make(folder, *words, "ablations")
     ablations = (out / "ablations.csv").read_text().splitlines()
     assert [line.rsplit(",", 1)[1] for line in ablations] == [
-        *("changed", "policy cone-escape", "–", "shield no", "–", "inflation_m 0.05"),
+        *("changed", "policy cone-escape", "–", "shield no", "–", "world.inflation_m 0.05"),
     ]
     assert len({*starts, *_starts(out)}) == 1  # also with another inflation
 
