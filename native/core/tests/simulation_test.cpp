@@ -149,7 +149,8 @@ void test_a_flight_that_is_not_logged_has_the_same_metrics() {
   const SimulatedFlight log = fly(scene, nominal())[0];
   scene.spec.rules.keeps_path = scene.spec.rules.keeps_ticks = false;
   const SimulatedFlight bare = fly(scene, nominal())[0];
-  CHECK(bare.path.empty() && bare.state.empty() && bare.tracks.empty() && bare.mark.empty() && bare.margin.empty());
+  CHECK(bare.path.empty() && bare.state.empty() && bare.tracks.empty() && bare.estimate.empty() && bare.rows.empty());
+  CHECK(bare.mark == log.mark && bare.margin == log.margin && bare.status == log.status && bare.flags == log.flags);
   CHECK(bare.ticks == log.ticks && bare.end == log.end && bare.path_length_m == log.path_length_m);
   CHECK(bare.encounters.obstacle[0].closest_m == log.encounters.obstacle[0].closest_m);
   CHECK(bare.encounters.mission_risk == log.encounters.mission_risk && bare.encounters.mission_risk > 0);
