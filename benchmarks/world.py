@@ -60,7 +60,12 @@ LISTS: tuple[tuple[str, ...], ...] = (
 )
 SHIELDED = ("shield", "cone-backup", "cone-ecbf")
 QUICK_LISTS = ((), ("polytope-cbf",), ("dr-acbf",), ("shield",), ("dr-acbf", "shield"))
-_STAGES = ("stages/simulation", "stages/runlog", "native/core/src/flight", "native/core/include/alula/flight")
+# What the loops of simulations and of `fly` consist of, with their commands, logs and bindings.
+_STAGES = (
+    *("stages/simulation", "stages/runlog", "stages/flight/commanders", "cli/simulate", "cli/simulate.py"),
+    "cli/sources.py",
+    *("native/core/src/flight", "native/core/include/alula/flight", "native/core/bindings/flight"),
+)
 
 
 def cover(gaussians: int, hulls: int) -> Artifact:
