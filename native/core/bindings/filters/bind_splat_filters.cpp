@@ -29,6 +29,7 @@ using namespace nb::literals;
 namespace alula {
 namespace {
 
+using flight::CommandKind;
 using flight::Cone;
 using flight::ConeDi;
 using flight::FilterReport;
@@ -95,10 +96,11 @@ std::tuple<Doubles, Doubles> grown(const EllipsoidIndex& self) {
   return {to_numpy(std::move(centre), {n, 3}), to_numpy(std::move(a), {n, 3, 3})};
 }
 
-Record to_record(const FilterReport& report) {
+// Velocity and sticks only of a filter that gives them, as each entry takes time in Python.
+Record to_record(const FilterReport& report, CommandKind kind) {
   Record result;
   result["status"] = static_cast<int>(report.status);
-  result["velocity"] = array(report.velocity);
+  if (kind == CommandKind::velocity) result["velocity"] = array(report.velocity);
   result["acceleration"] = array(report.acceleration);
   const geometry::Vec3 torque = report.wrench.torque;
   result["wrench"] = Array4{report.wrench.thrust, torque.x, torque.y, torque.z};
@@ -113,8 +115,10 @@ Record to_record(const FilterReport& report) {
   result["infeasible"] = report.infeasible;
   result["certified"] = report.certified;
   result["certified_moving"] = report.certified_moving;
-  const geometry::Vec3 rates = report.sticks.rates;
-  result["sticks"] = Array4{report.sticks.throttle, rates.x, rates.y, rates.z};
+  if (kind == CommandKind::sticks) {
+    const geometry::Vec3 rates = report.sticks.rates;
+    result["sticks"] = Array4{report.sticks.throttle, rates.x, rates.y, rates.z};
+  }
   return result;
 }
 
@@ -194,7 +198,7 @@ Record filter(SafetyFilter& self, const State12& state, const Array3& accelerati
     const nb::gil_scoped_release release;
     report = self.filter(tick.state, tick.nominal);
   }
-  return to_record(report);
+  return to_record(report, self.kind());
 }
 
 geometry::Mat3 matrix(const In<double, nb::shape<3, 3>>& a) {
