@@ -46,11 +46,11 @@ def test_a_real_scene_is_covered_and_flown_without_collision(file, data, tmp_pat
             "r.run.mcap",
             "--trials",
             "10",
-            "--bounds",
+            "--set",
         ],
         ["report", "r.run.mcap", "--cover", "c.cover.npz", "--certificate", "cert.json", "-o", "r.html"],
     ]
-    steps[5] += bounds_around(steps, tmp_path)
+    steps[5].append(bounds_around(steps, tmp_path))
     for step in steps[4:]:
         assert run([*step, "-q"]) == 0, (step, capsys.readouterr().err)
     certificate = json.loads(Path("cert.json").read_text())
@@ -62,10 +62,11 @@ def test_a_real_scene_is_covered_and_flown_without_collision(file, data, tmp_pat
     assert record.summary["trials"] == 10
 
 
-def bounds_around(steps: list[list[str]], folder: Path) -> list[str]:
+def bounds_around(steps: list[list[str]], folder: Path) -> str:
     """Make the cover, and find a box with room around it to fly in."""
     for step in steps[:4]:
         assert run([*step, "-q"]) == 0, step
     cover = read_artifact(folder / "c.cover.npz")
     vertices = cover["vertex"] * cover.manifest.voxel_size_m
-    return [str(x) for x in (*(vertices.min(axis=0) - 1.0), *(vertices.max(axis=0) + 1.0))]
+    box = (*(vertices.min(axis=0) - 1.0), *(vertices.max(axis=0) + 1.0))
+    return f"mission.bounds_m={','.join(map(str, box))}"

@@ -174,7 +174,8 @@ try:
     {read}(Path(sys.argv[1]))
 except InputError as error:
     print(error)
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    # Not ru_maxrss, which a child inherits from a large parent.
+    print(next(row.split()[1] for row in open("/proc/self/status") if row.startswith("VmHWM")))
 """
 
 
