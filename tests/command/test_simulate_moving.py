@@ -160,6 +160,7 @@ def test_what_is_wrong_is_one_line(here, capsys, words, said):
     assert not list(Path().glob("r.run*"))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_ends_the_run(here, capsys):
     assert run([*WORDS, "--scheduler", "tcp://127.0.0.1:1"]) == 6
     assert "tcp://127.0.0.1:1" in capsys.readouterr().err
