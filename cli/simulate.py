@@ -77,7 +77,7 @@ def command(
     from alula.schemas.world_source import source_tree, vehicle_table
 
     check_log_name(common.output)
-    names = None if filters is None else [name for name in filters.split(",") if name]
+    names = None if filters is None else _names_of(filters)
     changes: dict[str, Any] = {}
     if planned:
         changes["mission.planned"] = True
@@ -115,6 +115,14 @@ def command(
         tree = source_tree(files, filter_kind, filters=chosen, vehicle=vehicle, speed_m_s=speed)
         scenario = changed(tree, str(source), changes | given)
     _fly(scenario, source, scheduler, common)
+
+
+def _names_of(filters: str) -> list[str]:
+    """Names of filters in their order; only the single name `none` flies without any."""
+    names = [name.strip() for name in filters.split(",")]
+    if "" in names or ("none" in names and names != ["none"]):
+        raise UsageError(f"--filter needs names of filters, or only none, not {filters!r}")
+    return names
 
 
 def _relative(path: Path, source: Path) -> str:

@@ -217,6 +217,8 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
         ),
         (["COVER", "--set", "beta=1"], 2, "is it safety.polytope-cbf.beta"),
         (["COVER", "--set", "bteta=1"], 2, "alula scenario --keys lists all"),
+        (["COVER", "--filter", ""], 2, "--filter needs names of filters, or only none, not ''"),
+        (["COVER", "--filter", "none,polytope-cbf"], 2, "--filter needs names of filters, or only none"),
         (["COVER", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf"),
         (["COVER", "--set", "safety.polytope-cbf.beta=101"], 2, "`$.safety.polytope-cbf.beta`"),
         (["COVER", "--set", "rules.dt_s=1"], 2, "`$.safety.polytope-cbf.beta`"),

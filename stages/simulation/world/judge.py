@@ -46,6 +46,7 @@ class WorldJudge:
         seen_by: name of the filter by whose answers encounters are measured; None without one.
         via_tolerance_m: distance within which a via point counts as passed [m].
         dt_s: duration of a tick [s].
+        by_ticks: whether logs have complete rows of ticks, with which references and ellipsoids are compared.
         is_point: whether the vehicle is moved by velocities, whose first one is that of the first command.
         jobs: threads; the result does not depend on it.
     """

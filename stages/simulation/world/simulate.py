@@ -17,6 +17,7 @@ from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.durations import Times
+from alula.stages.progress import share
 from alula.stages.simulation.chunks import TrialJournal, fly_missing, shown
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
@@ -102,7 +103,10 @@ def simulate_world(
     parts = RunParts(
         key=uuid4().hex, scenario=scenario, vehicle=vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs
     )
-    ready = _prepared(parts, jobs)
+    planning = None
+    if scenario.mission.planned:
+        planning, progress = share(progress, 0, 0.5), share(progress, 0.5, 1)
+    ready = _prepared(parts, jobs, planning)
     total, rules = len(ready.missions.tasks), ready.scenario.rules
     chunks = fly_missing(
         partial(fly_chunk, ready, jobs) if scheduler is None else fly_elsewhere,
@@ -164,9 +168,9 @@ def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
         return fly_chunk(ready, 1, chunk)
 
 
-def _prepared(parts: RunParts, jobs: int) -> PreparedRun:
+def _prepared(parts: RunParts, jobs: int, progress: Progress | None = None) -> PreparedRun:
     given = {role: getattr(parts, role) for role in ("cover", "scene", "plan", "pairs")}
-    return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs)
+    return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs, progress=progress)
 
 
 @lru_cache(maxsize=1)

@@ -38,7 +38,7 @@ def pairs():
     return Pairs(start, goal, 0, 0)
 
 
-def simulated(cover, **mission):
+def simulated(cover, progress=None, **mission):
     """Flights of the five pairs."""
     scenario = decoded(
         {
@@ -49,12 +49,16 @@ def simulated(cover, **mission):
             "rules": {"trials": 5},
         }
     )
-    return simulate_world(scenario, cover=cover, pairs=pairs())
+    return simulate_world(scenario, cover=cover, pairs=pairs(), progress=progress)
 
 
 def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
     cover = box_cover(SHELL + WALL)
-    straight, along = world_summary(simulated(cover)), simulated(cover, planned=True)
+    steps = []
+    straight = world_summary(simulated(cover))
+    along = simulated(cover, lambda done, total: steps.append(done / total), planned=True)
+    assert steps == sorted(steps)
+    assert min(steps) < 0.5 < steps[-1] == 1  # planning is a half of it
     planned = world_summary(along)
     assert straight["reached"] <= 1
     assert "planned_pairs" not in straight
