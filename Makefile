@@ -154,7 +154,8 @@ bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into
 	$(BIN)/python -P benchmarks/fly.py --markdown docs/results/benchmarks-fly.md
 
 bench-world: setup ## fly the combined scenario behind every list of filters, an hour, into docs/results/benchmarks-world.md
-	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --markdown docs/results/benchmarks-world.md
+	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --keep build/bench-world \
+	  --markdown docs/results/benchmarks-world.md
 
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md

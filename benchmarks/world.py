@@ -7,7 +7,7 @@ counts the flights behind a shield that touched a hull or left the fence, `certi
 in which the shield proved a manoeuvre to rest against all of that.
 
     python benchmarks/world.py --quick --json          # under a minute
-    python benchmarks/world.py --trials 10000 --markdown PAGE
+    python benchmarks/world.py --trials 10000 --keep FOLDER --markdown PAGE  # may be stopped and begun again
     python benchmarks/world.py --before COMMIT --json  # ticks against an older commit, side by side
 """
 
@@ -60,6 +60,7 @@ LISTS: tuple[tuple[str, ...], ...] = (
 )
 SHIELDED = ("shield", "cone-backup", "cone-ecbf")
 QUICK_LISTS = ((), ("polytope-cbf",), ("dr-acbf",), ("shield",), ("dr-acbf", "shield"))
+TIMED = 200  # flights of which the ticks are timed, one after the other
 # What the loops of simulations and of `fly` consist of, with their commands, logs and bindings.
 _STAGES = (
     *("stages/simulation", "stages/runlog", "stages/flight/commanders", "cli/simulate", "cli/simulate.py"),
@@ -83,14 +84,15 @@ def combined(filters: tuple[str, ...], trials: int) -> WorldScenario:
 
 
 def flown(made: Artifact, filters: tuple[str, ...], trials: int, jobs: int) -> dict[str, Any]:
-    """Figures of one list of filters."""
+    """Outcomes behind one list of filters."""
     scenario = combined(filters, trials)
     start = time.monotonic()
     run = simulate_world(scenario, vehicle_of(scenario, Path()), cover=made, jobs=jobs)
     steps = sum(trial.steps for trial in run.trials)
     moving = sum(any(one.collision for one in trial.obstacles or []) for trial in run.trials)
     static = sum(map(hits_static, run.trials))
-    found = {
+    print(f"{' + '.join(filters) or 'no filter'}: {static} static, {moving} moving", file=sys.stderr)
+    return {
         "filters": list(filters),
         "trials": len(run.trials),
         "reached": sum(trial.outcome == "reached" for trial in run.trials),
@@ -100,12 +102,32 @@ def flown(made: Artifact, filters: tuple[str, ...], trials: int, jobs: int) -> d
         "moving_interval": wilson_interval(moving, len(run.trials)),
         "certified": sum(trial.certified_steps or 0 for trial in run.trials) / steps,
         "certified_moving": sum(trial.certified_moving_steps or 0 for trial in run.trials) / steps,
-        "tick_p50_us": 1e6 * run.tick_times.quantile(0.5),
-        "tick_p99_us": 1e6 * run.tick_times.quantile(0.99),
         "wall_s": time.monotonic() - start,
     }
-    print(f"{' + '.join(filters) or 'no filter'}: {static} static, {moving} moving", file=sys.stderr)
+
+
+def kept(
+    made: Artifact, filters: tuple[str, ...], trials: int, jobs: int, folder: Path | None
+) -> dict[str, Any]:
+    """The outcomes of `flown`, from a file in `folder` if they are there; else flown, and written to it."""
+    file = None if folder is None else folder / f"{'+'.join(filters) or 'none'}-{trials}.json"
+    if file is not None and file.exists():
+        found: dict[str, Any] = json.loads(file.read_text())
+        return found
+    found = flown(made, filters, trials, jobs)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial = file.with_suffix(".partial")
+        partial.write_text(json.dumps(found))
+        partial.replace(file)
     return found
+
+
+def ticks(made: Artifact, filters: tuple[str, ...], trials: int) -> dict[str, float]:
+    """Times of the ticks of the first flights, on one thread."""
+    scenario = combined(filters, trials)
+    times = simulate_world(scenario, vehicle_of(scenario, Path()), cover=made, jobs=1).tick_times
+    return {"tick_p50_us": 1e6 * times.quantile(0.5), "tick_p99_us": 1e6 * times.quantile(0.99)}
 
 
 def combined_figures(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -330,7 +352,8 @@ def page(rows: list[dict[str, Any]], figures: dict[str, Any]) -> str:
 Made by `make bench-world`; do not edit. A Crazyflie by body rates, 20 ms from measurement to command, motors
 with a lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two balls thrown at its
 path ([examples/world/room.toml](../../examples/world/room.toml)). Every list of filters flies the same
-{figures["trials"]} flights; all counts are from the truth.
+{figures["trials"]} flights; all counts are from the truth. Ticks are those of the first
+{min(figures["trials"], TIMED)} flights, on one thread.
 
 {table(rows)}
 
@@ -351,6 +374,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few trials and lists, under a minute")
     parser.add_argument("--trials", type=int, help="of each list of filters; default 1000, quick 24")
     parser.add_argument("--jobs", type=int, default=0, help="threads; default all processors")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="of outcomes: what it has is not flown again"
+    )
     parser.add_argument("--before", metavar="COMMIT", help="also compare ticks and lines with this commit")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--markdown", type=Path, help="write the page")
@@ -359,7 +385,8 @@ def main() -> None:
     scene = room(40_000 if options.quick else 200_000)
     made = merge(MergeConfig(hulls=150 if options.quick else 300), voxels_of(scene, 0.05))
     lists = QUICK_LISTS if options.quick else LISTS
-    rows = [flown(made, names, trials, options.jobs) for names in lists]
+    rows = [kept(made, names, trials, options.jobs, options.keep) for names in lists]
+    rows = [row | ticks(made, names, min(trials, TIMED)) for row, names in zip(rows, lists, strict=True)]
     figures = count_combinations(8 if options.quick else 1) | combined_figures(rows)
     figures["replay_mismatches"] = replay_mismatches(made)
     if options.before and not options.quick:

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
@@ -267,7 +267,8 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     Args:
         common: the shared options.
         status: written, unchanged or dry-run.
-        summary: figures by name; `notes` is a list of sentences.
+        summary: figures by name; `notes` is a list of sentences. For people, counts of outcomes and of steps
+            of which there were none are left out.
     """
     if common.json:
         print_json({"output": str(common.output), "status": status, "summary": summary})
@@ -275,12 +276,19 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     if common.quiet:
         return
     echo(f"{common.output}: {status}")
-    shown = {key: value for key, value in _flat(summary) if value is not None and key != "notes"}
+    shown = {key: value for key, value in _flat(summary) if key != "notes" and not _says_nothing(key, value)}
     width = max((len(key) for key in shown), default=0)
     for key, value in shown.items():
         echo(f"  {key:<{width}}  {plain(value)}")
     for note in summary.get("notes", ()):
         echo(f"note: {note}", err=True)
+
+
+def _says_nothing(key: str, value: Any) -> bool:
+    from alula.schemas.run import Outcome
+
+    is_counted = key.endswith("_steps") or (key in get_args(Outcome) and key != "reached")
+    return value is None or (is_counted and value == 0 and not isinstance(value, bool))
 
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

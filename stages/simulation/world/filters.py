@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -68,7 +69,7 @@ def filter_world(
         extent_m=extent_m,
         speed_m_s=max_speed_m_s,
         max_speed_m_s=table.max_speed_m_s or _SPEEDS * max(speed_m_s, 1.0),
-        max_acceleration_m_s2=box_of_accelerations(vehicle, table.max_acceleration_m_s2),
+        max_acceleration_m_s2=box_of_accelerations(vehicle, table),
         max_jerk_m_s3=table.max_jerk_m_s3 or _JERK_M_S3,
         body=quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE),
         gains=_core.TrackingGains() if vehicle.model == "single-integrator" else tracking_gains(vehicle),
@@ -129,6 +130,8 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
 def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter | None:
     """The filter that watches flights without filters among moving obstacles, for the metrics of encounters.
 
+    It turns nothing aside, so static obstacles change none of its figures and it is given none.
+
     Args:
         scenario: completed.
         world: of `filter_world`.
@@ -140,7 +143,7 @@ def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter |
         return None
     given = msgspec.structs.asdict(scenario.safety.dr_acbf)
     try:
-        return native_filter(moving_filter(NO_FILTER, world, given))
+        return native_filter(moving_filter(NO_FILTER, replace(world, parts={}), given))
     except UsageError as error:
         raise UsageError(
             f"`$.safety.{WITHOUT_FILTER}`: {str(error).removeprefix(f'{NO_FILTER}: ')}"

@@ -9,9 +9,11 @@ from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
+from alula.schemas.world_tables import VehicleTable
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model, racer_options
 
+_SQRT_3 = math.nextafter(math.sqrt(3), 2.0)
 _CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fraction of the peak speed
 _NOISE = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s", "delay_s")
 _AIR = ("linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s", "gust_time_s")
@@ -106,26 +108,31 @@ def catch_up_m_s(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> 
     return given or _CATCH_UP * peak_m_s
 
 
-def box_of_accelerations(vehicle: Vehicle, limit_m_s2: float | None) -> float:
+def box_of_accelerations(vehicle: Vehicle, table: VehicleTable) -> float:
     """Largest |a| per axis that a vehicle can fly in all directions at once [m/s^2].
 
     Of a quadrotor: for every a with |a_i| at most this, the force m (a + g e3) is within the largest thrust
-    and the largest tilt of its controller; rounded down to 1 %.
+    and the largest tilt of its controller; rounded down to 1 %. Of a point whose limit is that of the length
+    of its acceleration: the limit over sqrt(3).
 
     Args:
         vehicle: of any model.
-        limit_m_s2: of the scenario, if any.
+        table: of the scenario.
     """
+    limit_m_s2 = table.max_acceleration_m_s2
     if vehicle.model != "quadrotor" or vehicle.rotors is None:
-        return limit_m_s2 if limit_m_s2 is not None else 6.0
+        most = 6.0 if limit_m_s2 is None else limit_m_s2
+        # of each axis where the speed or the jerk has a limit too: see has_inner_limits
+        by_axis = table.max_jerk_m_s3 is not None or table.max_speed_m_s is not None
+        return most if by_axis or vehicle.model != "double-integrator" else most / _SQRT_3
     assert vehicle.body.mass_kg is not None
-    table, g = vehicle.tracking, vehicle.body.gravity_m_s2
-    most = (table.max_thrust_share or 1.0) * sum(vehicle.rotors.max_thrust_n) / vehicle.body.mass_kg
-    slope = math.tan(min(table.max_tilt_rad or 1.2, 1.5))
+    tracking, g = vehicle.tracking, vehicle.body.gravity_m_s2
+    thrust = (tracking.max_thrust_share or 1.0) * sum(vehicle.rotors.max_thrust_n) / vehicle.body.mass_kg
+    slope = math.tan(min(tracking.max_tilt_rad or 1.2, 1.5))
 
     def is_flown(a: float) -> bool:
         sideways = math.sqrt(2) * a
-        return math.hypot(sideways, g + a) <= most and sideways <= slope * (g - a)
+        return math.hypot(sideways, g + a) <= thrust and sideways <= slope * (g - a)
 
     low, high = 0.0, g
     while high - low > 0.01 * high:

@@ -96,13 +96,23 @@ void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector
   if (most == 0) return;
   double within = reach;
   hulls_->tree().visit_near(p, {}, within, [&](std::uint32_t, std::uint32_t k) {
-    const geometry::SignedDistance at = geometry::signed_distance(hulls_->polytope(k), p, reach);
+    // Exact for a hull as far as the farthest that is kept: the index decides between those.
+    const double enough = found.size() == most ? std::nextafter(within, kInfinity) : reach;
+    const geometry::SignedDistance at = geometry::signed_distance(hulls_->polytope(k), p, enough);
+    if (!(at.value < reach)) return;
     const Contact it = contact(ObstacleKind::hull, k, p, at.value, at.normal);
-    if (!(at.value < reach) || (found.size() == most && !nearer(it, found.back()))) return;
-    if (found.size() == most) found.pop_back();
-    found.insert(std::upper_bound(found.begin(), found.end(), it, nearer), it);
-    if (found.size() == most) within = found.back().distance;
+    if (found.size() == most) {
+      if (!nearer(it, found.front())) return;
+      std::pop_heap(found.begin(), found.end(), nearer);
+      found.back() = it;
+      std::push_heap(found.begin(), found.end(), nearer);
+    } else {
+      found.push_back(it);
+      if (found.size() == most) std::make_heap(found.begin(), found.end(), nearer);
+    }
+    if (found.size() == most) within = found.front().distance;
   });
+  std::sort(found.begin(), found.end(), nearer);
 }
 
 bool HullMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const {

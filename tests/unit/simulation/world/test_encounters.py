@@ -120,6 +120,15 @@ def test_commands_stay_in_the_box_and_the_vehicle_within_its_limits(
     assert (log["closest_m"] >= gap.min(axis=0) - 0.01 * 25).all()
 
 
+def test_what_the_filter_commands_is_flown_by_a_point_whose_limit_is_that_of_a_length():
+    body = {"max_speed_m_s": None, "max_jerk_m_s3": None, "max_acceleration_m_s2": 6.0}
+    log = flown(made(vehicle=body))[0]
+    length = np.linalg.norm(log["command"][:, :3], axis=1)
+    assert length.max() > 5.9  # it dodges with all it has
+    assert length.max() <= 6.0
+    assert not (log["mark"] & 4).any()  # and nothing was cut off
+
+
 def test_no_filter_flies_straight_to_the_goal():
     scenario = made(
         safety=behind("none"),
