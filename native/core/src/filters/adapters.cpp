@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cfloat>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <utility>
 
@@ -13,7 +14,6 @@ namespace {
 
 constexpr double kWallsAhead = 5;  // walls farther than this time at full speed are not passed on [s], ...
 constexpr double kBraking = 0.5;   // ... unless stopping before them takes this fraction of the maximum acceleration
-constexpr std::size_t kLooked = 4 * ALULA_WALLS;  // nearest obstacles of which walls are chosen
 
 SafetyStatus status_of(alula_geofence_status status) {
   switch (status) {
@@ -38,25 +38,39 @@ WallPlanes::WallPlanes(std::shared_ptr<const ObstacleMap> map, double max_speed,
     : map_(std::move(map)), brake_(kBraking * max_acceleration), radius_(radius) {
   farthest_ = std::max(kWallsAhead * max_speed, max_speed * max_speed / (2 * brake_));
   if (map_) memory_ = map_->memory();
-  near_.reserve(kLooked), walls_.reserve(ALULA_WALLS);
+  near_.reserve(ALULA_WALLS), walls_.reserve(ALULA_WALLS);
 }
 
 std::span<const alula_wall> WallPlanes::at(Vec3 p, Vec3 v) {
-  walls_.clear();
+  walls_.clear(), near_.clear();
   if (!map_ || !geometry::is_finite(p)) return {};
-  map_->near(p, farthest_, kLooked, near_, memory_);
-  if (near_.size() > ALULA_WALLS) {
-    const auto spare = [&](const Contact& c) {  // possible increase of the speed towards it
-      return std::sqrt(2 * brake_ * std::max(0.0, c.distance - radius_)) + dot(c.normal, v);
-    };
-    std::nth_element(near_.begin(), near_.begin() + ALULA_WALLS, near_.end(),
-                     [&](const Contact& a, const Contact& b) { return spare(a) < spare(b); });
-    near_.resize(ALULA_WALLS);
-    std::sort(near_.begin(), near_.end(), [](const Contact& a, const Contact& b) { return a.distance < b.distance; });
-  }
-  for (const Contact& c : near_) {
-    const auto n = to_float(c.normal);
-    walls_.push_back({{n[0], n[1], n[2]}, round_down(c.distance)});
+  double reach = farthest_;
+  const double speed = norm(v);
+  const auto before = [](const Near& a, const Near& b) {
+    return a.spare < b.spare || (a.spare == b.spare && nearer(a.contact, b.contact));
+  };
+  const auto keep = [&](const Contact& c) {
+    // possible increase of the speed towards it
+    const Near it{c, std::sqrt(2 * brake_ * std::max(0.0, c.distance - radius_)) + dot(c.normal, v)};
+    if (near_.size() < ALULA_WALLS) {
+      near_.push_back(it);
+      if (near_.size() < ALULA_WALLS) return;
+      std::make_heap(near_.begin(), near_.end(), before);
+    } else {
+      if (!before(it, near_.front())) return;
+      std::pop_heap(near_.begin(), near_.end(), before);
+      near_.back() = it;
+      std::push_heap(near_.begin(), near_.end(), before);
+    }
+    // Farther away the vehicle has more to spare, even where it flies straight at the obstacle.
+    const double most = near_.front().spare + speed;
+    reach = std::min(farthest_, (1 + 1e-12) * (radius_ + most * most / (2 * brake_)));
+  };
+  map_->visit(p, reach, std::ref(keep), memory_);
+  std::sort(near_.begin(), near_.end(), [](const Near& a, const Near& b) { return nearer(a.contact, b.contact); });
+  for (const Near& each : near_) {
+    const auto n = to_float(each.contact.normal);
+    walls_.push_back({{n[0], n[1], n[2]}, round_down(each.contact.distance)});
   }
   return walls_;
 }

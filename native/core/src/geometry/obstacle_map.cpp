@@ -29,11 +29,17 @@ Contact contact(ObstacleKind kind, std::uint32_t index, geometry::Vec3 p, double
   return {kind, index, distance, normal, p - distance * normal};
 }
 
+}  // namespace
+
 bool nearer(const Contact& a, const Contact& b) {
   return std::tie(a.distance, a.kind, a.index) < std::tie(b.distance, b.kind, b.index);
 }
 
-}  // namespace
+void ObstacleMap::visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const {
+  near(p, reach, kVisited, memory.contacts, memory);
+  for (const Contact& c : memory.contacts)
+    if (c.distance < reach) visit(c);
+}
 
 EllipsoidMap::EllipsoidMap(std::shared_ptr<const EllipsoidIndex> index) : index_(std::move(index)) {
   require(index_ != nullptr, "a map of ellipsoids needs an index");
@@ -41,7 +47,8 @@ EllipsoidMap::EllipsoidMap(std::shared_ptr<const EllipsoidIndex> index) : index_
 
 MapMemory EllipsoidMap::memory() const {
   MapMemory memory;
-  memory.found.reserve(4);
+  memory.found.reserve(kVisited);
+  memory.contacts.reserve(kVisited);
   return memory;
 }
 
@@ -91,27 +98,32 @@ double HullMap::segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto
   return std::max(0.0, hulls_->clearance(a, b, upto, memory.nearest, memory.scratch));
 }
 
-void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found, MapMemory&) const {
+void HullMap::visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory&) const {
+  hulls_->tree().visit_near(p, {}, reach, [&](std::uint32_t, std::uint32_t k) {
+    const geometry::SignedDistance at = geometry::signed_distance(hulls_->polytope(k), p, reach);
+    if (at.value < reach) visit(contact(ObstacleKind::hull, k, p, at.value, at.normal));
+  });
+}
+
+void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+                   MapMemory& memory) const {
   found.clear();
   if (most == 0) return;
   double within = reach;
-  hulls_->tree().visit_near(p, {}, within, [&](std::uint32_t, std::uint32_t k) {
-    // Exact for a hull as far as the farthest that is kept: the index decides between those.
-    const double enough = found.size() == most ? std::nextafter(within, kInfinity) : reach;
-    const geometry::SignedDistance at = geometry::signed_distance(hulls_->polytope(k), p, enough);
-    if (!(at.value < reach)) return;
-    const Contact it = contact(ObstacleKind::hull, k, p, at.value, at.normal);
-    if (found.size() == most) {
-      if (!nearer(it, found.front())) return;
-      std::pop_heap(found.begin(), found.end(), nearer);
-      found.back() = it;
-      std::push_heap(found.begin(), found.end(), nearer);
+  const auto keep = [&](const Contact& c) {
+    if (found.size() < most) {
+      found.push_back(c);
+      if (found.size() < most) return;
+      std::make_heap(found.begin(), found.end(), nearer);
     } else {
-      found.push_back(it);
-      if (found.size() == most) std::make_heap(found.begin(), found.end(), nearer);
+      if (!nearer(c, found.front())) return;
+      std::pop_heap(found.begin(), found.end(), nearer);
+      found.back() = c;
+      std::push_heap(found.begin(), found.end(), nearer);
     }
-    if (found.size() == most) within = found.front().distance;
-  });
+    within = std::nextafter(found.front().distance, kInfinity);  // the index decides between equal distances
+  };
+  visit(p, within, std::ref(keep), memory);
   std::sort(found.begin(), found.end(), nearer);
 }
 
@@ -196,6 +208,10 @@ void MapUnion::near(geometry::Vec3 p, double reach, std::size_t most, std::vecto
   }
   std::stable_sort(all.begin(), all.end(), nearer);
   found.assign(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(std::min(most, all.size())));
+}
+
+void MapUnion::visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const {
+  for (std::size_t i = 0; i < maps_.size(); ++i) maps_[i]->visit(p, reach, visit, memory.parts[i]);
 }
 
 bool MapUnion::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const {

@@ -29,7 +29,11 @@ class WallPlanes {
   std::shared_ptr<const ObstacleMap> map_;
   double farthest_ = 0, brake_ = 0, radius_ = 0;
   MapMemory memory_;
-  std::vector<Contact> near_;
+  struct Near {
+    Contact contact;
+    double spare;  // increase of the speed towards the obstacle from which the vehicle could still stop [m/s]
+  };
+  std::vector<Near> near_;
   std::vector<alula_wall> walls_;
 };
 

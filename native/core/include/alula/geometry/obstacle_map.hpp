@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <vector>
@@ -36,6 +37,12 @@ struct MapMemory {
   std::vector<MapMemory> parts;  // of a union
 };
 
+using Visit = std::function<void(const Contact&)>;
+constexpr std::size_t kVisited = 128;
+
+// By distance; equal ones by kind and index.
+bool nearer(const Contact& a, const Contact& b);
+
 // Immutable, shared by threads. Frame and unit (metres) are those of the obstacles. Queries allocate only in their
 // outputs and in a memory that is not from `memory()`.
 class ObstacleMap {
@@ -58,6 +65,10 @@ class ObstacleMap {
   // Replaces `found` by the at most `most` obstacles nearer to p than `reach`, by distance, ties by kind and index.
   virtual void near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
                     MapMemory& memory) const = 0;
+
+  // Calls visit(contact) for obstacles nearer to p than `reach`, which `visit` may lower: for all that are nearer
+  // than the last value of it, in any order. A map without such a search visits the nearest kVisited.
+  virtual void visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const;
 
   // True if the ball of radius d, at least 0, swept from a to b is free. Never wrongly true: rounding counts as
   // contact, which may cost 1e-8 of d and 1e-9 m. False for a value that is not finite.
@@ -94,6 +105,7 @@ class HullMap final : public ObstacleMap {
   double segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const override;
   void near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
             MapMemory& memory) const override;
+  void visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const override;
   bool is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const override;
 
  private:
@@ -135,6 +147,7 @@ class MapUnion final : public ObstacleMap {
   double segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const override;
   void near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
             MapMemory& memory) const override;
+  void visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const override;
   bool is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const override;
 
  private:
