@@ -273,7 +273,7 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
             radius_m=keep,
             dt_s=dt,
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
-            rate_time_constant_s=vehicle.rates.time_constant_s,
+            rate_time_constant_s=vehicle.rates.axes_s,
             max_rate_rad_s=vehicle.rates.max_rad_s,
             polytopes=hulls_of_cover,
             hull_radius_m=mission.hull_keep_m,
@@ -347,7 +347,7 @@ def make_commander(
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s, delay_s=vehicle.assumed.delay_s
         ),
         max_rate_rad_s=vehicle.rates.max_rad_s,
-        rate_time_constant_s=vehicle.rates.time_constant_s,
+        rate_time_constant_s=vehicle.rates.axes_s,
         velocity_lag_s=lag,
         max_speed_m_s=speed,
     )

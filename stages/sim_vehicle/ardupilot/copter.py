@@ -84,7 +84,7 @@ class Copter:
         initial = {self.HOVER: round(self.hover_throttle, 6)}
         self.parameters = self._parameters(initial | dict(parameters or {}))
         lag_s = vehicle.disturbance.motor_time_constant_s
-        self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.time_constant_s, lag_s)
+        self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.tilting_s, lag_s)
         self.pilot = Pilot(self.parameters)
         self.battery = Battery(self.parameters)
         options = options or EstimatorOptions()
