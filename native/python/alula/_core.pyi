@@ -1322,7 +1322,7 @@ class ShieldOptions:
             rest_drift_m: maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
             early_end: end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
             motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
-            rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+            rate_time_constant_s: time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for all: it is commanded by thrust and torque [s]
             max_rate_rad_s: maximum body rates of a command [rad/s]
             tube_horizon_s: how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
             tube_risk: probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track
@@ -1396,7 +1396,7 @@ class ShieldOptions:
     @property
     def rate_time_constant_s(self) -> list[float]:
         """
-        time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+        time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for all: it is commanded by thrust and torque [s]
         """
 
     @property
