@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas import foreign_filters
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.world import decoded
 from alula.stages.compression.hulls import Hulls
@@ -22,6 +21,7 @@ from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
+from support.foreign_filters import provide
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 TWO_BLOCKS = [((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))]
@@ -425,23 +425,10 @@ class Racing(Timid):
         return FilterResult(2 * nominal.velocity, FilterStatus.FILTERED, 1.0)
 
 
-class Point:
-    def __init__(self, name, target):
-        self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-    def load(self):
-        if self.target is None:
-            raise ImportError("no module named 'elsewhere'")
-        return self.target
-
-
 @pytest.fixture
 def others(monkeypatch):
     known = {"timid": Timid, "broken": Broken, "racing": Racing, "absent": None, "none": Broken}
-    points = [Point(*item) for item in known.items()]
-    monkeypatch.setattr(
-        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
-    )
+    provide(monkeypatch, known)
 
 
 def test_a_filter_from_another_package_flies(others):

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas import foreign_filters
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN, SCENE
@@ -16,7 +15,7 @@ from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import make_scene
-from support.foreign_filters import Broken, Limiting
+from support.foreign_filters import Broken, Limiting, provide
 from support.world_runs import flown
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
@@ -191,22 +190,9 @@ def test_a_double_integrator_of_its_own_file_keeps_its_limit():
         quick("cone-di", vehicle=lone)
 
 
-class Point:
-    def __init__(self, name, target):
-        self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-    def load(self):
-        if self.target is None:
-            raise ImportError("no module named 'elsewhere'")
-        return self.target
-
-
 @pytest.fixture
 def others(monkeypatch):
-    points = [Point("limiting", Limiting), Point("absent", None), Point("none", Broken)]
-    monkeypatch.setattr(
-        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
-    )
+    provide(monkeypatch, {"limiting": Limiting, "absent": None, "none": Broken})
 
 
 def test_a_filter_from_another_package_flies(others):
