@@ -23,6 +23,7 @@ from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
 from support.foreign_filters import provide
 from support.small_scenes import ball_scene, box_cover, line_plan
+from support.world_runs import set_value
 
 TWO_BLOCKS = [((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))]
 ROOM = (0.0, 0.0, 0.0, 4.0, 4.0, 2.0)
@@ -491,11 +492,7 @@ def test_filters_that_fail_are_named(others):
 )
 def test_scenarios_without_meaning_are_refused(key, value):
     tree = {"vehicle": dict(POINT), "safety": {"filters": ["polytope-cbf"]}}
-    *tables, last = key.split(".")
-    at = tree
-    for table in tables:
-        at = at.setdefault(table, {})
-    at[last] = value
+    set_value(tree, key, value)
     with pytest.raises(UsageError, match=re.escape(f"`$.{key}")):
         decoded(tree)
 
