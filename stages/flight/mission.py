@@ -35,7 +35,7 @@ from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import certify
-from alula.stages.planning.plan_samples import sample_plan
+from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
 
@@ -202,9 +202,7 @@ def make_mission(
         proofs.append(
             (distance >= radius, f"{at_least(distance)} m from the ellipsoids, {exact(radius)} m required")
         )
-    curve = _core.ReferenceCurve(
-        np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
-    )
+    curve = curve_of(plan)
     inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
     along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
