@@ -84,7 +84,7 @@ class SimulatedVehicle:
     ) -> None:
         self.copter = copter
         self.codec = Codec(
-            copter.parameters.whole("SYSID_THISMAV"),
+            copter.parameters.whole("MAV_SYSID"),
             channel=channel,
             key=key,
             time_10us=signing_time(epoch_s),

@@ -9,11 +9,13 @@ from typing import ClassVar
 from alula.schemas.vehicle import Vehicle
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Battery, Charge
+from alula.stages.sim_vehicle.ardupilot.drag import with_drag
 from alula.stages.sim_vehicle.ardupilot.estimator import Estimator, EstimatorOptions, LatLonAlt
 from alula.stages.sim_vehicle.ardupilot.flying import Flying
 from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode, refusal
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
+from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.hand import Hand
 
@@ -65,6 +67,7 @@ class Copter:
     FIRMWARE: ClassVar[str] = "ArduCopter V4.7.0-dev (simulated)"
     HOVER: ClassVar[str] = "MOT_THST_HOVER"  # parameter with the hover throttle
     LOCATION: ClassVar[LatLonAlt] = HOME
+    POSITION: ClassVar[type[PositionControl]] = PositionControl
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
 
     def __init__(
@@ -79,19 +82,19 @@ class Copter:
         hand: Hand | None = None,
     ) -> None:
         self.name = vehicle.name
-        self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
+        self.airframe = Airframe(self._plant(vehicle), seed=seed, heading_rad=heading_rad)
         self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
         initial = {self.HOVER: round(self.hover_throttle, 6)}
         self.parameters = self._parameters(initial | dict(parameters or {}))
-        lag_s = vehicle.disturbance.motor_time_constant_s
-        self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.tilting_s, lag_s)
+        self.attitude = self._attitude_control(vehicle)
         self.pilot = Pilot(self.parameters)
         self.battery = Battery(self.parameters)
         options = options or EstimatorOptions()
         self.estimator = Estimator(
             self.parameters, options, self.airframe.truth, self.LOCATION if home is None else home, seed
         )
-        self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
+        position = self.POSITION(self.attitude, self.parameters, vehicle.body.gravity_m_s2)
+        self.flying = Flying(self.attitude, position, self.parameters, self.pilot)
         self._hand = hand
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE
@@ -115,11 +118,17 @@ class Copter:
     def _boot(self) -> None:
         """Set the initial mode and other initial state of the firmware."""
         initial = self.parameters.whole("INITIAL_MODE")
-        if refusal(initial, has_position=False) is None:
+        if refusal(initial, has_position=True) is None:
             self.mode = Mode(initial)
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values)
+
+    def _plant(self, vehicle: Vehicle) -> Vehicle:
+        return with_drag(vehicle)
+
+    def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
+        return AttitudeControl(self.airframe, self.parameters)
 
     @property
     def time_s(self) -> float:
@@ -152,6 +161,8 @@ class Copter:
         if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
             self._check(self.time_s - self._checked_s)
             self._checked_s = self.time_s
+        # As in the firmware, the rates and the throttle of the tick before are followed first.
+        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
         self.flying.has_position = self.estimator.has_position
         if not self.is_armed:
             self.flying.rest(motion)
@@ -162,7 +173,6 @@ class Copter:
             self.flying.rest(motion)
         else:
             self.flying.run(self.mode, motion, self.time_s)
-        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
         self.airframe.step(thrust, torque)
         self._detect_landing(thrust)
 
@@ -217,8 +227,11 @@ class Copter:
         return True
 
     def set_mode(self, number: int) -> bool:
-        """Enter a mode by its number; returns whether it was entered. A text states why it was refused."""
-        reason = refusal(number, has_position=self.estimator.has_position)
+        """Enter a mode by its number; returns whether it was entered, or a text states why not.
+
+        A disarmed vehicle enters any mode; arming checks what the mode needs.
+        """
+        reason = refusal(number, has_position=self.estimator.has_position or not self.is_armed)
         if reason is not None:
             self.say(WARNING, reason)
             return False
@@ -247,9 +260,9 @@ class Copter:
         self._client_s = self.time_s
 
     def note_ground_station(self, system: int) -> None:
-        """Record a heartbeat of a system; only SYSID_MYGCS counts as the ground station."""
+        """Record a heartbeat of a system; only MAV_GCS_SYSID counts as the ground station."""
         self.note_client()
-        if system == self.parameters.whole("SYSID_MYGCS"):
+        if system == self.parameters.whole("MAV_GCS_SYSID"):
             self._gcs_s = self.time_s
 
     def _check(self, passed_s: float) -> None:

@@ -229,7 +229,7 @@ class Estimator:
         self._time_s += TICK_S
         noise = self._next_noise()
         turn = from_euler(0.0, 0.0, self._yaw_error)
-        self._integrate(truth, turn, noise, is_still)
+        acceleration = self._integrate(truth, turn, noise, is_still)
         self._settle()
         sigma, rate = self._options.attitude_noise_rad, self._options.rate_noise_rad_s
         lean = from_vector((sigma * noise[6], sigma * noise[7], sigma * noise[8]))
@@ -240,6 +240,7 @@ class Estimator:
             (self._velocity[0], self._velocity[1], self._velocity[2]),
             attitude,
             (o[0] + rate * noise[9], o[1] + rate * noise[10], o[2] + rate * noise[11]),
+            acceleration,
         )
         self._history.append((self._time_s, self.motion))
         while len(self._history) > 1 and self._history[1][0] <= self._time_s - self._options.delay_s + 1e-9:
@@ -263,7 +264,8 @@ class Estimator:
         east = math.radians(location[1] - lon) * _EARTH_M * math.cos(math.radians(lat))
         return north, east, alt - location[2]
 
-    def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> None:
+    def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> Vector:
+        """Advance position and velocity; return the measured acceleration, NED [m/s^2]."""
         mocap = self.uses_mocap
         height_outside = mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL
         follows = [not mocap and self.has_fix] * 2 + [not height_outside]
@@ -280,6 +282,7 @@ class Estimator:
                 self._velocity[i] += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
                 self._position[i] += TICK_S * _GAIN[0] * error
             self._position[i] += self._velocity[i] * TICK_S
+        return added(moved, self._bias)
 
     def _settle(self) -> None:
         if self.uses_mocap:
