@@ -313,11 +313,10 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
             Event.HEALTH_UNKNOWN,
         ),
     )
-    reason = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:
-        raise LinkError(f"the flight ended early: {reason}")
+        raise LinkError(f"the flight ended early: {loop.ending}")
     if cause is not Event.PLAN_FINISHED:
-        raise CheckError(f"{common.output}: the plan was not finished: {reason}")
+        raise CheckError(f"{common.output}: the plan was not finished: {loop.ending}")
     if trial is not None and trial.collision:
         raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
     raise CheckError(f"{common.output}: the plan was flown, but {missed}")

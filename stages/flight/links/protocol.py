@@ -108,7 +108,8 @@ class VehicleStatus:
         battery_share: remaining charge, a fraction from 0 to 1.
         battery_v: voltage [V].
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
-        is_failsafe: whether one of its own failsafes acts.
+        is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
+        failsafe: cause of its newest failsafe in its own words; empty if it reported none.
         texts: its messages for people, oldest first; the reader removes them.
         refusals: commands that it refused or did not execute, with the reason; the reader removes them.
         bad_packets: number of packets that were refused.
@@ -125,6 +126,7 @@ class VehicleStatus:
     battery_v: float | None = None
     is_estimator_ready: bool | None = None
     is_failsafe: bool = False
+    failsafe: str = ""
     texts: list[str] = field(default_factory=list)
     refusals: list[tuple[Order, str]] = field(default_factory=list)
     bad_packets: int = 0

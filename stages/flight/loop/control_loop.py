@@ -158,11 +158,22 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
+        self._cause_detail = ""
 
     @property
     def state(self) -> State:
         """State of the supervisor."""
         return self.supervision.state
+
+    @property
+    def ending(self) -> str:
+        """Cause of the end of the flight in words, with the reason as far as it is known."""
+        cause = self.supervision.cause
+        if cause is None:
+            return "no reason is known"
+        late = self.link.status.failsafe if cause in (Event.FAILSAFE, Event.FAILSAFE_IDLE) else ""
+        detail = self._cause_detail or late  # the vehicle may give its reason after the change of its mode
+        return f"{cause.value} ({detail})" if detail else cause.value
 
     def run(self) -> None:
         """Fly until the supervisor is done.
@@ -294,6 +305,7 @@ class ControlLoop:
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
             is_ours=self._modes.is_ours(status),
+            by_failsafe=self._modes.by_failsafe,
             order_refused=now_s - self._refused_s > 1.0,
             checks=self.checks.result,
             dry_run=self.options.dry_run,
@@ -321,12 +333,22 @@ class ControlLoop:
             is_new = not self.taken or self.taken[-1][1] != each
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
-            detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
-            if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
-                detail = self.checks.failure()
+            detail = self._detail(each)
+            if each.event is self.supervision.cause:
+                self._cause_detail = self._cause_detail or detail
             if is_new:
                 self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
             self._try(each.step.action, now_s)
+
+    def _detail(self, taken: Taken) -> str:
+        """Reason of an event in words, as far as it is known; empty if the event's name says it all."""
+        if taken.event is Event.FRAME_WRONG:
+            return self._motion.wrong
+        if taken.event in (Event.FAILSAFE, Event.FAILSAFE_IDLE):
+            return self.link.status.failsafe
+        if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
+            return self.checks.failure()
+        return ""
 
     def _try(self, action: Action, now_s: float) -> None:
         """Perform an action; report a link error and treat it as a refusal by the vehicle."""

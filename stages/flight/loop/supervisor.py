@@ -80,6 +80,7 @@ class Facts:
         silence_s: time since the last valid message [s].
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as reported by the vehicle.
         is_ours: False after somebody else has changed the mode.
+        by_failsafe: one of the vehicle's own failsafes has changed it.
         order_refused: the vehicle refused the last order more than 1 s ago.
         health_unknown: the vehicle no longer reports a health value that it reported when it was armed.
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
@@ -114,6 +115,7 @@ class Facts:
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
+    by_failsafe: bool = False
     order_refused: bool = False
     checks: bool | None = None
     dry_run: bool = False
@@ -241,8 +243,8 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
     for event, is_so in (
         # Somebody who takes the vehicle over has priority over every other event.
-        (Event.MODE_CHANGED, not facts.is_ours),
-        (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
+        (Event.MODE_CHANGED, not (facts.is_ours or facts.by_failsafe)),
+        (Event.FAILSAFE, (facts.is_failsafe and not facts.obeys) or facts.by_failsafe),
         (Event.DISARMED, is_disarmed),
         (Event.LINK_LOST, not abs(facts.silence_s) <= limits.silence_s),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),

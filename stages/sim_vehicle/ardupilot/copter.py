@@ -53,7 +53,7 @@ class Copter:
         mode: the present mode.
         is_armed: whether it is armed.
         is_landed: whether it has detected a landing.
-        failsafe: name of the last failsafe that acts; empty without one.
+        failsafe: name of the last failsafe that triggered, whether it acts or not; empty without one.
         texts: STATUSTEXTs to send, severity and text.
 
     Raises:
@@ -277,11 +277,11 @@ class Copter:
         threshold = self.parameters["FS_EKF_THRESH"]
         bad = self.estimator.variance > threshold > 0 or not self.estimator.has_position
         needs = self.is_armed and MODES[self.mode].needs_position
-        self._bad_s = self._bad_s + passed_s if bad and needs else 0.0
-        if self._bad_s >= _ESTIMATOR_S - 1e-9 and self.parameters.whole("FS_EKF_ACTION"):
-            self._bad_s = 0.0
+        self._bad_s = self._bad_s + passed_s if bad and (needs or "EKF" in self._active) else 0.0
+        has_failed = self._bad_s >= _ESTIMATOR_S - 1e-9 and self.parameters.whole("FS_EKF_ACTION") > 0
+        if has_failed and "EKF" not in self._active:
             self.say(CRITICAL, "EKF variance")
-            self._act("EKF", Mode.LAND)
+        self._watch("EKF", has_failed, Mode.LAND)
         if not self.is_armed and self.time_s - self._reminded_s >= _REMINDER_S:
             self._reminded_s = self.time_s
             if (reason := self.arming_refusal()) is not None:
@@ -295,24 +295,25 @@ class Copter:
             self._act(name, action)
         elif not is_bad and name in self._active:
             self._active.discard(name)
+            if self.failsafe == name:
+                self.failsafe = ""
             self.say(WARNING, f"{name} Failsafe Cleared")
 
     def _act(self, name: str, action: Mode | None) -> None:
         """Execute a failsafe: change the mode in the air, disarm on the ground."""
         if not self.is_armed:
             return
-        self.say(WARNING, f"{name} Failsafe")
-        if action is None:
-            return
         self.failsafe = name
-        if self.is_landed:
+        if action is None or self.mode is Mode.LAND:
+            self.say(WARNING, f"{name} Failsafe")
+        elif self.is_landed:
+            self.say(WARNING, f"{name} Failsafe - Disarming")
             self.disarm()
-        elif self.mode is Mode.LAND:
-            return
-        elif MODES[action].needs_position and not self.estimator.has_position:
-            self.set_mode(Mode.LAND)
         else:
-            self.set_mode(action)
+            is_blind = MODES[action].needs_position and not self.estimator.has_position
+            self.set_mode(Mode.LAND if is_blind else action)
+            change = f": changed to {self.mode.name} Mode" if name == "EKF" else ""
+            self.say(WARNING, f"{name} Failsafe{change}")
 
     def _detect_landing(self, thrust_n: float) -> None:
         if not self.airframe.on_ground:

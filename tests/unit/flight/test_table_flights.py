@@ -62,10 +62,16 @@ def failsafe(flight):
 
 
 def left_to_itself(flight):
-    """The link reports a failsafe and no mode; with ArduPilot the changed mode would have priority."""
+    """The link reports a failsafe and no mode: a failsafe need not change it."""
     status = flight.link.status
     status.is_failsafe, status.obeys, status.mode = True, False, ""
     flight.muted.add("HEARTBEAT")
+
+
+def flat(flight):
+    """The battery's failsafe acts: the vehicle lands by itself."""
+    for name, value in (("BATT_LOW_TIMER", 0.0), ("BATT_FS_LOW_ACT", 1.0), ("BATT_LOW_VOLT", 13.0)):
+        flight.copter.parameters.set(name, value)
 
 
 def kill(flight):
@@ -94,7 +100,7 @@ def mend(flight):
 
 ENDINGS = {  # in the air, from any state in which the program has control
     E.MODE_CHANGED: [fault("mode", amount=5)],  # LOITER
-    E.FAILSAFE: [left_to_itself],
+    E.FAILSAFE: [flat],
     E.DISARMED: [kill],
     E.LINK_LOST: [cut],
     E.RESTARTED: [set_back],

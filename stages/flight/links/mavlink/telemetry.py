@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -22,6 +23,11 @@ _LANDED = {
     dialect.MAV_LANDED_STATE_TAKEOFF: False,
     dialect.MAV_LANDED_STATE_LANDING: False,
 }
+_FAILSAFE = re.compile(r"failsafe|breach", re.IGNORECASE)
+_OVER = re.compile(r"clear|deactivated|resolved", re.IGNORECASE)
+_REASON = re.compile(r"Battery \d+ is |EKF variance|Dead Reckoning (started|timeout)|GPS Glitch")
+_OF_ARMING = re.compile(r"(Pre)?Arm:|Preflight|Mode change", re.IGNORECASE)
+_REASON_S = 2.0  # a failsafe is reported this long after its reason at most
 _PIECE = 50  # characters of a STATUSTEXT; a shorter piece is the last
 _MAX_PIECES = 8
 _MAX_OPEN = 4
@@ -44,6 +50,7 @@ class Telemetry:
         self.mode: tuple[int, int] | None = None
         self.autopilot: Autopilot | None = None
         self._texts = Texts()
+        self._reason = (-math.inf, "")
         self._arrived_s: dict[str, float] = {}  # by kind of message
 
     @property
@@ -55,7 +62,10 @@ class Telemetry:
         """Process a message that arrived at `now_s` [s]; returns the texts that it completes."""
         kind, status = message.get_type(), self.status
         if kind == "STATUSTEXT":
-            return self.say(*self._texts.take(message, now_s))
+            texts = self.say(*self._texts.take(message, now_s))
+            for text in texts:
+                self._read_failsafe(text, now_s)
+            return texts
         if kind == "HEARTBEAT":
             self.heartbeat = message
             self.read_mode()
@@ -89,6 +99,17 @@ class Telemetry:
             dialect.MAV_STATE_EMERGENCY,
             dialect.MAV_STATE_FLIGHT_TERMINATION,
         )
+
+    def _read_failsafe(self, text: str, now_s: float) -> None:
+        """Keep a text that names a failsafe, with the reason that the vehicle gave just before."""
+        if _OF_ARMING.match(text):
+            return
+        if _REASON.match(text):
+            self._reason = now_s, text
+        elif _FAILSAFE.search(text):
+            at_s, reason = self._reason
+            recent = reason if now_s - at_s <= _REASON_S else ""
+            self.status.failsafe = "" if _OVER.search(text) else "; ".join(filter(None, (text, recent)))
 
     def say(self, *texts: str) -> list[str]:
         """Append texts for the user; beyond 100 the oldest are dropped."""
