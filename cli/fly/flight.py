@@ -302,6 +302,10 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
     if loop.checks.result is not True:
         words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
         raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
+    if loop.has_finished and cause is Event.LANDED_AWAY:
+        raise CheckError(f"{common.output}: the plan was flown, but the vehicle {loop.ending}")
+    if loop.has_finished and cause is not Event.PLAN_FINISHED:
+        raise LinkError(f"the plan was flown, but not landed as planned: {loop.ending}")
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
         *(

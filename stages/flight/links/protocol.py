@@ -108,6 +108,7 @@ class VehicleStatus:
         battery_share: remaining charge, a fraction from 0 to 1.
         battery_v: voltage [V].
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
+        estimator: why `is_estimator_ready` is False, in words; may be empty.
         is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
         failsafe: cause of its newest failsafe in its own words; empty if it reported none.
         texts: its messages for people, oldest first; the reader removes them.
@@ -125,6 +126,7 @@ class VehicleStatus:
     battery_share: float | None = None
     battery_v: float | None = None
     is_estimator_ready: bool | None = None
+    estimator: str = ""
     is_failsafe: bool = False
     failsafe: str = ""
     texts: list[str] = field(default_factory=list)

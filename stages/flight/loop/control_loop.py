@@ -158,12 +158,18 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
-        self._cause_detail = ""
+        self._cause: Event | None = None
+        self._cause_detail = ""  # reason of the cause in words
 
     @property
     def state(self) -> State:
         """State of the supervisor."""
         return self.supervision.state
+
+    @property
+    def has_finished(self) -> bool:
+        """True if the vehicle was at the end of the plan, whatever happened afterwards."""
+        return self._has_arrived
 
     @property
     def ending(self) -> str:
@@ -301,6 +307,7 @@ class ControlLoop:
             health_unknown=self._health.is_unknown(status, now_s),
             off_climb_m=self._off_climb_m,
             drift_m=self._drift_m,
+            from_goal_m=self._from_goal_m(state),
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -334,8 +341,8 @@ class ControlLoop:
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
             detail = self._detail(each)
-            if each.event is self.supervision.cause:
-                self._cause_detail = self._cause_detail or detail
+            if each.event is self.supervision.cause and each.event is not self._cause:
+                self._cause, self._cause_detail = each.event, detail
             if is_new:
                 self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
             self._try(each.step.action, now_s)
@@ -348,7 +355,19 @@ class ControlLoop:
             return self.link.status.failsafe
         if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
             return self.checks.failure()
+        if taken.event is Event.ESTIMATOR_BAD:
+            return self.link.status.estimator
+        if taken.event is Event.LANDED_AWAY:
+            return f"{self._from_goal_m(self.link.state):.2f} m"
+        if taken.event is Event.TIMED_OUT and taken.state is State.LAND:
+            return f"landing: the vehicle has not disarmed within {self.options.limits.landing_s:g} s"
         return ""
+
+    def _from_goal_m(self, state: VehicleState | None) -> float:
+        if state is None:
+            return math.nan
+        x, y, _ = (state.position - self.checks.needs.goal).tolist()
+        return math.hypot(x, y)
 
     def _try(self, action: Action, now_s: float) -> None:
         """Perform an action; report a link error and treat it as a refusal by the vehicle."""

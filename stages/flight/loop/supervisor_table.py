@@ -50,6 +50,7 @@ class Event(Enum):
     BATTERY_LOW = "battery low"
     LINK_LOST = "link lost"
     ESTIMATOR_BAD = "estimator not healthy"
+    LANDED_AWAY = "landed away from the plan's end"
     FAILSAFE = "vehicle's own failsafe"
     FAILSAFE_IDLE = "failsafe without any action"
     RESTARTED = "vehicle restarted"
@@ -191,8 +192,9 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.LAND: _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
-    | _done(_E.DISARMED)
+    | _done(_E.LANDED_AWAY, _E.DISARMED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
+    | _stay(_S.LAND, _A.NOTHING, "landing continues", _E.ESTIMATOR_BAD)
     | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST, _E.NOT_OBEYED)
     | _stay(_S.LAND, _A.NOTHING, "motors stop on the ground only", _E.INTERRUPT_IN_AIR),
     _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
@@ -217,7 +219,7 @@ _HEALTH = (
     _E.HEALTH_UNKNOWN,
     _E.FENCE,
 )
-_POSITION = (_E.OFF_CLIMB, _E.DRIFTS)  # defined in a climb and in a hold only
+_POSITION = (_E.OFF_CLIMB, _E.DRIFTS, _E.LANDED_AWAY)  # defined in a climb, in a hold, in a landing only
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {
@@ -229,20 +231,22 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     ),
     _S.ARMING: frozenset(
         {_E.START, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
-        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS}
+        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS, _E.LANDED_AWAY}
     ),
-    _S.TAKE_OFF: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS}),
+    _S.TAKE_OFF: frozenset(
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS, _E.LANDED_AWAY}
+    ),
     # A report of having landed is no reason to stop the motors of a vehicle that is ordered to fly.
     _S.FLY: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_POSITION}),
     # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_CLIMB}
-        | {_E.STATE_STALE, _E.FENCE}
+        | {_E.STATE_STALE, _E.FENCE, _E.LANDED_AWAY}
     ),
     # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.
     _S.LAND: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {*_POSITION, _E.FAILSAFE_IDLE, _E.INTERRUPT}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH} - {_E.ESTIMATOR_BAD}
+        | {_E.OFF_CLIMB, _E.DRIFTS, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}

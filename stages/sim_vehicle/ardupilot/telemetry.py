@@ -193,7 +193,7 @@ class Telemetry:
         lat, lon, alt = estimator.global_position(self._motion.position) if fixed else (0.0, 0.0, 0.0)
         speed = round(100 * math.hypot(*self._motion.velocity[:2])) if fixed else 0
         return mavlink.MAVLink_gps_raw_int_message(
-            self._now_ms * 1000,
+            round(1e6 * (estimator.fix_s or 0.0)),
             6 if fixed else 1,
             *_degrees(lat, lon),
             round(alt * 1000),

@@ -27,6 +27,7 @@ KINDS: dict[str, tuple[float, float, float]] = {
     "mode": (5, 0, 255),  # the pilot's mode switch, by number or name; by default 5, LOITER of ArduPilot
     "battery": (0.05, 0, 1),  # remaining fraction of the charge
     "mocap-loss": (0, 0, 0),  # external navigation does not arrive
+    "satellites": (0, 0, 0),  # the receiver has no fix
     "estimator": (0, 0, 0),  # the estimator fails
     "radio-loss": (0, 0, 0),  # the receiver has no signal of the remote control
 }

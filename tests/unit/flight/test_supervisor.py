@@ -38,6 +38,7 @@ SHOWN = {
     Event.CHECK_FAILED: {"checks": False},
     Event.ARMED: {"armed": True},
     Event.DISARMED: {"armed": False},
+    Event.LANDED_AWAY: {"armed": False, "from_goal_m": 0.51},
     Event.AIRBORNE: {"climbed_m": 0.96},
     Event.LANDED: {"landed": True},
     Event.FRAME_WRONG: {"frame_wrong": True},
@@ -85,6 +86,7 @@ def standing(state, event=None):
         holds=holds,
         well_since_s=well,
         failsafe_s=failsafe,
+        cause=Event.PLAN_FINISHED if event in (Event.LANDED_AWAY, Event.ESTIMATOR_BAD) else None,
     )
 
 

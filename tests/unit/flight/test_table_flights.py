@@ -329,6 +329,10 @@ PLOTS = {
     "land: its own failsafe": Plot(
         [(S.LAND, E.FAILSAFE)], [*on(S.FLY, interrupt(1)), *on(S.LAND, failsafe, after=0.4)]
     ),
+    "land: no satellites": Plot(
+        [(S.FLY, E.PLAN_FINISHED), (S.LAND, E.ESTIMATOR_BAD)], on(S.LAND, fault("satellites"), after=0.0)
+    ),
+    "land: away": Plot([(S.LAND, E.LANDED_AWAY)], [], limits={"landed_m": 0.0}),
     "land: too slow": Plot([(S.LAND, E.TIMED_OUT)], on(S.FLY, interrupt(1)), limits={"landing_s": 0.5}),
     "land: silence": Plot(
         [(S.LAND, E.LINK_LOST), (S.LAND, E.INTERRUPT_IN_AIR)],

@@ -48,6 +48,8 @@ class Autopilot:
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
             change needs a restart.
         ground_station: possible names of the parameter with the system id of the monitored ground station.
+        position_source: name of the parameter that selects the source of the horizontal position, and its
+            value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
@@ -63,6 +65,7 @@ class Autopilot:
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, tuple[float, ...]], ...]
     ground_station: tuple[str, ...]
+    position_source: tuple[str, float] | None
     hover: str
     is_bytewise: bool
     control: tuple[int, int]
@@ -91,7 +94,11 @@ class Autopilot:
                 dialect.MAVLINK_MSG_ID_ODOMETRY: rate_hz,
                 dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 5.0,
             }
-        return rates | {dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0}
+        return rates | {
+            dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+            dialect.MAVLINK_MSG_ID_GPS2_RAW: 5.0,
+        }
 
 
 def _copter_mode(custom: int) -> tuple[int, int, str]:
@@ -130,6 +137,7 @@ ARDUPILOT = Autopilot(
         ("VISO_TYPE", (1.0,)),
     ),
     ground_station=("MAV_GCS_SYSID", "SYSID_MYGCS"),
+    position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     is_bytewise=False,
     control=(4, 0),
@@ -152,6 +160,7 @@ PX4 = Autopilot(
     ),
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
+    position_source=None,
     hover="MPC_THR_HOVER",
     is_bytewise=True,
     control=(6, 0),

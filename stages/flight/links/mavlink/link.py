@@ -32,6 +32,7 @@ from alula.stages.flight.links.protocol import (
 )
 
 _ANSWER_S = 2.0
+_OPTIONAL_S = 0.6  # for the answer of a vehicle that may not have a parameter
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat's period, to detect a second vehicle
 _STREAM_S = 0.05
@@ -309,13 +310,16 @@ class MavlinkLink:
         if self._mocap is not None:
             parameters.require(self._autopilot.fixed)
         for name in self._autopilot.ground_station:
-            watched = parameters.read(name, 0.6)
+            watched = parameters.read(name, _OPTIONAL_S)
             if watched is not None:
                 if round(watched) != GROUND_STATION:
                     lines.append(
                         f"{name} is {watched:g}: the vehicle will not land when this program's heartbeats end"
                     )
                 break
+        if self._autopilot.position_source is not None:
+            name, satellites = self._autopilot.position_source
+            self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
         self._orders = Orders(self._session, self._autopilot, self._telemetry)

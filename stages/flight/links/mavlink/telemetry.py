@@ -9,13 +9,19 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.stages.flight.links.mavlink.autopilots import Autopilot
+from alula.stages.flight.links.mavlink.satellites import KINDS, Satellites
 from alula.stages.flight.links.protocol import VehicleStatus
 
 _OLD_S = {"HEARTBEAT": 5.0, "SYS_STATUS": 10.0, "EXTENDED_SYS_STATE": 3.0, "ESTIMATOR": 3.0}
 _MAX_TEXTS = 100
-_FLAGS_NEEDED = 1 | 2 | 4 | 32  # EKF_STATUS_FLAGS: attitude, horizontal and vertical velocity, height
+# Bits of EKF_STATUS_REPORT (ArduPilot) and ESTIMATOR_STATUS (PX4).
+_FLAGS_NEEDED = {1: "attitude", 2: "horizontal velocity", 4: "vertical velocity", 32: "height"}
 _FLAGS_EITHER = 8 | 16  # position, relative or absolute
-_FLAGS_BAD = 128 | 1024  # constant position; not initialised (ArduPilot), jumps of satellites (PX4)
+_FLAGS_BAD = {
+    128: "constant position mode",
+    1024: "not initialised, or a jump of satellites",  # of ArduPilot; of PX4
+    1 << 15: "satellites are not accurate",  # of ArduPilot
+}
 _NO_VOLTAGE = 0xFFFF
 _LANDED = {
     dialect.MAV_LANDED_STATE_ON_GROUND: True,
@@ -42,6 +48,7 @@ class Telemetry:
         heartbeat: the newest HEARTBEAT; None before the first.
         mode: its main and sub mode; None if unknown or old.
         autopilot: the family that defines the modes; None before it is known.
+        satellites: watch over satellite receivers.
     """
 
     def __init__(self) -> None:
@@ -49,6 +56,8 @@ class Telemetry:
         self.heartbeat: Any = None
         self.mode: tuple[int, int] | None = None
         self.autopilot: Autopilot | None = None
+        self.satellites = Satellites()
+        self._flags: int | None = None
         self._texts = Texts()
         self._reason = (-math.inf, "")
         self._arrived_s: dict[str, float] = {}  # by kind of message
@@ -76,9 +85,11 @@ class Telemetry:
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
         elif kind in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
-            flags, kind = message.flags, "ESTIMATOR"
-            has_all = flags & _FLAGS_NEEDED == _FLAGS_NEEDED and flags & _FLAGS_EITHER != 0
-            status.is_estimator_ready = has_all and not flags & _FLAGS_BAD
+            self._flags, kind = message.flags, "ESTIMATOR"
+            self._judge_estimator(now_s)
+        elif kind in KINDS:
+            self.satellites.take(message, now_s)
+            return []
         else:
             return []
         self._arrived_s[kind] = now_s
@@ -99,6 +110,14 @@ class Telemetry:
             dialect.MAV_STATE_EMERGENCY,
             dialect.MAV_STATE_FLIGHT_TERMINATION,
         )
+
+    def _judge_estimator(self, now_s: float) -> None:
+        status = self.status
+        if self._flags is None:
+            status.is_estimator_ready, status.estimator = None, ""
+            return
+        status.estimator = _trouble_of(self._flags) or self.satellites.trouble(now_s)
+        status.is_estimator_ready = not status.estimator
 
     def _read_failsafe(self, text: str, now_s: float) -> None:
         """Keep a text that names a failsafe, with the reason that the vehicle gave just before."""
@@ -121,6 +140,7 @@ class Telemetry:
         """Mark old values as unknown."""
         self.say(*self._texts.flush(now_s))
         status = self.status
+        self._judge_estimator(now_s)
         for kind in [kind for kind, at in self._arrived_s.items() if now_s - at > _OLD_S[kind]]:
             del self._arrived_s[kind]
             if kind == "HEARTBEAT":
@@ -130,7 +150,16 @@ class Telemetry:
             elif kind == "EXTENDED_SYS_STATE":
                 status.landed = None
             else:
-                status.is_estimator_ready = None
+                self._flags = None
+                self._judge_estimator(now_s)
+
+
+def _trouble_of(flags: int) -> str:
+    """What an estimate with these flags lacks, in words; empty if it is good enough to fly."""
+    missing = [name for bit, name in _FLAGS_NEEDED.items() if not flags & bit]
+    missing += [] if flags & _FLAGS_EITHER else ["position"]
+    found = [name for bit, name in _FLAGS_BAD.items() if flags & bit]
+    return "; ".join([f"no {', '.join(missing)}"] * bool(missing) + found)
 
 
 class Texts:
