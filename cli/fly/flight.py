@@ -315,6 +315,10 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
             Event.OFF_CLIMB,
             Event.DRIFTS,
             Event.HEALTH_UNKNOWN,
+            Event.PARAMETER_CHANGED,
+            Event.CRASHED,
+            Event.TURNED_OVER,
+            Event.FALLEN,
         ),
     )
     if cause in of_vehicle or not loop.counters.filter_s:

@@ -22,6 +22,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
 from alula.stages.flight.loop.checks import FlightChecks
+from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.loop.frame_check import MotionCheck
 from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
@@ -145,6 +146,7 @@ class ControlLoop:
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
         self._modes, self._health, self._positions = ModeWatch(), HealthWatch(), PositionWatch(height_m)
+        self._crash = CrashWatch()
         self._motion, self._jumps, self._jump_m = MotionCheck(), JumpWatch(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
@@ -274,8 +276,15 @@ class ControlLoop:
             self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
         self._observe_distances(state)
         self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
+        if state is not None and phase in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
+            self._watch_crash(state, is_flown=phase in (State.FLY, State.HOLD))
         if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
+
+    def _watch_crash(self, state: VehicleState, *, is_flown: bool) -> None:
+        height_m = math.inf if self._ground_m is None else float(state.position[2]) - self._ground_m
+        plan_m = float(self.plan.target()[0, 2] - state.position[2]) if is_flown else -math.inf
+        self._crash.update(state, height_m, plan_m)
 
     def _observe_distances(self, state: VehicleState | None) -> None:
         phase = self.state
@@ -305,9 +314,13 @@ class ControlLoop:
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
             health_unknown=self._health.is_unknown(status, now_s),
+            parameter_changed=bool(status.changed),
             off_climb_m=self._off_climb_m,
             drift_m=self._drift_m,
             from_goal_m=self._from_goal_m(state),
+            is_lying=self._crash.is_lying,
+            is_over=self._crash.is_over,
+            is_fallen=self._crash.is_down,
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -355,6 +368,10 @@ class ControlLoop:
             return self.link.status.failsafe
         if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
             return self.checks.failure()
+        if taken.event in (Event.CRASHED, Event.TURNED_OVER, Event.FALLEN):
+            return self._crash.words
+        if taken.event is Event.PARAMETER_CHANGED:
+            return self.link.status.changed
         if taken.event is Event.ESTIMATOR_BAD:
             return self.link.status.estimator
         if taken.event is Event.LANDED_AWAY:
@@ -404,6 +421,8 @@ class ControlLoop:
             self._order(Order.HOLD, now_s)
         elif action is Action.LAND:
             self._order(Order.LAND, now_s)
+        elif action is Action.STOP:
+            self.link.order(Order.STOP, now_s)
         elif action is Action.DISARM and status.landed is not False:
             self.link.order(Order.DISARM, now_s)
         elif action is Action.LET_GO:

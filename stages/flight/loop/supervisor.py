@@ -85,9 +85,11 @@ class Facts:
         by_failsafe: one of the vehicle's own failsafes has changed it.
         order_refused: the vehicle refused the last order more than 1 s ago.
         health_unknown: the vehicle no longer reports a health value that it reported when it was armed.
+        parameter_changed: another station has changed a parameter that the flight relies on.
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
         from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
+        is_lying, is_over, is_fallen: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
         dry_run: the flight ends after the checks.
@@ -113,9 +115,13 @@ class Facts:
     is_failsafe: bool = False
     restarted: bool = False
     health_unknown: bool = False
+    parameter_changed: bool = False
     off_climb_m: float = 0.0
     drift_m: float = 0.0
     from_goal_m: float = 0.0
+    is_lying: bool = False
+    is_over: bool = False
+    is_fallen: bool = False
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
@@ -178,7 +184,7 @@ _HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event
 _OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 # A plan was finished; with one of these in the landing the flight did not end as planned nevertheless.
-_SPOILS = frozenset({Event.FAILSAFE, Event.ESTIMATOR_BAD, Event.LANDED_AWAY, Event.TIMED_OUT})
+_SPOILS = frozenset({Event.FAILSAFE, Event.ESTIMATOR_BAD, Event.LANDED_AWAY, Event.CRASHED, Event.TIMED_OUT})
 
 
 def sends_setpoints(state: State) -> bool:
@@ -260,6 +266,9 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.LANDED_AWAY, is_away),
         (Event.DISARMED, is_disarmed),
         (Event.LINK_LOST, not abs(facts.silence_s) <= limits.silence_s),
+        (Event.CRASHED, facts.is_lying),
+        (Event.TURNED_OVER, facts.is_over),
+        (Event.FALLEN, facts.is_fallen),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),
         (Event.INTERRUPT, facts.interrupts == 1),
@@ -269,6 +278,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False and not is_moot),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
         (Event.HEALTH_UNKNOWN, facts.health_unknown),
+        (Event.PARAMETER_CHANGED, facts.parameter_changed),
         (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor in the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
         (Event.OFF_CLIMB, not facts.off_climb_m <= 0.0),

@@ -22,6 +22,7 @@ EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVE
 
 _LANDED_S = 1.0
 _RESTING_FRACTION = 0.9  # of the weight; less thrust for `_LANDED_S` on the ground is a landing
+_CRASH_S = 2.0  # tilted for this long on the ground is a crash
 _CHECK_S = 0.1  # between checks of failsafes
 _ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
 _REMINDER_S = 30.0  # between texts with the reason why it would not arm
@@ -102,6 +103,7 @@ class Copter:
         self._armed_s = 0.0
         self._resting_s = 0.0
         self._idle_s = 0.0
+        self._lying_s = 0.0
         self._bad_s = 0.0
         self._checked_s = 0.0
         self._reminded_s = 0.0
@@ -170,6 +172,10 @@ class Copter:
         """Reason why it would not arm, in ArduPilot's words; None if it would."""
         if not MODES[self.mode].can_arm:
             return f"{self.mode.name} mode not armable"
+        return self.check_refusal()
+
+    def check_refusal(self) -> str | None:
+        """First of its own checks before arming that does not hold, in ArduPilot's words; None if all do."""
         if not self.estimator.is_started:
             return "AHRS: EKF3 not started"
         if MODES[self.mode].needs_position and not self.estimator.has_position:
@@ -181,7 +187,7 @@ class Copter:
         if self.battery.charge is not Charge.GOOD:
             return "Battery 1 low voltage failsafe"
         if self.pilot.is_lost and self.parameters.whole("FS_THR_ENABLE"):
-            return "Radio failsafe on"
+            return "Radio failsafe on" if self.pilot.was_seen else "RC not found"
         return None
 
     def arm(self, *, forced: bool = False) -> bool:
@@ -284,7 +290,7 @@ class Copter:
         self._watch("EKF", has_failed, Mode.LAND)
         if not self.is_armed and self.time_s - self._reminded_s >= _REMINDER_S:
             self._reminded_s = self.time_s
-            if (reason := self.arming_refusal()) is not None:
+            if (reason := self.check_refusal()) is not None:
                 self.say(CRITICAL, f"PreArm: {reason}")
         self.pilot.attend(landed=self.is_landed)
 
@@ -316,6 +322,13 @@ class Copter:
             self.say(WARNING, f"{name} Failsafe{change}")
 
     def _detect_landing(self, thrust_n: float) -> None:
+        self._lying_s = self._lying_s + TICK_S if self.airframe.is_lying and self.is_armed else 0.0
+        if self._lying_s > 0:  # its attitude is not the one that it should have
+            self.is_landed = False
+            if self._lying_s >= _CRASH_S and self._checks_crashes():
+                self.say(EMERGENCY, "Crash: Disarming: AngErr=90>30, Accel=0.0<3.0")
+                self.disarm(forced=True)
+            return
         if not self.airframe.on_ground:
             self.is_landed, self._resting_s = False, 0.0
             return
@@ -329,6 +342,9 @@ class Copter:
             self._idle_s = 0.0 if waits else self._idle_s + TICK_S
             if 0 < self._disarm_delay_s() <= self._idle_s:
                 self.disarm()
+
+    def _checks_crashes(self) -> bool:
+        return self.parameters.whole("FS_CRASH_CHECK") != 0
 
     def _touch_down(self) -> None:
         if self.mode in (Mode.LAND, Mode.RTL):

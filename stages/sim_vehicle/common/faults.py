@@ -29,6 +29,7 @@ KINDS: dict[str, tuple[float, float, float]] = {
     "mocap-loss": (0, 0, 0),  # external navigation does not arrive
     "satellites": (0, 0, 0),  # the receiver has no fix
     "estimator": (0, 0, 0),  # the estimator fails
+    "rotors": (0, 0, 0),  # the rotors give no thrust
     "radio-loss": (0, 0, 0),  # the receiver has no signal of the remote control
 }
 BOTH_WAYS = frozenset({"drop", "delay", "duplicate", "reorder"})

@@ -95,6 +95,9 @@ class Px4Copter(Copter):
         self._has_flown = False
         self.mode = ROWS[self.flown].flown
 
+    def _checks_crashes(self) -> bool:
+        return False  # by default its failure detector does not act in the air
+
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values, table=TABLE, derived=DERIVED)
 
@@ -198,6 +201,10 @@ class Px4Copter(Copter):
         if self.parameters.whole("NAV_DLL_ACT") and self._is_ground_station_away():
             return "No connection to the ground control station"
         return None
+
+    def check_refusal(self) -> str | None:
+        """Reason why it would not arm in the chosen mode; None if it would."""
+        return self.arming_refusal()
 
     def arm(self, *, forced: bool = False) -> bool:
         """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.

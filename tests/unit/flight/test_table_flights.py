@@ -23,7 +23,9 @@ from support.lockstep import (
     nearly_up,
     refuse,
     set_back,
+    set_by_another,
     stall,
+    topple,
     unmute,
     unseen,
 )
@@ -108,6 +110,7 @@ ENDINGS = {  # in the air, from any state in which the program has control
     E.ESTIMATOR_BAD: [fault("estimator")],
     E.BATTERY_LOW: [fault("battery", amount=0.15)],
     E.FAILSAFE_IDLE: [failsafe],
+    E.PARAMETER_CHANGED: [set_by_another("GUID_OPTIONS", 0.0)],
     E.INTERRUPT: [interrupt(1)],
     E.INTERRUPT_ON_GROUND: [land_seen, lambda flight: None],
     E.INTERRUPT_IN_AIR: [interrupt(2)],
@@ -164,6 +167,7 @@ FROZEN = on(S.FLY, fault("freeze", **SHORT), after=0.3)
 # Armed, but not reported as armed, when the operator ends the flight: the order to disarm is lost.
 STRAY = on(S.ARMING, interrupt(1), fault("drop", way="in"), after=armed_unseen)
 
+CRASHES = {"FS_CRASH_CHECK": 0.0}  # it does not disarm by itself
 PLOTS = {
     "as planned, armed late": Plot(
         [
@@ -331,6 +335,33 @@ PLOTS = {
     ),
     "land: no satellites": Plot(
         [(S.FLY, E.PLAN_FINISHED), (S.LAND, E.ESTIMATOR_BAD)], on(S.LAND, fault("satellites"), after=0.0)
+    ),
+    **{
+        f"{state.value}: {event.value}": Plot(
+            [(state, event)],
+            [*before, *on(state, do, after=after)],
+            {"jump_m": 9.0, "drift_m": 9.0, "settle_s": 3.0},
+            {},
+            CRASHES,
+            {},
+            False,
+        )
+        for state, before, after in ((S.TAKE_OFF, [], 1.0), (S.FLY, [], 0.3), (S.HOLD, FROZEN, 0.45))
+        for event, do in (
+            (E.CRASHED, topple(1.2, falls=True)),
+            (E.TURNED_OVER, topple(seconds=0.4)),
+            (E.FALLEN, fault("rotors")),
+        )
+        if (state, event) != (S.TAKE_OFF, E.FALLEN)
+    },
+    "land: crashed": Plot(
+        [(S.LAND, E.CRASHED)],
+        on(S.LAND, topple(1.2, falls=True), after=0.1),
+        {"jump_m": 9.0},
+        {},
+        CRASHES,
+        {},
+        False,
     ),
     "land: away": Plot([(S.LAND, E.LANDED_AWAY)], [], limits={"landed_m": 0.0}),
     "land: too slow": Plot([(S.LAND, E.TIMED_OUT)], on(S.FLY, interrupt(1)), limits={"landing_s": 0.5}),

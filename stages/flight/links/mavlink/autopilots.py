@@ -48,6 +48,8 @@ class Autopilot:
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
             change needs a restart.
         ground_station: possible names of the parameter with the system id of the monitored ground station.
+        watched: names of further parameters that flights rely on; they are watched in flight with those that
+            were set.
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
@@ -56,6 +58,7 @@ class Autopilot:
         landing: main and sub mode that land.
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
+        reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
         mode_of: function from custom_mode to main mode, sub mode and name.
         accepts: kinds of set-points that it follows.
@@ -65,6 +68,7 @@ class Autopilot:
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, tuple[float, ...]], ...]
     ground_station: tuple[str, ...]
+    watched: tuple[str, ...]
     position_source: tuple[str, float] | None
     hover: str
     is_bytewise: bool
@@ -72,9 +76,17 @@ class Autopilot:
     landing: tuple[int, int]
     streams_first: bool
     takes_off_by_command: bool
+    reports_arming: bool
     has_odometry: bool
     mode_of: Callable[[int], tuple[int, int, str]]
     accepts: frozenset[type[Setpoint]] = ALL_SETPOINTS
+
+    @property
+    def relied_on(self) -> tuple[str, ...]:
+        """Names of all parameters whose values must not change in flight."""
+        source = () if self.position_source is None else (self.position_source[0],)
+        set_or_checked = (*(each.name for each in self.parameters), *(name for name, _ in self.fixed))
+        return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
 
     def intervals(self, rate_hz: float) -> dict[int, float]:
         """Requested rate of each message [Hz] by its number.
@@ -137,6 +149,7 @@ ARDUPILOT = Autopilot(
         ("VISO_TYPE", (1.0,)),
     ),
     ground_station=("MAV_GCS_SYSID", "SYSID_MYGCS"),
+    watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     is_bytewise=False,
@@ -144,6 +157,7 @@ ARDUPILOT = Autopilot(
     landing=(9, 0),
     streams_first=False,
     takes_off_by_command=True,
+    reports_arming=True,
     has_odometry=False,
     mode_of=_copter_mode,
 )
@@ -160,6 +174,7 @@ PX4 = Autopilot(
     ),
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
+    watched=(),
     position_source=None,
     hover="MPC_THR_HOVER",
     is_bytewise=True,
@@ -167,6 +182,7 @@ PX4 = Autopilot(
     landing=(4, 6),
     streams_first=True,
     takes_off_by_command=False,
+    reports_arming=False,
     has_odometry=True,
     mode_of=_px4_mode,
 )

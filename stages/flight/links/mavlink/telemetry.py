@@ -34,6 +34,9 @@ _OVER = re.compile(r"clear|deactivated|resolved", re.IGNORECASE)
 _REASON = re.compile(r"Battery \d+ is |EKF variance|Dead Reckoning (started|timeout)|GPS Glitch")
 _OF_ARMING = re.compile(r"(Pre)?Arm:|Preflight|Mode change", re.IGNORECASE)
 _REASON_S = 2.0  # a failsafe is reported this long after its reason at most
+_PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+_REFUSAL = "PreArm: "
+_REFUSAL_S = 35.0  # ArduPilot repeats the reasons every 30 s
 _PIECE = 50  # characters of a STATUSTEXT; a shorter piece is the last
 _MAX_PIECES = 8
 _MAX_OPEN = 4
@@ -60,6 +63,7 @@ class Telemetry:
         self._flags: int | None = None
         self._texts = Texts()
         self._reason = (-math.inf, "")
+        self._refusals: dict[str, float] = {}  # reasons not to arm, and when they were given last
         self._arrived_s: dict[str, float] = {}  # by kind of message
 
     @property
@@ -74,6 +78,9 @@ class Telemetry:
             texts = self.say(*self._texts.take(message, now_s))
             for text in texts:
                 self._read_failsafe(text, now_s)
+                if text.startswith(_REFUSAL):
+                    self._refusals[text.removeprefix(_REFUSAL)] = now_s
+            self._judge_arming(now_s)
             return texts
         if kind == "HEARTBEAT":
             self.heartbeat = message
@@ -81,6 +88,10 @@ class Telemetry:
         elif kind == "SYS_STATUS":
             voltage, percent = message.voltage_battery, message.battery_remaining
             status.battery_v = voltage * 1e-3 if 0 < voltage < _NO_VOLTAGE else None
+            if self.autopilot is not None and self.autopilot.reports_arming:
+                is_made = message.onboard_control_sensors_enabled & _PREARM
+                status.can_arm = bool(message.onboard_control_sensors_health & _PREARM) if is_made else None
+                self._judge_arming(now_s)
             status.battery_share = percent * 1e-2 if 0 <= percent <= 100 else None
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
@@ -119,6 +130,12 @@ class Telemetry:
         status.estimator = _trouble_of(self._flags) or self.satellites.trouble(now_s)
         status.is_estimator_ready = not status.estimator
 
+    def _judge_arming(self, now_s: float) -> None:
+        recent = [reason for reason, at_s in self._refusals.items() if now_s - at_s <= _REFUSAL_S]
+        self.status.arming = "; ".join(recent) if self.status.can_arm is False else ""
+        if self.status.can_arm:
+            self._refusals.clear()
+
     def _read_failsafe(self, text: str, now_s: float) -> None:
         """Keep a text that names a failsafe, with the reason that the vehicle gave just before."""
         if _OF_ARMING.match(text):
@@ -146,7 +163,7 @@ class Telemetry:
             if kind == "HEARTBEAT":
                 status.armed, status.obeys, status.mode, self.mode = None, False, "", None
             elif kind == "SYS_STATUS":
-                status.battery_v = status.battery_share = None
+                status.battery_v = status.battery_share = status.can_arm = None
             elif kind == "EXTENDED_SYS_STATE":
                 status.landed = None
             else:
