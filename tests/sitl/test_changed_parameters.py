@@ -9,13 +9,16 @@ from support.ardupilot_sitl import flight, sitl
 pytestmark = pytest.mark.sitl
 
 
-def test_a_changed_parameter_lands_it_and_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [("GUID_OPTIONS", 0, "GUID_OPTIONS is 0, not 8"), ("FS_GCS_TIMEOUT", 60, "FS_GCS_TIMEOUT is 60, not 5")],
+)
+def test_a_changed_parameter_lands_it_and_is_named(tmp_path, name, value, words):
     with sitl(tmp_path) as sim, flight(sim, tmp_path) as fly:
         fly.wait_for("flying the plan")
         time.sleep(3.0)
         changed_s = time.monotonic()
-        sim.set(GUID_OPTIONS=0)
+        sim.set(**{name: value})
         assert fly.wait_for("parameter changed by another station", 5.0) - changed_s < 2.0
         assert fly.end() == 6, fly.said
-        assert "(GUID_OPTIONS is 0, not 8)" in fly.said.splitlines()[-1]
-        assert "GUID_OPTIONS was changed by others to 0 and stays so" in fly.said
+        assert f"({words})" in fly.said.splitlines()[-1]
