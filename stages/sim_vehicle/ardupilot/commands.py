@@ -195,7 +195,7 @@ class Commands:
         return int(_ACCEPTED)
 
     def _check(self, _command: Command, _out: list[Message]) -> int:
-        reason = self._copter.arming_refusal()
+        reason = self._copter.check_refusal()
         if reason is not None:
             self._copter.say(2, f"PreArm: {reason}")
         return int(_ACCEPTED)

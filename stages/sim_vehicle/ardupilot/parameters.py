@@ -76,6 +76,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "FORMAT_VERSION": (_H, 120),
     "FRAME_CLASS": (_B, 1),
     "FRAME_TYPE": (_B, 1),
+    "FS_CRASH_CHECK": (_B, 1),
     "FS_EKF_ACTION": (_B, 1),  # 1: land
     "FS_EKF_THRESH": (_F, 0.8),
     "FS_GCS_ENABLE": (_B, 0),  # 1: RTL, 5: land

@@ -105,8 +105,11 @@ class Px4Copter(Copter):
         return vehicle
 
     def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
-        rate_s, motor_s = vehicle.rates.time_constant_s, vehicle.disturbance.motor_time_constant_s
+        rate_s, motor_s = vehicle.rates.tilting_s, vehicle.disturbance.motor_time_constant_s
         return Px4AttitudeControl(self.airframe, self.parameters, rate_s, motor_s)
+
+    def _checks_crashes(self) -> bool:
+        return False  # by default its failure detector does not act in the air
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values, table=TABLE, derived=DERIVED)
@@ -211,6 +214,10 @@ class Px4Copter(Copter):
         if self.parameters.whole("NAV_DLL_ACT") and self._is_ground_station_away():
             return "No connection to the ground control station"
         return None
+
+    def check_refusal(self) -> str | None:
+        """Reason why it would not arm in the chosen mode; None if it would."""
+        return self.arming_refusal()
 
     def arm(self, *, forced: bool = False) -> bool:
         """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.

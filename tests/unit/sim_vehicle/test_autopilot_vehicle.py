@@ -215,7 +215,7 @@ def test_an_estimator_that_gives_up_lands_it_where_it_needs_a_position():
     assert client.copter.mode is Mode.GUIDED
     client.wait(0.8)
     assert client.copter.mode is Mode.LAND
-    assert "EKF Failsafe" in client.texts()
+    assert "EKF Failsafe: changed to LAND Mode" in client.texts()
     client.wait(9)
     assert not client.copter.is_armed
     without = Client().fly(2)
