@@ -13,4 +13,5 @@ def test_the_real_program_has_the_stored_answers_and_responses(tmp_path):
         client = Measurer(line)
         assert client.greet() == ANSWERS
         found = measure(client)
-    assert found == {name: pytest.approx(value, rel=0.1) for name, value in MEASURED.items()}
+    # On a busy machine a set-point takes some ms to the other process.
+    assert found == {name: pytest.approx(value, rel=0.1, abs=0.006) for name, value in MEASURED.items()}
