@@ -52,6 +52,7 @@ from alula.stages.flight.recorder.samples import (
 )
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
+_TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
 _EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
 
 
@@ -179,7 +180,7 @@ class ControlLoop:
         cause = self.supervision.cause
         if cause is None:
             return "no reason is known"
-        late = self.link.status.failsafe if cause in (Event.FAILSAFE, Event.FAILSAFE_IDLE) else ""
+        late = self.link.status.failsafe if cause in _TOLD_LATE else ""
         detail = self._cause_detail or late  # the vehicle may give its reason after the change of its mode
         return f"{cause.value} ({detail})" if detail else cause.value
 
@@ -364,7 +365,7 @@ class ControlLoop:
         """Reason of an event in words, as far as it is known; empty if the event's name says it all."""
         if taken.event is Event.FRAME_WRONG:
             return self._motion.wrong
-        if taken.event in (Event.FAILSAFE, Event.FAILSAFE_IDLE):
+        if taken.event in _TOLD_LATE:
             return self.link.status.failsafe
         if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
             return self.checks.failure()

@@ -60,6 +60,16 @@ def test_a_vehicle_that_fell_to_the_ground_gets_no_more_thrust():
     assert "below its plan" in flight.loop.ending
 
 
+def test_a_crash_that_the_vehicle_finds_first_is_named():
+    def crash(flight):
+        flight.copter.say(0, "Crash: Disarming: AngErr=90>30, Accel=0.0<3.0")
+        flight.copter.disarm(forced=True)
+
+    flight = flown(crash)
+    assert flight.cause is Event.DISARMED
+    assert flight.loop.ending == "disarmed (Crash: Disarming: AngErr=90>30, Accel=0.0<3.0)"
+
+
 def test_a_crash_in_the_landing_after_the_plan_is_no_success():
     flight = flown(topple(1.2, falls=True), State.LAND, 0.1, FS_CRASH_CHECK=0.0)
     assert (State.FLY, Event.PLAN_FINISHED) in flight.rows

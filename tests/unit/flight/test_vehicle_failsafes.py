@@ -72,6 +72,7 @@ TEXTS = [  # as ArduPilot and PX4 send them, and the cause after them
     (["PreArm: Battery 1 low voltage failsafe"], ""),
     (["Arm: Radio failsafe on"], ""),
     (["Failsafe activated: no offboard signal"], "Failsafe activated: no offboard signal"),
+    (["Crash: Disarming: AngErr=90>30, Accel=0.0<3.0"], "Crash: Disarming: AngErr=90>30, Accel=0.0<3.0"),
     (["EKF3 IMU0 is using GPS"], ""),
 ]
 

@@ -29,7 +29,7 @@ _LANDED = {
     dialect.MAV_LANDED_STATE_TAKEOFF: False,
     dialect.MAV_LANDED_STATE_LANDING: False,
 }
-_FAILSAFE = re.compile(r"failsafe|breach", re.IGNORECASE)
+_FAILSAFE = re.compile(r"failsafe|breach|^Crash: ", re.IGNORECASE)
 _OVER = re.compile(r"clear|deactivated|resolved", re.IGNORECASE)
 _REASON = re.compile(r"Battery \d+ is |EKF variance|Dead Reckoning (started|timeout)|GPS Glitch")
 _OF_ARMING = re.compile(r"(Pre)?Arm:|Preflight|Mode change", re.IGNORECASE)
