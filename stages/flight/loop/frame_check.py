@@ -17,6 +17,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _GRAVITY = 9.81
 _LEAST_M, _LEAST_M_S = 0.02, 0.02  # smaller values of a window do not count as motion
+_LEVEL = 0.5  # world z of the thrust's direction below which the vehicle falls or has crashed: 60 degrees
 _EXPLAINED = 0.7  # correlation from which on a rotation or a reflection explains the motion
 _AXES = (("+x", (1.0, 0.0, 0.0)), ("+y", (0.0, 1.0, 0.0)), ("+z", (0.0, 0.0, 1.0)))
 
@@ -148,6 +149,10 @@ class _Accelerations:
             self._mirrored += e * m
         self._last = now
 
+    def interrupt(self) -> None:
+        """Compare the next window with none before."""
+        self._last = None
+
     def verdict(self) -> tuple[bool, float] | None:
         """Whether the two agree, and their correlation; None while undecided."""
         if self._moved_m_s < self._change_m_s:
@@ -217,9 +222,12 @@ class MotionCheck:
             return
         dt, self._last_s = now - self._last_s, now
         axis = matrix_from_quat_wxyz(state.attitude_wxyz)[:, 2]
+        if not axis[2] > _LEVEL:
+            self._acceleration.interrupt()
+            self._begin(state)
+            return
         self._expected_step += dt * state.velocity
-        if axis[2] > 0.3:
-            self._expected_change += dt * _GRAVITY * axis[:2] / axis[2]
+        self._expected_change += dt * _GRAVITY * axis[:2] / axis[2]
         begin, position, velocity = self._start
         if now - begin < self.window_s:
             return
