@@ -44,8 +44,8 @@ Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 _ROOM_M = 2.0  # between the plan's box and the default fence
 _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
-# Maximum lag of the autopilots in docs/guide/fly.md, ArduPilot's: c_0 + c_1 * speed limit [s, s^2/m], with a margin
-# that covers both. Its vertical speed has a limit of its own, WPNAV_SPEED_UP.
+# Maximum lag of the autopilots in docs/guide/fly.md, ArduPilot's: c_0 + c_1 * speed limit [s, s^2/m], and a
+# factor for what a first-order model leaves out. Its vertical speed is limited by WPNAV_SPEED_UP.
 _LAG_MARGIN, _MAX_LAG_S = 1.25, 5.0
 _HORIZONTAL_LAG, _VERTICAL_LAG, _MAX_UP_M_S = (0.56, 0.18), (0.22, 0.57), 2.5
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still

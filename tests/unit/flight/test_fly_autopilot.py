@@ -5,6 +5,7 @@ import pytest
 
 from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.loop.supervisor import Event
+from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from support.flights import BALL, GOAL, START, mission
@@ -59,7 +60,7 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, la
 class AsShipped(Watched):
     """Climbs and stops as slowly as with the parameters that ArduPilot comes with."""
 
-    fast = {}
+    kind, fast = Copter, dict[str, float]()
 
 
 @pytest.mark.parametrize("speed", [1.5, 2.0])
