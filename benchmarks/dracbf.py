@@ -35,7 +35,8 @@ from alula.schemas.world_defaults import vehicle_of
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate
-from alula.stages.simulation.world.prepare import PreparedRun, prepare
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.prepared_run import PreparedRun
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.verdict import wilson_interval
 

@@ -97,10 +97,25 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
 
 
 class RatesTable(_Table, frozen=True, kw_only=True):
-    """Limits of rate commands, and the first-order lag of the rate loop within the rotors' limits."""
+    """Limits of rate commands, and the first-order lag of the rate loop within the rotors' limits.
+
+    `time_constant_s` is that of all axes; `axis_time_constant_s` replaces it by one for each of x, y, z of
+    the body.
+    """
 
     max_rad_s: Positives = (10.0, 10.0, 4.0)
     time_constant_s: Positive = 0.02
+    axis_time_constant_s: Positives | None = None
+
+    @property
+    def axes_s(self) -> tuple[float, float, float]:
+        """Time constants about x, y, z of the body [s]."""
+        return self.axis_time_constant_s or (self.time_constant_s,) * 3
+
+    @property
+    def tilting_s(self) -> float:
+        """Time constant of the slower axis that tilts the thrust [s]."""
+        return max(self.axes_s[:2])
 
 
 class ThrottleTable(_Table, frozen=True, kw_only=True):

@@ -35,7 +35,11 @@ hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, d
 hypothesis.settings.register_profile("all", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("all" if ALL else "quick")
 
-MARKS = {"realtime": pytest.mark.realtime, "examples": pytest.mark.slow}  # by folder
+MARKS = {
+    "realtime": pytest.mark.realtime,
+    "sitl": pytest.mark.realtime,
+    "examples": pytest.mark.slow,
+}  # by folder
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

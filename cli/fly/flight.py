@@ -302,6 +302,10 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
     if loop.checks.result is not True:
         words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
         raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
+    if loop.has_finished and cause is Event.LANDED_AWAY:
+        raise CheckError(f"{common.output}: the plan was flown, but the vehicle {loop.ending}")
+    if loop.has_finished and cause is not Event.PLAN_FINISHED:
+        raise LinkError(f"the plan was flown, but not landed as planned: {loop.ending}")
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
         *(
@@ -311,13 +315,16 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
             Event.OFF_CLIMB,
             Event.DRIFTS,
             Event.HEALTH_UNKNOWN,
+            Event.PARAMETER_CHANGED,
+            Event.CRASHED,
+            Event.TURNED_OVER,
+            Event.FALLEN,
         ),
     )
-    reason = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:
-        raise LinkError(f"the flight ended early: {reason}")
+        raise LinkError(f"the flight ended early: {loop.ending}")
     if cause is not Event.PLAN_FINISHED:
-        raise CheckError(f"{common.output}: the plan was not finished: {reason}")
+        raise CheckError(f"{common.output}: the plan was not finished: {loop.ending}")
     if trial is not None and trial.collision:
         raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
     raise CheckError(f"{common.output}: the plan was flown, but {missed}")

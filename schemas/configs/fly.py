@@ -74,8 +74,8 @@ class FlyConfig(AlongPlanConfig):
         default=None,
         metadata={
             "help": "Lag with which the vehicle follows velocity set-points [s]: 1.25 times the duration "
-            "of 63 % of a stop from --speed; default: 0.15 s plus 0.15 s per m/s of --speed, at least 0.5 "
-            "s. Too long is safe, too short is not.",
+            "of 63 % of a stop from --speed, in the slowest direction; default: that of ArduPilot Copter "
+            "with its default parameters, 1.34 s at 1.5 m/s. Too long is safe, too short is not.",
             "option": "--velocity-lag",
         },
     )

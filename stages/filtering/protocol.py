@@ -150,8 +150,8 @@ class FilterWorld:
         gains: of the tracking controller.
         racer: thrust by throttle of a vehicle that is commanded by sticks.
         motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
-        rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body
-            rates; 0: it is commanded by thrust and torque [s].
+        rate_time_constant_s: time constant of each axis of the rate loop of a vehicle that is commanded by
+            thrust and body rates; 0 for all: it is commanded by thrust and torque [s].
         max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
     """
 
@@ -176,7 +176,7 @@ class FilterWorld:
     gains: _core.TrackingGains | None = None
     racer: _core.RacerModel | None = None
     motor_time_constant_s: float = 0.0
-    rate_time_constant_s: float = 0.0
+    rate_time_constant_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     max_rate_rad_s: tuple[float, float, float] = (10.0, 10.0, 4.0)
 
     def keeps(self, radius_m: float | None) -> float:

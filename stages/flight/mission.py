@@ -35,7 +35,7 @@ from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import certify
-from alula.stages.planning.plan_samples import sample_plan
+from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
 
@@ -44,8 +44,10 @@ Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 _ROOM_M = 2.0  # between the plan's box and the default fence
 _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
-# Maximum lag of the autopilots in docs/guide/fly.md: _LAG_S + _LAG_S2_M * speed limit, within bounds.
-_MIN_LAG_S, _LAG_S, _LAG_S2_M, _MAX_LAG_S = 0.5, 0.15, 0.15, 5.0
+# Maximum lag of the autopilots in docs/guide/fly.md, ArduPilot's: c_0 + c_1 * speed limit [s, s^2/m], and a
+# factor for what a first-order model leaves out. Its vertical speed is limited by WPNAV_SPEED_UP.
+_LAG_MARGIN, _MAX_LAG_S = 1.25, 5.0
+_HORIZONTAL_LAG, _VERTICAL_LAG, _MAX_UP_M_S = (0.56, 0.18), (0.22, 0.57), 2.5
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
@@ -130,16 +132,23 @@ def resolve_fly(
     elif parameters and config.filter in ("none", "polytope-cbf"):
         raise UsageError(f"--set: {config.filter} takes no parameters; polytope-cbf has --beta and --kappa")
     limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
-    lag = min(max(_MIN_LAG_S, _LAG_S + _LAG_S2_M * limit), _MAX_LAG_S)
     return dataclasses.replace(
         config,
         speed_m_s=limit,
-        velocity_lag_s=lag if config.velocity_lag_s is None else config.velocity_lag_s,
+        velocity_lag_s=_default_lag_s(limit) if config.velocity_lag_s is None else config.velocity_lag_s,
         fence=config.fence or (*low.tolist(), *high.tolist()),
         catch_up_m_s=config.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * speed,
         max_time_s=config.max_time_s or 3 * duration + _EXTRA_TIME_S,
         filter_parameters=parameters,
     )
+
+
+def _default_lag_s(limit_m_s: float) -> float:
+    """Lag that covers a stop from a speed, in any direction, of the slowest autopilot [s]."""
+    c, d = _HORIZONTAL_LAG
+    e, f = _VERTICAL_LAG
+    slowest = max(c + d * limit_m_s, e + f * min(limit_m_s, _MAX_UP_M_S))
+    return min(_LAG_MARGIN * slowest, _MAX_LAG_S)
 
 
 def make_mission(
@@ -202,9 +211,7 @@ def make_mission(
         proofs.append(
             (distance >= radius, f"{at_least(distance)} m from the ellipsoids, {exact(radius)} m required")
         )
-    curve = _core.ReferenceCurve(
-        np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
-    )
+    curve = curve_of(plan)
     inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
     along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
@@ -273,7 +280,7 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
             radius_m=keep,
             dt_s=dt,
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
-            rate_time_constant_s=vehicle.rates.time_constant_s,
+            rate_time_constant_s=vehicle.rates.axes_s,
             max_rate_rad_s=vehicle.rates.max_rad_s,
             polytopes=hulls_of_cover,
             hull_radius_m=mission.hull_keep_m,
@@ -347,7 +354,7 @@ def make_commander(
             motor_time_constant_s=vehicle.assumed.motor_time_constant_s, delay_s=vehicle.assumed.delay_s
         ),
         max_rate_rad_s=vehicle.rates.max_rad_s,
-        rate_time_constant_s=vehicle.rates.time_constant_s,
+        rate_time_constant_s=vehicle.rates.axes_s,
         velocity_lag_s=lag,
         max_speed_m_s=speed,
     )

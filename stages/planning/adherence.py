@@ -14,6 +14,7 @@ from alula.schemas.decimals import at_least, at_most
 from alula.schemas.errors import UsageError
 from alula.schemas.run import Outcome, PlanResult
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.plan_samples import curve_of
 
 LEAST_VIA_TOLERANCE_M = 0.1
 _SPACING_M = 0.01  # of the samples of plan and path
@@ -57,9 +58,7 @@ class PlanJudge:
     ) -> None:
         self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
         self.tolerance_m = via_tolerance_m
-        curve = _core.ReferenceCurve(
-            np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
-        )
+        curve = curve_of(plan)
         speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
         count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])

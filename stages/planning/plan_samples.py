@@ -1,4 +1,4 @@
-"""Samples of a plan that a controller tracks."""
+"""A plan as a curve, and samples of it that a controller tracks."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
@@ -24,6 +25,16 @@ class Reference:
 
 
 MOST_SAMPLES = 2_000_000
+
+
+def curve_of(plan: Artifact) -> _core.ReferenceCurve:
+    """The native curve of a plan.
+
+    Args:
+        plan: an `alula/plan`.
+    """
+    time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
+    return _core.ReferenceCurve(time, coefficient)
 
 
 def sample_plan(plan: Artifact, dt_s: float) -> Reference:

@@ -84,7 +84,7 @@ class SimulatedVehicle:
     ) -> None:
         self.copter = copter
         self.codec = Codec(
-            copter.parameters.whole("SYSID_THISMAV"),
+            copter.parameters.whole("MAV_SYSID"),
             channel=channel,
             key=key,
             time_10us=signing_time(epoch_s),
@@ -174,6 +174,8 @@ class SimulatedVehicle:
         jump = acting.get("jump")
         estimator.offset = (0.0, 0.0, 0.0) if jump is None else (jump.size, 0.0, 0.0)
         estimator.is_mocap_lost = "mocap-loss" in acting
+        estimator.are_satellites_lost = "satellites" in acting
+        copter.airframe.are_rotors_dead = "rotors" in acting
         estimator.has_failed = "estimator" in acting
         copter.pilot.is_lost = "radio-loss" in acting
 

@@ -24,7 +24,7 @@ def racer_model(vehicle: Vehicle) -> RacerModel:
     return RacerModel(
         gravity=vehicle.body.gravity_m_s2,
         thrust=vehicle.throttle.acceleration_m_s2,
-        rate_gain=1 / vehicle.rates.time_constant_s,
+        rate_gain=1 / vehicle.rates.tilting_s,
         max_rate=vehicle.rates.max_rad_s,
     )
 

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from alula.cli.main import run
 from alula.schemas.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.flights import read_flights
-from alula.schemas.kinds import PLAN, SCENE
+from alula.schemas.kinds import SCENE
 from alula.schemas.run import RunRecord, read_run, record_path
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
-from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
+from support.small_scenes import rest_plan
 
 FAST = ["--trials", "2", "--speed", "2"]
 GUIDED = ["--filter", "cone-ecbf", "--set", "mission.controller.guide=cone-di"]
@@ -35,10 +35,7 @@ def scene(tmp_path_factory):
 
 
 def write_plan(path, start=(0, 0.5, 1), goal=(3, 0.5, 1), speed=1.5, frame="world"):
-    time, coefficient = rest_to_rest(start, goal, speed)
-    arrays = {"time": time, "coefficient": coefficient, "waypoint": [[*start, 0], [*goal, 0]]}
-    common = {"frame": frame, "unit": "m", "parameters": {}, "summary": {}}
-    write_artifact(path, make_artifact(PLAN, arrays, radius_m=0.1, speed_m_s=speed, certificate={}, **common))
+    write_artifact(path, rest_plan(start, goal, speed, frame))
     return path
 
 

@@ -37,7 +37,7 @@ def hop(client):
     assert client.wait_heartbeat(timeout=10) is not None
     until(lambda: ordered(176, 1, GUIDED))
     assert ordered(511, 32, 100000)  # LOCAL_POSITION_NED
-    assert ordered(400, 1)
+    until(lambda: ordered(400, 1))  # without a position arming is refused, not the mode
     assert ordered(22, 0, 0, 0, 0, 0, 0, 1.5)
 
     def height():

@@ -83,6 +83,8 @@ class Client:
         assert self.arm() == 0
         self.wait(3.0)
         fast = {"WPNAV_SPEED_UP": 1000.0, "WPNAV_ACCEL_Z": 600.0, "TKOFF_SLEW_TIME": 0.25}
+        if "PSC_JERK_Z" in self.copter.parameters:
+            fast["PSC_JERK_Z"] = 50.0
         normal = {name: self.copter.parameters[name] for name in fast}
         for name, value in fast.items():
             self.copter.parameters.set(name, value)

@@ -102,7 +102,7 @@ class FakeVehicle:
         elif order is Order.LAND:
             self.status.mode, self.setpoint = "LAND", None
             self.hold_at = np.array([*self.x[:2], self.ground_m - 1.0])
-        elif order is Order.DISARM and self.status.landed:
+        elif order is Order.STOP or (order is Order.DISARM and self.status.landed):
             self.status.armed = False
         self.status.obeys = self.status.mode == "GUIDED"
 

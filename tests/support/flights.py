@@ -28,7 +28,9 @@ START, GOAL = (0.3, 2.0, 1.0), (3.7, 2.0, 1.0)
 BALL = ball_scene([(2.0, 2.2, 1.0), (2.0, -1.0, 1.0)], 0.3)  # in the way of the straight line
 
 
-def mission(name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=None, **fields):
+def mission(
+    name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=None, vehicle=FASTBRIDGE, **fields
+):
     """By default past a pillar."""
     is_splat = scene is not None or name == "shield"
     cover = box_cover(PILLAR) if cover is None and scene is None else cover
@@ -36,7 +38,7 @@ def mission(name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=
     made = make_mission(
         FlyConfig(**{"filter": name, "allow_tight": True, **fields}),
         plan,
-        FASTBRIDGE,
+        vehicle,
         cover=cover,
         scene=scene,
         is_splat=is_splat,

@@ -1,8 +1,28 @@
-"""Filters that are written in Python, as other packages would."""
+"""Filters that are written in Python, as other packages would, and their entry points."""
 
 import numpy as np
 
+from alula.schemas import foreign_filters
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
+
+
+class EntryPoint:
+    """An entry point that loads what it is given; None stands for a package that is absent."""
+
+    def __init__(self, name, made):
+        self.name, self.value, self.made = name, f"elsewhere:{name}", made
+
+    def load(self):
+        if self.made is None:
+            raise ImportError("no module named 'elsewhere'")
+        return self.made
+
+
+def provide(monkeypatch, filters, former=None):
+    """Let other packages provide filters, by their names; `former` in the group of former versions."""
+    groups = {"alula.filters": filters, "alula.splat_filters": former or {}}
+    points = {group: [EntryPoint(*item) for item in given.items()] for group, given in groups.items()}
+    monkeypatch.setattr(foreign_filters, "entry_points", lambda group: points[group])
 
 
 class OfVelocities:
@@ -18,6 +38,19 @@ class OfVelocities:
 
     def __call__(self, state, nominal):
         return self.answer(state.position, nominal.velocity)
+
+
+class Wrapped:
+    """A filter of this package as one of another package."""
+
+    def __init__(self, made):
+        self.made, self.kind = made, made.kind
+
+    def reset(self):
+        self.made.reset()
+
+    def __call__(self, state, nominal):
+        return self.made(state, nominal)
 
 
 class Passing:

@@ -21,6 +21,7 @@ from alula.stages.flight.loop.supervisor import State
 from alula.stages.flight.loop.supervisor_table import TABLE
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink
+from alula.stages.sim_vehicle.common.quaternions import from_euler, to_mrp
 from alula.stages.vehicles.frames import LocalFrame
 from support.autopilot_client import EXACT
 from support.fake_vehicle import Kept
@@ -330,6 +331,40 @@ def unseen(flight):
     """The link does not know the mode any more, and not whether the vehicle follows."""
     flight.muted.add("HEARTBEAT")
     flight.link.status.obeys, flight.link.status.mode = False, ""
+
+
+def topple(roll_rad=math.pi, *, falls=False, seconds=0.0):
+    """It is turned over where it is, and held so for a while, or it has fallen to the floor."""
+
+    def turn(flight):
+        body = flight.copter.airframe
+        north, east, down = body.truth.position
+        attitude, sinks = from_euler(roll_rad, 0.0, 0.0), 0.5 if falls else 0.0
+        motion = [north, east, 0.01 if falls else down, *to_mrp(attitude), 0.0, 0.0, sinks, 0.0, 0.0, 0.0]
+        body._plant.reset(np.array(motion) * np.tile([1.0, -1.0, -1.0], 4))
+
+    def do(flight):
+        turn(flight)
+        end_s, before = flight.time() + seconds, flight.each
+
+        def each(flight):
+            before(flight)
+            if flight.time() < end_s:
+                turn(flight)
+
+        flight.each = each
+
+    return do
+
+
+def set_by_another(name, value):
+    """Another station sets a parameter, and the vehicle tells everybody."""
+
+    def do(flight):
+        message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
+        flight.vehicle.receive(message.pack(mavlink.MAVLink(None, 254, 190)))
+
+    return do
 
 
 def nearly_up(flight):

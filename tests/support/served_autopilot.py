@@ -23,7 +23,7 @@ from support.mavlink_peer import Time
 FRAME = LocalFrame(yaw_rad=0.6, origin_enu_m=(2.0, 1.0, 0.0))
 
 
-FAST = {"WPNAV_SPEED_UP": 1000.0, "WPNAV_ACCEL_Z": 600.0, "TKOFF_SLEW_TIME": 0.25}
+FAST = {"WPNAV_SPEED_UP": 1000.0, "WPNAV_ACCEL_Z": 600.0, "PSC_JERK_Z": 18.0, "TKOFF_SLEW_TIME": 0.25}
 
 
 G = FASTBRIDGE.body.gravity_m_s2

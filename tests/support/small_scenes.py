@@ -7,6 +7,7 @@ import numpy as np
 from alula.schemas.artifact import make_artifact
 from alula.schemas.kinds import COVER, PLAN, SCENE
 from alula.schemas.manifest import Guarantee
+from alula.stages.planning.rest_to_rest import rest_to_rest
 
 G = 0.1  # voxel size [m]
 
@@ -70,7 +71,24 @@ def line_plan(start, end, duration_s=6.0, frame="world"):
     )
 
 
+def rest_plan(start, goal, speed_m_s, frame="world"):
+    """Straight from rest to rest in one piece, with a peak speed [m/s]."""
+    time, coefficient = rest_to_rest(start, goal, speed_m_s)
+    return make_artifact(
+        PLAN,
+        {"time": time, "coefficient": coefficient, "waypoint": [[*start, 0], [*goal, 0]]},
+        frame=frame,
+        unit="m",
+        parameters={},
+        summary={},
+        radius_m=0.1,
+        speed_m_s=speed_m_s,
+        certificate={},
+    )
+
+
 def ball_scene(centres, radius, frame="world", unit="m"):
+    """Balls of one radius, or ellipsoids whose half-axes are the rows of `radius`."""
     n = len(centres)
     return make_artifact(
         SCENE,

@@ -62,6 +62,15 @@ class Ran:
         return world_words(self.run.scenario, self.run.vehicle)
 
 
+def set_value(tree: dict[str, Any], path: str, value: Any) -> None:
+    """Set a value by its path, with dots between the tables; those that are absent are made."""
+    *tables, key = path.split(".")
+    at = tree
+    for table in tables:
+        at = at.setdefault(table, {})
+    at[key] = value
+
+
 def scenario_of(
     filters: str | tuple[str, ...] = (),
     parameters: dict[str, Any] | None = None,
@@ -85,10 +94,7 @@ def scenario_of(
     if parameters is not None:
         tree["safety"][names[-1]] = dict(parameters)
     for key, value in keys.items():
-        at = tree
-        for table in _TABLE[key].split("."):
-            at = at.setdefault(table, {})
-        at[key] = value
+        set_value(tree, f"{_TABLE[key]}.{key}", value)
     tree["world"] |= {"scene": "x.scene.npz"} if has_scene else {}
     tree["world"] |= {"cover": "x.cover.npz"} if has_cover else {}
     if has_plan:

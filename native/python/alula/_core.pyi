@@ -599,12 +599,12 @@ class DoubleIntegrator:
 class ActuatorModel:
     """Rotor lag and measurement age assumed by the controller and filters."""
 
-    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0, rate_time_constant_s: float = 0.0) -> None:
+    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0, rate_time_constant_s: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
         """
         Args:
             motor_time_constant_s: assumed lag of the rotors; 0: none [s]
             delay_s: assumed age of a measurement [s]
-            rate_time_constant_s: of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]
+            rate_time_constant_s: of each axis of the rate loop, when commanded by body rates; 0 for all: commanded by wrenches [s]
         """
 
     @property
@@ -616,9 +616,9 @@ class ActuatorModel:
         """assumed age of a measurement [s]"""
 
     @property
-    def rate_time_constant_s(self) -> float:
+    def rate_time_constant_s(self) -> list[float]:
         """
-        of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]
+        of each axis of the rate loop, when commanded by body rates; 0 for all: commanded by wrenches [s]
         """
 
 class StatePredictor:
@@ -1306,7 +1306,7 @@ class MapUnion(ObstacleMap):
 class ShieldOptions:
     """Options of the check of a manoeuvre to rest."""
 
-    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0, rate_time_constant_s: float = 0.0, max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], tube_horizon_s: float = 1.0, tube_risk: float = 0.05, tube_acceleration_m_s2: float = 2.0) -> None:
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, early_end: bool = True, motor_time_constant_s: float = 0.0, rate_time_constant_s: Sequence[float] = [0.0, 0.0, 0.0], max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], tube_horizon_s: float = 1.0, tube_risk: float = 0.05, tube_acceleration_m_s2: float = 2.0) -> None:
         """
         Args:
             tick_s: how long an input is held [s]
@@ -1322,7 +1322,7 @@ class ShieldOptions:
             rest_drift_m: maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
             early_end: end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest
             motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
-            rate_time_constant_s: time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+            rate_time_constant_s: time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for all: it is commanded by thrust and torque [s]
             max_rate_rad_s: maximum body rates of a command [rad/s]
             tube_horizon_s: how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]
             tube_risk: probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track
@@ -1394,9 +1394,9 @@ class ShieldOptions:
         """
 
     @property
-    def rate_time_constant_s(self) -> float:
+    def rate_time_constant_s(self) -> list[float]:
         """
-        time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]
+        time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for all: it is commanded by thrust and torque [s]
         """
 
     @property
@@ -2681,7 +2681,7 @@ class PythonFilter(SafetyFilter):
 class VehicleSpec:
     """A vehicle, as modelled and as it truly is."""
 
-    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, velocity_gain_per_s: float = 2.0, velocity_lag_s: float = 0.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: Sequence[float] = [0.02, 0.02, 0.02], velocity_gain_per_s: float = 2.0, velocity_lag_s: float = 0.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
         """
         Args:
             model: single-integrator, double-integrator, quadrotor or racer
@@ -2690,7 +2690,7 @@ class VehicleSpec:
             plant: true lag, air, noise and delay
             assumed: lag and delay that controller and filters assume
             max_rate_rad_s: limit of a commanded body rate [rad/s]
-            rate_time_constant_s: of the vehicle's own rate loop [s]
+            rate_time_constant_s: of each axis of the vehicle's own rate loop [s]
             velocity_gain_per_s: of the velocity loop [1/s]
             velocity_lag_s: assumed time constant with which velocities are followed [s]
             max_speed_m_s: limit of velocity commands, and of points [m/s]

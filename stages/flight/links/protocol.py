@@ -88,6 +88,8 @@ class Order(Enum):
     TAKE_CONTROL = "take control"
     ARM = "arm"
     DISARM = "disarm"
+    STOP = "stop the motors"
+    """Disarms also a vehicle that reports that it is in the air; after a crash only."""
     TAKE_OFF = "take off"
     HOLD = "hold"
     LAND = "land"
@@ -108,7 +110,12 @@ class VehicleStatus:
         battery_share: remaining charge, a fraction from 0 to 1.
         battery_v: voltage [V].
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
-        is_failsafe: whether one of its own failsafes acts.
+        estimator: why `is_estimator_ready` is False, in words; may be empty.
+        is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
+        failsafe: cause of its newest failsafe in its own words; empty if it reported none.
+        can_arm: whether its own checks before arming hold; None if it does not report or make them.
+        arming: why they do not hold, in its own words; may be empty.
+        changed: parameters that the flight relies on and another station has changed, in words.
         texts: its messages for people, oldest first; the reader removes them.
         refusals: commands that it refused or did not execute, with the reason; the reader removes them.
         bad_packets: number of packets that were refused.
@@ -124,7 +131,12 @@ class VehicleStatus:
     battery_share: float | None = None
     battery_v: float | None = None
     is_estimator_ready: bool | None = None
+    estimator: str = ""
     is_failsafe: bool = False
+    failsafe: str = ""
+    can_arm: bool | None = None
+    arming: str = ""
+    changed: str = ""
     texts: list[str] = field(default_factory=list)
     refusals: list[tuple[Order, str]] = field(default_factory=list)
     bad_packets: int = 0

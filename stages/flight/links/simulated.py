@@ -188,7 +188,7 @@ class SimulatedLink:
             return
         if order is Order.TAKE_OFF:
             check_height(height_m)
-        if order is Order.DISARM and not self.body.is_resting:
+        if order in (Order.DISARM, Order.STOP) and not self.body.is_resting:
             status.refusals.append((order, "it is in the air"))
         elif order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not status.armed:
             status.refusals.append((order, "it is not armed"))
@@ -204,7 +204,7 @@ class SimulatedLink:
         status = self._status
         self._setpoint = None
         self._goal = self.body.position
-        if order is Order.DISARM:
+        if order in (Order.DISARM, Order.STOP):
             status.armed = False
         elif order is Order.LAND:
             status.mode, status.obeys = "LAND", False

@@ -135,7 +135,7 @@ class Body:
             max_rates = np.array(self._vehicle.rates.max_rad_s)
             rates, omega = np.clip(setpoint.omega, -max_rates, max_rates), self._x[9:12]
             gyroscopic = np.cross(omega, self._inertia * omega)
-            torque = gyroscopic + self._inertia * (rates - omega) / self._vehicle.rates.time_constant_s
+            torque = gyroscopic + self._inertia * (rates - omega) / np.array(self._vehicle.rates.axes_s)
             wrench = np.array([[self._quadrotor.mass * setpoint.thrust_m_s2, *torque]])
         else:
             reference = np.zeros((1, 18))

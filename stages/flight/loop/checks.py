@@ -15,7 +15,7 @@ from alula.stages.flight.loop.preflight import Needs, Observed, Verdict, verdict
 from alula.stages.flight.recorder.samples import ERROR, INFO
 
 # Checks that may pass later without any action.
-TRANSIENT = frozenset({"heartbeat", "state", "latency", "rate", "estimator", "loop", "level"})
+TRANSIENT = frozenset({"heartbeat", "state", "latency", "rate", "estimator", "loop", "level", "arming"})
 # Checks of the position; they may pass later when the estimator gets ready or somebody carries the vehicle.
 OF_POSITION = frozenset({"start", "clearance", "landing", "fence"})
 CARRIED = OF_POSITION | {"on the ground"}

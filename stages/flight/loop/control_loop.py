@@ -22,6 +22,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
 from alula.stages.flight.loop.checks import FlightChecks
+from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.loop.frame_check import MotionCheck
 from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
@@ -51,6 +52,7 @@ from alula.stages.flight.recorder.samples import (
 )
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
+_TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
 _EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
 
 
@@ -145,6 +147,7 @@ class ControlLoop:
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
         self._modes, self._health, self._positions = ModeWatch(), HealthWatch(), PositionWatch(height_m)
+        self._crash = CrashWatch()
         self._motion, self._jumps, self._jump_m = MotionCheck(), JumpWatch(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
@@ -158,11 +161,28 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
+        self._cause: Event | None = None
+        self._cause_detail = ""  # reason of the cause in words
 
     @property
     def state(self) -> State:
         """State of the supervisor."""
         return self.supervision.state
+
+    @property
+    def has_finished(self) -> bool:
+        """True if the vehicle was at the end of the plan, whatever happened afterwards."""
+        return self._has_arrived
+
+    @property
+    def ending(self) -> str:
+        """Cause of the end of the flight in words, with the reason as far as it is known."""
+        cause = self.supervision.cause
+        if cause is None:
+            return "no reason is known"
+        late = self.link.status.failsafe if cause in _TOLD_LATE else ""
+        detail = self._cause_detail or late  # the vehicle may give its reason after the change of its mode
+        return f"{cause.value} ({detail})" if detail else cause.value
 
     def run(self) -> None:
         """Fly until the supervisor is done.
@@ -257,8 +277,15 @@ class ControlLoop:
             self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
         self._observe_distances(state)
         self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
+        if state is not None and phase in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
+            self._watch_crash(state, is_flown=phase in (State.FLY, State.HOLD))
         if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
+
+    def _watch_crash(self, state: VehicleState, *, is_flown: bool) -> None:
+        height_m = math.inf if self._ground_m is None else float(state.position[2]) - self._ground_m
+        plan_m = float(self.plan.target()[0, 2] - state.position[2]) if is_flown else -math.inf
+        self._crash.update(state, height_m, plan_m)
 
     def _observe_distances(self, state: VehicleState | None) -> None:
         phase = self.state
@@ -288,12 +315,18 @@ class ControlLoop:
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
             health_unknown=self._health.is_unknown(status, now_s),
+            parameter_changed=bool(status.changed),
             off_climb_m=self._off_climb_m,
             drift_m=self._drift_m,
+            from_goal_m=self._from_goal_m(state),
+            is_lying=self._crash.is_lying,
+            is_over=self._crash.is_over,
+            is_fallen=self._crash.is_down,
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
             is_ours=self._modes.is_ours(status),
+            by_failsafe=self._modes.by_failsafe,
             order_refused=now_s - self._refused_s > 1.0,
             checks=self.checks.result,
             dry_run=self.options.dry_run,
@@ -321,12 +354,38 @@ class ControlLoop:
             is_new = not self.taken or self.taken[-1][1] != each
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
-            detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
-            if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
-                detail = self.checks.failure()
+            detail = self._detail(each)
+            if each.event is self.supervision.cause and each.event is not self._cause:
+                self._cause, self._cause_detail = each.event, detail
             if is_new:
                 self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
             self._try(each.step.action, now_s)
+
+    def _detail(self, taken: Taken) -> str:
+        """Reason of an event in words, as far as it is known; empty if the event's name says it all."""
+        if taken.event is Event.FRAME_WRONG:
+            return self._motion.wrong
+        if taken.event in _TOLD_LATE:
+            return self.link.status.failsafe
+        if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
+            return self.checks.failure()
+        if taken.event in (Event.CRASHED, Event.TURNED_OVER, Event.FALLEN):
+            return self._crash.words
+        if taken.event is Event.PARAMETER_CHANGED:
+            return self.link.status.changed
+        if taken.event is Event.ESTIMATOR_BAD:
+            return self.link.status.estimator
+        if taken.event is Event.LANDED_AWAY:
+            return f"{self._from_goal_m(self.link.state):.2f} m"
+        if taken.event is Event.TIMED_OUT and taken.state is State.LAND:
+            return f"landing: the vehicle has not disarmed within {self.options.limits.landing_s:g} s"
+        return ""
+
+    def _from_goal_m(self, state: VehicleState | None) -> float:
+        if state is None:
+            return math.nan
+        x, y, _ = (state.position - self.checks.needs.goal).tolist()
+        return math.hypot(x, y)
 
     def _try(self, action: Action, now_s: float) -> None:
         """Perform an action; report a link error and treat it as a refusal by the vehicle."""
@@ -363,6 +422,8 @@ class ControlLoop:
             self._order(Order.HOLD, now_s)
         elif action is Action.LAND:
             self._order(Order.LAND, now_s)
+        elif action is Action.STOP:
+            self.link.order(Order.STOP, now_s)
         elif action is Action.DISARM and status.landed is not False:
             self.link.order(Order.DISARM, now_s)
         elif action is Action.LET_GO:

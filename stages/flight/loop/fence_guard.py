@@ -63,7 +63,7 @@ def rates_model(vehicle: Vehicle) -> RacerModel:
     return RacerModel(
         gravity=vehicle.body.gravity_m_s2,
         thrust=thrust,
-        rate_gain=1 / vehicle.rates.time_constant_s,
+        rate_gain=1 / vehicle.rates.tilting_s,
         max_rate=vehicle.rates.max_rad_s,
     )
 
@@ -115,7 +115,7 @@ class FenceGuard:
             raise UsageError(f"geofence: {error}") from error
         self._flies = False
         self._latency_s = latency_s
-        self._lead_s = latency_s + dt_s + max(vehicle.rates.time_constant_s, _LOOP_S)
+        self._lead_s = latency_s + dt_s + max(vehicle.rates.tilting_s, _LOOP_S)
 
     def reset(self) -> None:
         """Return to the condition before the first tick."""

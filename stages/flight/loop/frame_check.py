@@ -16,6 +16,9 @@ from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 _GRAVITY = 9.81
+_LEAST_M, _LEAST_M_S = 0.02, 0.02  # smaller values of a window do not count as motion
+_LEVEL = 0.5  # world z of the thrust's direction below which the vehicle falls or has crashed: 60 degrees
+_EXPLAINED = 0.7  # correlation from which on a rotation or a reflection explains the motion
 _AXES = (("+x", (1.0, 0.0, 0.0)), ("+y", (0.0, 1.0, 0.0)), ("+z", (0.0, 0.0, 1.0)))
 
 
@@ -87,30 +90,79 @@ class HandCheck:
         return len(self.moved) == len(_AXES) and float(np.linalg.det(np.array(self.moved))) < 0
 
 
-class _Pairs:
-    """Expected and measured motion over windows.
+class _Displacements:
+    """Expected and measured displacements over windows, compared once there are enough."""
 
-    Means are subtracted before the two are compared, so a steady wind has no effect.
-    """
+    words = "positions do not move as the velocities predict"
 
-    def __init__(self, floor: float) -> None:
-        self.floor = floor
-        self.expected: list[FloatArray] = []
-        self.measured: list[FloatArray] = []
-        self.amount = 0.0
+    def __init__(self, path_m: float, min_correlation: float) -> None:
+        self._path_m, self._min_correlation = path_m, min_correlation
+        self._expected: list[FloatArray] = []
+        self._measured: list[FloatArray] = []
+        self._moved_m = 0.0
 
     def add(self, expected: FloatArray, measured: FloatArray) -> None:
-        """Add a window; `amount` grows only by measured motion of at least `floor`."""
-        self.expected.append(expected)
-        self.measured.append(measured)
+        """Add a window."""
+        self._expected.append(expected)
+        self._measured.append(measured)
         moved = float(np.linalg.norm(measured))
-        self.amount += moved if moved >= self.floor else 0.0
+        self._moved_m += moved if moved >= _LEAST_M else 0.0
 
-    def correlation(self) -> float:
-        """Correlation of both over all windows and axes, less the means; 1 when they agree."""
-        a, b = np.array(self.expected), np.array(self.measured)
+    def verdict(self) -> tuple[bool, float] | None:
+        """Whether the two agree, and their correlation less the means; None while undecided."""
+        if self._moved_m < self._path_m or len(self._measured) < 3:
+            return None
+        a, b = np.array(self._expected), np.array(self._measured)
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-        return float((a * b).sum()) / math.sqrt(float((a * a).sum() * (b * b).sum()) + 1e-12)
+        found = float((a * b).sum()) / math.sqrt(float((a * a).sum() * (b * b).sum()) + 1e-12)
+        return found >= self._min_correlation, found
+
+
+class _Accelerations:
+    """Changes of the horizontal velocity, expected from the tilt and measured, over windows.
+
+    A wind pushes without a tilt, and a tilt holds against it without an acceleration; both change slowly. So
+    only the differences between a window and the one before are compared, and only once the tilt itself has
+    changed. Written as complex numbers, a rotated frame gives measured = c expected, and a mirrored one
+    measured = c conj(expected), with |c| = 1. The frame is wrong if one of these explains the differences,
+    and c = 1 does not. Differences that nothing explains, those of a gust, decide nothing.
+    """
+
+    words = "it does not accelerate in the direction of its tilt"
+
+    def __init__(self, change_m_s: float, min_correlation: float) -> None:
+        self._change_m_s, self._min_correlation = change_m_s, min_correlation
+        self._last: tuple[complex, complex] | None = None
+        self._moved_m_s = 0.0
+        self._expected = self._measured = 0.0  # sums of squares
+        self._turned = self._mirrored = 0j
+
+    def add(self, expected: FloatArray, measured: FloatArray) -> None:
+        """Add a window."""
+        now = complex(*expected), complex(*measured)
+        if self._last is not None:
+            e, m = now[0] - self._last[0], now[1] - self._last[1]
+            self._moved_m_s += abs(e) if abs(e) >= _LEAST_M_S else 0.0
+            self._expected += abs(e) ** 2
+            self._measured += abs(m) ** 2
+            self._turned += e.conjugate() * m
+            self._mirrored += e * m
+        self._last = now
+
+    def interrupt(self) -> None:
+        """Compare the next window with none before."""
+        self._last = None
+
+    def verdict(self) -> tuple[bool, float] | None:
+        """Whether the two agree, and their correlation; None while undecided."""
+        if self._moved_m_s < self._change_m_s:
+            return None
+        scale = math.sqrt(self._expected * self._measured) + 1e-12
+        found = self._turned.real / scale
+        if found >= self._min_correlation:
+            return True, found
+        is_explained = max(abs(self._turned), abs(self._mirrored)) >= _EXPLAINED * scale
+        return (False, found) if is_explained else None
 
 
 class MotionCheck:
@@ -118,15 +170,16 @@ class MotionCheck:
 
     Over windows of `window_s`, the displacement must equal the integral of the velocity, and the change of
     the horizontal velocity must equal the integral of g tan(tilt) in the direction of the tilt. The second
-    relation holds while the height is almost constant. Each comparison is decided once, after enough motion,
-    by the correlation of the two sides: 1 when they agree, 0 for a frame rotated by a right angle, negative
-    for a larger rotation. A mirrored axis is detected as soon as there is motion along it. A hover gives no
-    information about the frame.
+    relation holds while the height is almost constant, up to wind. Each comparison is decided once, after
+    enough motion, by the correlation of the two sides: 1 when they agree, 0 for a frame rotated by a right
+    angle, negative for a larger rotation. A mirrored axis is detected as soon as there is motion along it. A
+    hover gives no information about the frame.
 
     Args:
         window_s: length of a window [s].
         path_m: displacement after which the positions are compared [m].
-        speed_m_s: change of speed after which the accelerations are compared [m/s].
+        change_m_s: sum of the changes, from window to window, of the velocity that the tilt gives in one,
+            after which the accelerations are compared [m/s].
         min_correlation: correlation below which the frame is wrong.
 
     Attributes:
@@ -138,16 +191,13 @@ class MotionCheck:
         *,
         window_s: float = 0.2,
         path_m: float = 0.3,
-        speed_m_s: float = 0.6,
+        change_m_s: float = 0.3,
         min_correlation: float = 0.3,
     ) -> None:
-        self.window_s, self.min_correlation = window_s, min_correlation
-        self._displacement = _Pairs(0.02)
-        self._acceleration = _Pairs(0.1)
-        self._open = [
-            (self._displacement, path_m, "positions do not move as the velocities predict"),
-            (self._acceleration, speed_m_s, "it does not accelerate in the direction of its tilt"),
-        ]
+        self.window_s = window_s
+        self._displacement = _Displacements(path_m, min_correlation)
+        self._acceleration = _Accelerations(change_m_s, min_correlation)
+        self._open: list[_Displacements | _Accelerations] = [self._displacement, self._acceleration]
         self.wrong = ""
         self._start: tuple[float, FloatArray, FloatArray] | None = None
         self._last_s = 0.0
@@ -172,21 +222,25 @@ class MotionCheck:
             return
         dt, self._last_s = now - self._last_s, now
         axis = matrix_from_quat_wxyz(state.attitude_wxyz)[:, 2]
+        if not axis[2] > _LEVEL:
+            self._acceleration.interrupt()
+            self._begin(state)
+            return
         self._expected_step += dt * state.velocity
-        if axis[2] > 0.3:
-            self._expected_change += dt * _GRAVITY * axis[:2] / axis[2]
+        self._expected_change += dt * _GRAVITY * axis[:2] / axis[2]
         begin, position, velocity = self._start
         if now - begin < self.window_s:
             return
         self._displacement.add(self._expected_step, state.position - position)
         self._acceleration.add(self._expected_change, (state.velocity - velocity)[:2])
         self._begin(state)
-        for item in list(self._open):
-            pairs, needed, words = item
-            if pairs.amount >= needed and len(pairs.measured) > 2:
-                self._open.remove(item)
-                if (found := pairs.correlation()) < self.min_correlation:
-                    self.wrong = f"{words} (correlation {found:.2f}): the frame is rotated or mirrored"
+        for each in list(self._open):
+            if (verdict := each.verdict()) is None:
+                continue
+            self._open.remove(each)
+            agrees, found = verdict
+            if not agrees:
+                self.wrong = f"{each.words} (correlation {found:.2f}): the frame is rotated or mirrored"
 
     def _begin(self, state: VehicleState) -> None:
         self._start = (state.received_s, state.position.copy(), state.velocity.copy())

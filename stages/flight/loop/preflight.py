@@ -224,6 +224,15 @@ def _on_ground(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("on the ground", True, "disarmed")
 
 
+def _arming(seen: Observed, needs: Needs) -> Verdict:
+    """The vehicle's own checks before arming."""
+    status = seen.status
+    if status.can_arm is None:
+        return Verdict("arming", True, "the vehicle does not report checks of its own")
+    words = "the vehicle's own checks hold" if status.can_arm else "the vehicle refuses"
+    return Verdict("arming", status.can_arm, ": ".join(filter(None, (words, status.arming))), of_link=True)
+
+
 def _level(seen: Observed, needs: Needs) -> Verdict:
     """A vehicle at rest is level; an attitude in another convention is not."""
     if seen.state is None:
@@ -344,6 +353,7 @@ CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
     _estimator,
     _battery,
     _on_ground,
+    _arming,
     _level,
     _start,
     _clearance,

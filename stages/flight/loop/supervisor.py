@@ -41,6 +41,7 @@ class SupervisorLimits:
         settle_s: time without any cause of a hold, after which a hold ends [s].
         engage_s: maximum time in which the vehicle does not follow orders, at first and later [s].
         drift_m: maximum drift of a hold, see `PositionWatch` [m].
+        landed_m: maximum horizontal distance between the plan's end and where the vehicle lands after it [m].
         failsafe_s: maximum time for which a vehicle in a failsafe may stay in the mode that follows
             set-points; many failsafes are configured to do nothing [s].
         holds: maximum number of holds of a flight; the vehicle lands at the next one.
@@ -58,6 +59,7 @@ class SupervisorLimits:
     settle_s: float = 1.0
     engage_s: float = 2.0
     drift_m: float = 1.0
+    landed_m: float = 0.5
     failsafe_s: float = 1.0
     holds: int = 3
     checks_s: float = 120.0
@@ -80,10 +82,14 @@ class Facts:
         silence_s: time since the last valid message [s].
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as reported by the vehicle.
         is_ours: False after somebody else has changed the mode.
+        by_failsafe: one of the vehicle's own failsafes has changed it.
         order_refused: the vehicle refused the last order more than 1 s ago.
         health_unknown: the vehicle no longer reports a health value that it reported when it was armed.
+        parameter_changed: another station has changed a parameter that the flight relies on.
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
+        from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
+        is_lying, is_over, is_fallen: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
         dry_run: the flight ends after the checks.
@@ -109,11 +115,17 @@ class Facts:
     is_failsafe: bool = False
     restarted: bool = False
     health_unknown: bool = False
+    parameter_changed: bool = False
     off_climb_m: float = 0.0
     drift_m: float = 0.0
+    from_goal_m: float = 0.0
+    is_lying: bool = False
+    is_over: bool = False
+    is_fallen: bool = False
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
+    by_failsafe: bool = False
     order_refused: bool = False
     checks: bool | None = None
     dry_run: bool = False
@@ -142,7 +154,8 @@ class Supervision:
         flying_s: time at which the plan was first flown; a hold does not reset it [s].
         holds: number of holds so far.
         failsafe_s: time since which the vehicle reports a failsafe and still follows set-points [s].
-        cause: first event that ended the flight, as planned or not; None so far.
+        cause: first event that ended the flight, as planned or not; after a finished plan the first one that
+            spoilt its landing; None so far.
     """
 
     state: State = State.IDLE
@@ -170,6 +183,8 @@ _HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event
 # The vehicle must be in a mode that follows set-points in these states, and in none in LAND.
 _OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
+# A plan was finished; with one of these in the landing the flight did not end as planned nevertheless.
+_SPOILS = frozenset({Event.FAILSAFE, Event.ESTIMATOR_BAD, Event.LANDED_AWAY, Event.CRASHED, Event.TIMED_OUT})
 
 
 def sends_setpoints(state: State) -> bool:
@@ -203,7 +218,9 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
             return _entered(now, step.state, event, facts.now_s), taken
         # If a landed vehicle refuses to disarm, the order is repeated: it may not disarm by itself.
         forgotten = {Event.LANDED} if event is Event.ORDER_REFUSED else set()
-        now = dataclasses.replace(now, seen=(now.seen | {event}) - forgotten)
+        now = dataclasses.replace(
+            now, seen=(now.seen | {event}) - forgotten, cause=_cause(now, event, now.state)
+        )
     return now, taken
 
 
@@ -239,21 +256,29 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     since_s = facts.now_s - was.since_s
     # An order to arm may still be on its way to a vehicle that reports that it is not armed.
     is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
+    is_landing_over = is_disarmed or facts.landed is True or was.cause is not Event.PLAN_FINISHED
+    is_moot = state is State.LAND and is_landing_over  # or what led to the landing is worse
+    is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not facts.from_goal_m <= limits.landed_m
     for event, is_so in (
         # Somebody who takes the vehicle over has priority over every other event.
-        (Event.MODE_CHANGED, not facts.is_ours),
-        (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
+        (Event.MODE_CHANGED, not (facts.is_ours or facts.by_failsafe)),
+        (Event.FAILSAFE, (facts.is_failsafe and not facts.obeys) or facts.by_failsafe),
+        (Event.LANDED_AWAY, is_away),
         (Event.DISARMED, is_disarmed),
         (Event.LINK_LOST, not abs(facts.silence_s) <= limits.silence_s),
+        (Event.CRASHED, facts.is_lying),
+        (Event.TURNED_OVER, facts.is_over),
+        (Event.FALLEN, facts.is_fallen),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),
         (Event.INTERRUPT, facts.interrupts == 1),
         (Event.FRAME_WRONG, facts.frame_wrong),
         (Event.RESTARTED, facts.restarted),
         (Event.FAILSAFE_IDLE, facts.now_s - was.failsafe_s > limits.failsafe_s),
-        (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
+        (Event.ESTIMATOR_BAD, facts.estimator_ready is False and not is_moot),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
         (Event.HEALTH_UNKNOWN, facts.health_unknown),
+        (Event.PARAMETER_CHANGED, facts.parameter_changed),
         (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor in the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
         (Event.OFF_CLIMB, not facts.off_climb_m <= 0.0),
@@ -324,8 +349,15 @@ def _entered(was: Supervision, state: State, event: Event, now_s: float) -> Supe
         flying_s=min(was.flying_s, now_s) if state is State.FLY else was.flying_s,
         holds=was.holds + (state is State.HOLD),
         failsafe_s=was.failsafe_s,
-        cause=event if was.cause is None and state in _ENDS else was.cause,
+        cause=_cause(was, event, state),
     )
+
+
+def _cause(was: Supervision, event: Event, state: State) -> Event | None:
+    """Cause of the end of the flight after an event that leads to a state, or stays in it."""
+    if was.cause is Event.PLAN_FINISHED and was.state is State.LAND and event in _SPOILS:
+        return event
+    return event if was.cause is None and was.state is not state and state in _ENDS else was.cause
 
 
 __all__ = [

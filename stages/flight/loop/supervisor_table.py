@@ -39,17 +39,22 @@ class Event(Enum):
     LOOP_LATE = "loop too late"
     FILTER_REFUSED = "filter has no safe input"
     FILTER_FAILED = "filter failed"
+    CRASHED = "crashed"
+    TURNED_OVER = "upside down"
+    FALLEN = "on the ground below its plan"
     FALLBACK_LONG = "fallback for too long"
     FENCE = "too close to the fence"
     NOT_OBEYED = "vehicle does not follow"
     OFF_CLIMB = "off the climb path"
     DRIFTS = "drifts from its hold"
+    PARAMETER_CHANGED = "parameter changed by another station"
     HEALTH_UNKNOWN = "health no longer reported"
     RECOVERED = "all is well again"
     HOLDS_USED_UP = "held too often"
     BATTERY_LOW = "battery low"
     LINK_LOST = "link lost"
     ESTIMATOR_BAD = "estimator not healthy"
+    LANDED_AWAY = "landed away from the plan's end"
     FAILSAFE = "vehicle's own failsafe"
     FAILSAFE_IDLE = "failsafe without any action"
     RESTARTED = "vehicle restarted"
@@ -73,6 +78,7 @@ class Action(Enum):
     HOLD = "hold in place, by the vehicle itself"
     LAND = "land, by the vehicle itself"
     DISARM = "disarm"
+    STOP = "stop the motors, by force"
     LET_GO = "stop sending"
 
 
@@ -94,6 +100,10 @@ def _abort(*events: Event) -> _Row:
 
 def _land(*events: Event) -> _Row:
     return {event: Step(_S.LAND, _A.LAND, f"{event.value}: landing") for event in events}
+
+
+def _stop(*events: Event) -> _Row:
+    return {event: Step(_S.ABORT, _A.STOP, f"{event.value}: stopping the motors") for event in events}
 
 
 def _hold(*events: Event) -> _Row:
@@ -137,6 +147,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
         _E.HEALTH_UNKNOWN,
+        _E.PARAMETER_CHANGED,
         _E.OFF_CLIMB,
         _E.TIMED_OUT,
     )
@@ -153,13 +164,18 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
         _E.HEALTH_UNKNOWN,
+        _E.PARAMETER_CHANGED,
     )
     # The vehicle is low and near the climb path that was proven clear; a hold would be in unproven space.
-    | _land(_E.OFF_CLIMB, _E.FENCE)
+    | _land(_E.OFF_CLIMB, _E.FENCE, _E.TURNED_OVER)
+    | _stop(_E.CRASHED)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.FLY: _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
+    # The vehicle levels itself out in its landing mode; on the ground no thrust may be commanded.
+    | _land(_E.TURNED_OVER, _E.FALLEN)
+    | _stop(_E.CRASHED)
     | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
     | _land(
         _E.PLAN_FINISHED,
@@ -170,12 +186,15 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
         _E.HEALTH_UNKNOWN,
+        _E.PARAMETER_CHANGED,
     )
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
     | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
+    | _land(_E.TURNED_OVER, _E.FALLEN)
+    | _stop(_E.CRASHED)
     | _land(
         _E.LINK_LOST,
         _E.RESTARTED,
@@ -183,6 +202,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
         _E.HEALTH_UNKNOWN,
+        _E.PARAMETER_CHANGED,
         _E.FRAME_WRONG,
         _E.HOLDS_USED_UP,
     )
@@ -191,8 +211,10 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.LAND: _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
-    | _done(_E.DISARMED)
+    | _done(_E.LANDED_AWAY, _E.DISARMED)
+    | _stop(_E.CRASHED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
+    | _stay(_S.LAND, _A.NOTHING, "landing continues", _E.ESTIMATOR_BAD)
     | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST, _E.NOT_OBEYED)
     | _stay(_S.LAND, _A.NOTHING, "motors stop on the ground only", _E.INTERRUPT_IN_AIR),
     _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
@@ -215,9 +237,11 @@ _HEALTH = (
     _E.ESTIMATOR_BAD,
     _E.BATTERY_LOW,
     _E.HEALTH_UNKNOWN,
+    _E.PARAMETER_CHANGED,
     _E.FENCE,
 )
-_POSITION = (_E.OFF_CLIMB, _E.DRIFTS)  # defined in a climb and in a hold only
+_POSITION = (_E.OFF_CLIMB, _E.DRIFTS, _E.LANDED_AWAY)  # defined in a climb, in a hold, in a landing only
+_CRASHES = (_E.CRASHED, _E.TURNED_OVER, _E.FALLEN)
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {
@@ -225,32 +249,36 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     # The checks themselves evaluate what the vehicle reports in the meantime.
     _S.CHECKS: frozenset(
         {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_POSITION, *_TAKEN_OVER}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_TAKEN_OVER}
     ),
     _S.ARMING: frozenset(
         {_E.START, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
-        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS}
+        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS, _E.LANDED_AWAY, *_CRASHES}
     ),
-    _S.TAKE_OFF: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS}),
+    _S.TAKE_OFF: frozenset(
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        | {_E.DRIFTS, _E.LANDED_AWAY, _E.FALLEN}
+    ),
     # A report of having landed is no reason to stop the motors of a vehicle that is ordered to fly.
     _S.FLY: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_POSITION}),
     # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_CLIMB}
-        | {_E.STATE_STALE, _E.FENCE}
+        | {_E.STATE_STALE, _E.FENCE, _E.LANDED_AWAY}
     ),
     # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.
     _S.LAND: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {*_POSITION, _E.FAILSAFE_IDLE, _E.INTERRUPT}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH} - {_E.ESTIMATOR_BAD}
+        | {_E.OFF_CLIMB, _E.DRIFTS, _E.TURNED_OVER, _E.FALLEN, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_POSITION, *_TAKEN_OVER}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE}
+        | {*_POSITION, *_CRASHES, *_TAKEN_OVER}
     ),
     _S.ABORT: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_POSITION, *_INTERRUPTS}
+        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),
 }

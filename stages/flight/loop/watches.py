@@ -11,6 +11,7 @@ import math
 from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
 
+_FAILSAFE_S = 1.0  # a failsafe changes the mode this long after it was reported at most
 _UNKNOWN_S = 1.0  # a health value may be unknown for this long
 _HEALTH = ("armed", "is_estimator_ready", "battery_share")
 _BRAKE_M_S2, _REACTION_S = 2.0, 0.5  # minimum deceleration of autopilots, and their maximum reaction time
@@ -23,11 +24,17 @@ class ModeWatch:
     mode contains "land" (`Order`). After the first order only these modes are allowed: the earlier one, until
     the vehicle follows set-points; then a mode that follows set-points; and, once landing was ordered, a
     landing mode. Any other mode means that somebody else took control, and this result is permanent.
+
+    Attributes:
+        by_failsafe: one of the vehicle's own failsafes took control: it triggered, or gave a new cause, at
+            most 1 s before the change of the mode. An older one did not: a failsafe may have no action.
     """
 
     def __init__(self) -> None:
         self._before: str | None = None
         self._follows = self._may_land = self._lands = self._lost = False
+        self._failsafe, self._failsafe_s = (False, ""), -math.inf  # the newest, and when it was first seen
+        self.by_failsafe = False
 
     def ordered(self, order: Order, status: VehicleStatus) -> None:
         """Register an order that is about to be sent.
@@ -46,6 +53,19 @@ class ModeWatch:
         Args:
             status: of the vehicle, now. An unknown mode, "", counts as no change.
         """
+        was_ours, now_s, failsafe = (
+            not self._lost,
+            status.heard_s or 0.0,
+            (status.is_failsafe, status.failsafe),
+        )
+        if failsafe != self._failsafe:
+            self._failsafe, self._failsafe_s = failsafe, now_s if any(failsafe) else -math.inf
+        is_ours = self._keeps(status)
+        if was_ours and not is_ours:
+            self.by_failsafe = now_s - self._failsafe_s <= _FAILSAFE_S
+        return is_ours
+
+    def _keeps(self, status: VehicleStatus) -> bool:
         if self._before is None or self._lost or not status.mode:
             return not self._lost
         if self._may_land and "land" in status.mode.lower():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.ardupilot.pid import Pid
+from alula.stages.sim_vehicle.ardupilot.shaping import low_pass_weight, square_root
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
-    added,
     conjugate,
     cos_tilt,
     from_vector,
@@ -18,23 +21,28 @@ from alula.stages.sim_vehicle.common.quaternions import (
     unit,
 )
 
-_RATE_INPUT_S = 0.0185  # lag of a rate command; with the rate loop, a step reaches 63 % after 40 ms
-_THROTTLE_S = 0.04  # lag of the observed rotors: -5.5 m/s, 0.6 s after the throttle went to its minimum
-_MAX_ERROR_RAD = 0.7  # larger attitude errors are clipped
+# Angular acceleration of a full command of roll, pitch and yaw: that of the vehicle in ArduPilot's own
+# simulation at hover thrust, for which the default gains are made [rad/s^2].
+_EFFECT: Vector = (307.0, 307.0, 14.1)
+_DAMPING_PER_S = 2.0  # of its rotations, by the drag of its rotors
+_LEAST_RAD_S2 = tuple(map(math.radians, (40.0, 40.0, 10.0)))  # angular acceleration to remove errors
+_MOST_RAD_S2 = tuple(map(math.radians, (720.0, 720.0, 120.0)))
+_MAX_YAW_ERROR_RAD = math.radians(45.0)  # larger errors are clipped
+_AXES = (("RLL", "R"), ("PIT", "P"), ("YAW", "Y"))
+_YAW = 2
 
 
 class AttitudeControl:
     """Controller of an attitude target; rate commands are integrated into the target.
 
-    The rates of the target follow the command with a first-order lag. The commanded body rates are those of
-    the target plus the attitude error times ATC_ANG_*_P. The torque of the rate loop is
-    tau = J (omega_command - omega) / time constant + omega x J omega.
+    The rates of the target follow the command with at most ATC_ACCEL_*_MAX. The commanded body rates are
+    those of the target plus a square-root law of the attitude error with the gains ATC_ANG_*_P. Controllers
+    with ATC_RAT_* follow them by the low-passed rates (INS_GYRO_FILTER). Their output scales an angular
+    acceleration that does not depend on the vehicle file, so all files have the same rate loop.
 
     Args:
         airframe: gives inertia and maximum thrust.
         parameters: gains, read at every tick.
-        rate_time_s: time constant of the rate loop [s].
-        motor_time_s: lag of the rotors in the plant itself [s].
 
     Attributes:
         target: attitude target, unit quaternion w, x, y, z, NED from FRD.
@@ -43,50 +51,74 @@ class AttitudeControl:
         throttle_command: commanded throttle, 0 to 1.
     """
 
-    def __init__(
-        self, airframe: Airframe, parameters: Parameters, rate_time_s: float, motor_time_s: float
-    ) -> None:
+    def __init__(self, airframe: Airframe, parameters: Parameters) -> None:
         ix, iy, iz = airframe.body.inertia
         self._inertia: Vector = (ix, iy, iz)
         self._max_thrust_n = airframe.body.max_thrust
         self._parameters = parameters
-        self._rate_time_s = max(rate_time_s, TICK_S)
-        self._throttle_weight = TICK_S / max(_THROTTLE_S - motor_time_s, TICK_S)
         self.target: Quat = (1.0, 0.0, 0.0, 0.0)
         self.rates: Vector = (0.0, 0.0, 0.0)
         self.throttle = 0.0
         self.throttle_command = 0.0
+        self._cutoff_hz = 0.0
+        self._loops = [Pid(parameters, f"ATC_RAT_{name}") for name, _ in _AXES]
+        self._gyro = [[0.0, 0.0] for _ in _AXES]  # of the second-order low-pass
+        self._tune()
+
+    def _tune(self) -> None:
+        p = self._parameters
+        self._revision = p.revision
+        self._gains = [p[f"ATC_ANG_{name}_P"] for name, _ in _AXES]
+        # Largest angular accelerations of the target; 0 for no limit.
+        self._limits = [math.radians(p[f"ATC_ACCEL_{letter}_MAX"] / 100) for _, letter in _AXES]
+        bounds = zip(_LEAST_RAD_S2, _MOST_RAD_S2, self._limits, strict=True)
+        self._removal = [max(least, min(most, limit / 2)) for least, most, limit in bounds]
+        cutoff = 2 * math.pi * p.get("INS_GYRO_FILTER", 0.0)
+        slope = cutoff * TICK_S
+        self._gyro_pull = slope * cutoff
+        self._gyro_scale = 1 / (1 + math.sqrt(2) * slope + slope * slope)
 
     def reset(self, attitude: Quat) -> None:
         """Set the target to the present attitude, at rest."""
         self.target, self.rates = attitude, (0.0, 0.0, 0.0)
+        for loop in self._loops:
+            loop.reset()
 
     def input_rates(self, omega: Vector) -> None:
         """Turn the target with commanded body rates, FRD [rad/s]."""
-        self._turn(omega, TICK_S / (_RATE_INPUT_S + TICK_S))
+        self._turn(omega)
 
-    def input_attitude(self, attitude: Quat, omega: Vector = (0.0, 0.0, 0.0)) -> None:
+    def input_attitude(self, attitude: Quat, omega: Vector = (0.0, 0.0, 0.0), *, slews: bool = False) -> None:
         """Turn the target to an attitude within about ATC_INPUT_TC.
 
         Args:
             attitude: commanded attitude, unit quaternion w, x, y, z, NED from FRD.
             omega: commanded body rates on top, FRD [rad/s].
+            slews: bound the yaw rate by ATC_SLEW_YAW.
         """
-        time_s = max(self._parameters["ATC_INPUT_TC"], 2 * TICK_S) / 2
+        gain = 1 / max(self._parameters["ATC_INPUT_TC"], 0.01)
         error = to_vector(multiply(conjugate(self.target), attitude))
-        self._turn(added(omega, scaled(error, 1 / time_s)), TICK_S / (time_s / 2 + TICK_S))
+        x, y, z = (
+            o + square_root(e, gain, limit) for o, e, limit in zip(omega, error, self._limits, strict=True)
+        )
+        if slews:
+            most = math.radians(max(self._parameters["ATC_SLEW_YAW"], 500.0) / 100)
+            z = max(-most, min(most, z))
+        self._turn((x, y, z))
 
-    def set_throttle(self, throttle: float, *, boosted: bool = True) -> None:
+    def set_throttle(self, throttle: float, *, boosted: bool = True, cutoff_hz: float = 0.0) -> None:
         """Set the throttle.
 
         Args:
             throttle: 0 to 1.
             boosted: divide it by the cosine of the target's tilt, unless ATC_ANGLE_BOOST is 0.
+            cutoff_hz: cutoff of the low-pass on the way to the rotors [Hz]; 0 for none.
         """
         if boosted and self._parameters.whole("ATC_ANGLE_BOOST"):
             cosine = cos_tilt(self.target)
             throttle *= max(0.0, min(1.0, 10 * cosine)) / max(0.1, min(1.0, cosine))
         self.throttle_command = max(0.0, min(1.0, throttle))
+        self._cutoff_hz = cutoff_hz
 
     def run(self, attitude: Quat, omega: Vector) -> tuple[float, Vector]:
         """Compute thrust [N] and torque, FRD [N m], of this tick.
@@ -95,23 +127,38 @@ class AttitudeControl:
             attitude: estimated attitude, unit quaternion w, x, y, z, NED from FRD.
             omega: estimated body rates, FRD [rad/s].
         """
-        error = to_vector(multiply(conjugate(attitude), self.target))
-        ahead = rotate(multiply(conjugate(attitude), self.target), self.rates)
-        gains = (self._parameters[f"ATC_ANG_{axis}_P"] for axis in ("RLL", "PIT", "YAW"))
-        target_rates = tuple(
-            rate + gain * max(-_MAX_ERROR_RAD, min(_MAX_ERROR_RAD, e))
-            for rate, gain, e in zip(ahead, gains, error, strict=True)
-        )
+        if self._revision != self._parameters.revision:
+            self._tune()
+        between = multiply(conjugate(attitude), self.target)
+        error, ahead = to_vector(between), rotate(between, self.rates)
         i, (p, q, r) = self._inertia, omega
         gyroscopic = (q * r * (i[2] - i[1]), r * p * (i[0] - i[2]), p * q * (i[1] - i[0]))
-        x, y, z = (
-            j * (w - o) / self._rate_time_s + g
-            for j, w, o, g in zip(i, target_rates, omega, gyroscopic, strict=True)
-        )
-        self.throttle += self._throttle_weight * (self.throttle_command - self.throttle)
-        return self.throttle * self._max_thrust_n, (x, y, z)
+        torque = []
+        for axis, loop in enumerate(self._loops):
+            off = error[axis]
+            if axis == _YAW:
+                off = max(-_MAX_YAW_ERROR_RAD, min(_MAX_YAW_ERROR_RAD, off))
+            wanted = ahead[axis] + square_root(off, self._gains[axis], self._removal[axis])
+            command = max(-1.0, min(1.0, loop.run(wanted, self._filtered(axis, omega[axis]))))
+            turns = _EFFECT[axis] * command - _DAMPING_PER_S * omega[axis]
+            torque.append(i[axis] * turns + gyroscopic[axis])
+        self.throttle += low_pass_weight(self._cutoff_hz) * (self.throttle_command - self.throttle)
+        return self.throttle * self._max_thrust_n, (torque[0], torque[1], torque[2])
 
-    def _turn(self, omega: Vector, weight: float) -> None:
-        p, q, r = self.rates
-        self.rates = (p + weight * (omega[0] - p), q + weight * (omega[1] - q), r + weight * (omega[2] - r))
+    def _filtered(self, axis: int, rate: float) -> float:
+        """Rate after the low-pass of the gyroscopes: second order, damping 0.71."""
+        if not self._gyro_pull:
+            return rate
+        state = self._gyro[axis]
+        # Implicit steps of y'' = w^2 (u - y) - sqrt(2) w y' are stable for every cutoff.
+        state[1] = (state[1] + self._gyro_pull * (rate - state[0])) * self._gyro_scale
+        state[0] += state[1] * TICK_S
+        return state[0]
+
+    def _turn(self, omega: Vector) -> None:
+        changed = []
+        for old, new, limit in zip(self.rates, omega, self._limits, strict=True):
+            most = limit * TICK_S
+            changed.append(new if most <= 0 else old + max(-most, min(most, new - old)))
+        self.rates = (changed[0], changed[1], changed[2])
         self.target = unit(multiply(self.target, from_vector(scaled(self.rates, TICK_S))))

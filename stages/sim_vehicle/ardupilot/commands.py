@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import INFO, Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import is_location
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
@@ -52,6 +52,7 @@ class Commands:
     """
 
     REFUSED: ClassVar[int] = _FAILED  # result of a command that is possible in another state
+    UNKNOWN: ClassVar[int] = _DENIED  # result of asking for the interval of an unknown message
 
     def __init__(self, copter: Copter, telemetry: Telemetry) -> None:
         self._copter = copter
@@ -162,8 +163,11 @@ class Commands:
 
     def _set_interval(self, command: Command, _out: list[Message]) -> int:
         name, interval = self._name(command.params[0]), command.params[1]
-        if name is None or not math.isfinite(interval) or interval < -1:
-            return int(_FAILED)
+        if name is None:
+            self._copter.say(INFO, f"No ap_message for mavlink id ({command.params[0]:.0f})")
+            return int(self.UNKNOWN)
+        if not math.isfinite(interval) or (interval < 0 and interval != -1):
+            return int(self.UNKNOWN)
         if interval == 0:
             self._telemetry.set_interval(name, self._telemetry.usual_interval_s(name))
         else:
@@ -191,7 +195,7 @@ class Commands:
         return int(_ACCEPTED)
 
     def _check(self, _command: Command, _out: list[Message]) -> int:
-        reason = self._copter.arming_refusal()
+        reason = self._copter.check_refusal()
         if reason is not None:
             self._copter.say(2, f"PreArm: {reason}")
         return int(_ACCEPTED)

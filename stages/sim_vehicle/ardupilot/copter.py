@@ -9,11 +9,13 @@ from typing import ClassVar
 from alula.schemas.vehicle import Vehicle
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Battery, Charge
+from alula.stages.sim_vehicle.ardupilot.drag import with_drag
 from alula.stages.sim_vehicle.ardupilot.estimator import Estimator, EstimatorOptions, LatLonAlt
 from alula.stages.sim_vehicle.ardupilot.flying import Flying
 from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode, refusal
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
+from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.hand import Hand
 
@@ -22,6 +24,7 @@ EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVE
 
 _LANDED_S = 1.0
 _RESTING_FRACTION = 0.9  # of the weight; less thrust for `_LANDED_S` on the ground is a landing
+_CRASH_S = 2.0  # tilted for this long on the ground is a crash
 _CHECK_S = 0.1  # between checks of failsafes
 _ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
 _REMINDER_S = 30.0  # between texts with the reason why it would not arm
@@ -53,7 +56,7 @@ class Copter:
         mode: the present mode.
         is_armed: whether it is armed.
         is_landed: whether it has detected a landing.
-        failsafe: name of the last failsafe that acts; empty without one.
+        failsafe: name of the last failsafe that triggered, whether it acts or not; empty without one.
         texts: STATUSTEXTs to send, severity and text.
 
     Raises:
@@ -65,6 +68,7 @@ class Copter:
     FIRMWARE: ClassVar[str] = "ArduCopter V4.7.0-dev (simulated)"
     HOVER: ClassVar[str] = "MOT_THST_HOVER"  # parameter with the hover throttle
     LOCATION: ClassVar[LatLonAlt] = HOME
+    POSITION: ClassVar[type[PositionControl]] = PositionControl
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
 
     def __init__(
@@ -79,19 +83,19 @@ class Copter:
         hand: Hand | None = None,
     ) -> None:
         self.name = vehicle.name
-        self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
+        self.airframe = Airframe(self._plant(vehicle), seed=seed, heading_rad=heading_rad)
         self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
         initial = {self.HOVER: round(self.hover_throttle, 6)}
         self.parameters = self._parameters(initial | dict(parameters or {}))
-        lag_s = vehicle.disturbance.motor_time_constant_s
-        self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.time_constant_s, lag_s)
+        self.attitude = self._attitude_control(vehicle)
         self.pilot = Pilot(self.parameters)
         self.battery = Battery(self.parameters)
         options = options or EstimatorOptions()
         self.estimator = Estimator(
             self.parameters, options, self.airframe.truth, self.LOCATION if home is None else home, seed
         )
-        self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
+        position = self.POSITION(self.attitude, self.parameters, vehicle.body.gravity_m_s2)
+        self.flying = Flying(self.attitude, position, self.parameters, self.pilot)
         self._hand = hand
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE
@@ -102,6 +106,7 @@ class Copter:
         self._armed_s = 0.0
         self._resting_s = 0.0
         self._idle_s = 0.0
+        self._lying_s = 0.0
         self._bad_s = 0.0
         self._checked_s = 0.0
         self._reminded_s = 0.0
@@ -115,11 +120,17 @@ class Copter:
     def _boot(self) -> None:
         """Set the initial mode and other initial state of the firmware."""
         initial = self.parameters.whole("INITIAL_MODE")
-        if refusal(initial, has_position=False) is None:
+        if refusal(initial, has_position=True) is None:
             self.mode = Mode(initial)
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values)
+
+    def _plant(self, vehicle: Vehicle) -> Vehicle:
+        return with_drag(vehicle)
+
+    def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
+        return AttitudeControl(self.airframe, self.parameters)
 
     @property
     def time_s(self) -> float:
@@ -152,6 +163,8 @@ class Copter:
         if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
             self._check(self.time_s - self._checked_s)
             self._checked_s = self.time_s
+        # As in the firmware, the rates and the throttle of the tick before are followed first.
+        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
         self.flying.has_position = self.estimator.has_position
         if not self.is_armed:
             self.flying.rest(motion)
@@ -162,7 +175,6 @@ class Copter:
             self.flying.rest(motion)
         else:
             self.flying.run(self.mode, motion, self.time_s)
-        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
         self.airframe.step(thrust, torque)
         self._detect_landing(thrust)
 
@@ -170,6 +182,10 @@ class Copter:
         """Reason why it would not arm, in ArduPilot's words; None if it would."""
         if not MODES[self.mode].can_arm:
             return f"{self.mode.name} mode not armable"
+        return self.check_refusal()
+
+    def check_refusal(self) -> str | None:
+        """First of its own checks before arming that does not hold, in ArduPilot's words; None if all do."""
         if not self.estimator.is_started:
             return "AHRS: EKF3 not started"
         if MODES[self.mode].needs_position and not self.estimator.has_position:
@@ -181,7 +197,7 @@ class Copter:
         if self.battery.charge is not Charge.GOOD:
             return "Battery 1 low voltage failsafe"
         if self.pilot.is_lost and self.parameters.whole("FS_THR_ENABLE"):
-            return "Radio failsafe on"
+            return "Radio failsafe on" if self.pilot.was_seen else "RC not found"
         return None
 
     def arm(self, *, forced: bool = False) -> bool:
@@ -217,8 +233,11 @@ class Copter:
         return True
 
     def set_mode(self, number: int) -> bool:
-        """Enter a mode by its number; returns whether it was entered. A text states why it was refused."""
-        reason = refusal(number, has_position=self.estimator.has_position)
+        """Enter a mode by its number; returns whether it was entered, or a text states why not.
+
+        A disarmed vehicle enters any mode; arming checks what the mode needs.
+        """
+        reason = refusal(number, has_position=self.estimator.has_position or not self.is_armed)
         if reason is not None:
             self.say(WARNING, reason)
             return False
@@ -247,9 +266,9 @@ class Copter:
         self._client_s = self.time_s
 
     def note_ground_station(self, system: int) -> None:
-        """Record a heartbeat of a system; only SYSID_MYGCS counts as the ground station."""
+        """Record a heartbeat of a system; only MAV_GCS_SYSID counts as the ground station."""
         self.note_client()
-        if system == self.parameters.whole("SYSID_MYGCS"):
+        if system == self.parameters.whole("MAV_GCS_SYSID"):
             self._gcs_s = self.time_s
 
     def _check(self, passed_s: float) -> None:
@@ -277,14 +296,14 @@ class Copter:
         threshold = self.parameters["FS_EKF_THRESH"]
         bad = self.estimator.variance > threshold > 0 or not self.estimator.has_position
         needs = self.is_armed and MODES[self.mode].needs_position
-        self._bad_s = self._bad_s + passed_s if bad and needs else 0.0
-        if self._bad_s >= _ESTIMATOR_S - 1e-9 and self.parameters.whole("FS_EKF_ACTION"):
-            self._bad_s = 0.0
+        self._bad_s = self._bad_s + passed_s if bad and (needs or "EKF" in self._active) else 0.0
+        has_failed = self._bad_s >= _ESTIMATOR_S - 1e-9 and self.parameters.whole("FS_EKF_ACTION") > 0
+        if has_failed and "EKF" not in self._active:
             self.say(CRITICAL, "EKF variance")
-            self._act("EKF", Mode.LAND)
+        self._watch("EKF", has_failed, Mode.LAND)
         if not self.is_armed and self.time_s - self._reminded_s >= _REMINDER_S:
             self._reminded_s = self.time_s
-            if (reason := self.arming_refusal()) is not None:
+            if (reason := self.check_refusal()) is not None:
                 self.say(CRITICAL, f"PreArm: {reason}")
         self.pilot.attend(landed=self.is_landed)
 
@@ -295,26 +314,34 @@ class Copter:
             self._act(name, action)
         elif not is_bad and name in self._active:
             self._active.discard(name)
+            if self.failsafe == name:
+                self.failsafe = ""
             self.say(WARNING, f"{name} Failsafe Cleared")
 
     def _act(self, name: str, action: Mode | None) -> None:
         """Execute a failsafe: change the mode in the air, disarm on the ground."""
         if not self.is_armed:
             return
-        self.say(WARNING, f"{name} Failsafe")
-        if action is None:
-            return
         self.failsafe = name
-        if self.is_landed:
+        if action is None or self.mode is Mode.LAND:
+            self.say(WARNING, f"{name} Failsafe")
+        elif self.is_landed:
+            self.say(WARNING, f"{name} Failsafe - Disarming")
             self.disarm()
-        elif self.mode is Mode.LAND:
-            return
-        elif MODES[action].needs_position and not self.estimator.has_position:
-            self.set_mode(Mode.LAND)
         else:
-            self.set_mode(action)
+            is_blind = MODES[action].needs_position and not self.estimator.has_position
+            self.set_mode(Mode.LAND if is_blind else action)
+            change = f": changed to {self.mode.name} Mode" if name == "EKF" else ""
+            self.say(WARNING, f"{name} Failsafe{change}")
 
     def _detect_landing(self, thrust_n: float) -> None:
+        self._lying_s = self._lying_s + TICK_S if self.airframe.is_lying and self.is_armed else 0.0
+        if self._lying_s > 0:  # its attitude is not the one that it should have
+            self.is_landed = False
+            if self._lying_s >= _CRASH_S and self._checks_crashes():
+                self.say(EMERGENCY, "Crash: Disarming: AngErr=90>30, Accel=0.0<3.0")
+                self.disarm(forced=True)
+            return
         if not self.airframe.on_ground:
             self.is_landed, self._resting_s = False, 0.0
             return
@@ -328,6 +355,9 @@ class Copter:
             self._idle_s = 0.0 if waits else self._idle_s + TICK_S
             if 0 < self._disarm_delay_s() <= self._idle_s:
                 self.disarm()
+
+    def _checks_crashes(self) -> bool:
+        return self.parameters.whole("FS_CRASH_CHECK") != 0
 
     def _touch_down(self) -> None:
         if self.mode in (Mode.LAND, Mode.RTL):

@@ -163,7 +163,7 @@ class Dialogue:
         if name not in self._copter.parameters:
             return []
         self._copter.parameters.set(name, message.param_value)
-        if name == "SYSID_THISMAV":
+        if name == "MAV_SYSID":
             self._codec.system = max(1, min(255, self._copter.parameters.whole(name)))
         for group, (rate, _) in self._telemetry.STREAMS.items():
             if name == rate:
@@ -189,7 +189,7 @@ class Dialogue:
         return []
 
     def _override(self, message: Message) -> list[Message]:
-        if message.get_srcSystem() == self._copter.parameters.whole("SYSID_MYGCS"):
+        if message.get_srcSystem() == self._copter.parameters.whole("MAV_GCS_SYSID"):
             values = [getattr(message, f"chan{i}_raw") for i in range(1, 17)]
             values[8:] = [0xFFFF if value == 0 else value for value in values[8:]]
             self._copter.pilot.override(values, self._copter.time_s)

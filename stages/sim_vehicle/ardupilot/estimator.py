@@ -20,12 +20,14 @@ from alula.stages.sim_vehicle.common.quaternions import (
     to_euler,
 )
 
-# EKF_STATUS_REPORT.flags as ArduPilot fills them: settled, without a position, and just booted.
-SETTLED, NO_POSITION, UNINITIALISED = 0x33F, 0xA7, 0x400
+# EKF_STATUS_REPORT.flags as ArduPilot fills them: settled, without a position, after the loss of satellites,
+# and just booted.
+SETTLED, NO_POSITION, NO_SATELLITES, UNINITIALISED = 0x33F, 0xA7, 0x27, 0x400
 
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
 GPS = 3
 MOCAP_LOST_S = 7.0  # flags change this long after external navigation stops
+SATELLITES_LOST_S = 7.0  # and this long after the last fix
 _MOCAP_SETTLE = 15.6 / 36.0  # fraction of the boot time from setting the origin until it has settled
 _STARTED = 0.1  # fraction of the boot time until attitude and height are available
 _FIXED = 0.5  # fraction of the boot time until satellites are available
@@ -89,6 +91,8 @@ class Estimator:
         offset: fault: offset of the position estimate, NED [m].
         has_failed: fault: the estimate is invalid.
         is_mocap_lost: fault: external navigation does not arrive.
+        are_satellites_lost: fault: the receiver has no fix.
+        fix_s: time since boot of the newest fix of satellites [s]; None before the first.
         origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
         motion: the present estimate.
         is_settled: whether the estimate has settled on its sources.
@@ -121,6 +125,8 @@ class Estimator:
         self.offset: Vector = (0.0, 0.0, 0.0)
         self.has_failed = False
         self.is_mocap_lost = False
+        self.are_satellites_lost = False
+        self.fix_s: float | None = None
         self.origin: LatLonAlt | None = None
         self.motion = start
         self.is_settled = False
@@ -135,7 +141,8 @@ class Estimator:
     def has_fix(self) -> bool:
         """Return whether satellites are available."""
         boot = self._options.boot_time_s
-        return self._parameters.whole("GPS1_TYPE") != 0 and self._time_s >= _FIXED * boot
+        is_there = self._parameters.whole("GPS1_TYPE") != 0 and self._time_s >= _FIXED * boot
+        return is_there and not self.are_satellites_lost
 
     @property
     def is_started(self) -> bool:
@@ -152,6 +159,8 @@ class Estimator:
         """Flags of EKF_STATUS_REPORT."""
         if not self.is_started:
             return UNINITIALISED
+        if self.are_satellites_lost and not self.has_failed and not self.is_settled:
+            return NO_SATELLITES
         return SETTLED if self.has_position else NO_POSITION
 
     @property
@@ -229,7 +238,7 @@ class Estimator:
         self._time_s += TICK_S
         noise = self._next_noise()
         turn = from_euler(0.0, 0.0, self._yaw_error)
-        self._integrate(truth, turn, noise, is_still)
+        acceleration = self._integrate(truth, turn, noise, is_still)
         self._settle()
         sigma, rate = self._options.attitude_noise_rad, self._options.rate_noise_rad_s
         lean = from_vector((sigma * noise[6], sigma * noise[7], sigma * noise[8]))
@@ -240,6 +249,7 @@ class Estimator:
             (self._velocity[0], self._velocity[1], self._velocity[2]),
             attitude,
             (o[0] + rate * noise[9], o[1] + rate * noise[10], o[2] + rate * noise[11]),
+            acceleration,
         )
         self._history.append((self._time_s, self.motion))
         while len(self._history) > 1 and self._history[1][0] <= self._time_s - self._options.delay_s + 1e-9:
@@ -263,7 +273,8 @@ class Estimator:
         east = math.radians(location[1] - lon) * _EARTH_M * math.cos(math.radians(lat))
         return north, east, alt - location[2]
 
-    def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> None:
+    def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> Vector:
+        """Advance position and velocity; return the measured acceleration, NED [m/s^2]."""
         mocap = self.uses_mocap
         height_outside = mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL
         follows = [not mocap and self.has_fix] * 2 + [not height_outside]
@@ -280,14 +291,17 @@ class Estimator:
                 self._velocity[i] += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
                 self._position[i] += TICK_S * _GAIN[0] * error
             self._position[i] += self._velocity[i] * TICK_S
+        return added(moved, self._bias)
 
     def _settle(self) -> None:
+        self.fix_s = self._time_s if self.has_fix else self.fix_s
         if self.uses_mocap:
             alive = self._vision_s is not None and self._time_s - self._vision_s <= MOCAP_LOST_S
             usable = alive and self.origin is not None
             wait_s = _MOCAP_SETTLE * self._options.boot_time_s
         else:
-            usable, wait_s = self.has_fix, (1 - _FIXED) * self._options.boot_time_s
+            usable = self.fix_s is not None and self._time_s - self.fix_s <= SATELLITES_LOST_S
+            wait_s = (1 - _FIXED) * self._options.boot_time_s
             if usable and self.origin is None:
                 self.origin = self._start_location
         if not usable:

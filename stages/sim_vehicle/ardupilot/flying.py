@@ -32,9 +32,9 @@ class Flying:
 
     Args:
         attitude: the inner loop.
+        position: the outer loops.
         parameters: parameters, read at every tick.
         pilot: the remote control.
-        gravity: g [m/s^2].
 
     Attributes:
         position: the outer loops.
@@ -44,16 +44,19 @@ class Flying:
     """
 
     def __init__(
-        self, attitude: AttitudeControl, parameters: Parameters, pilot: Pilot, gravity: float
+        self,
+        attitude: AttitudeControl,
+        position: PositionControl,
+        parameters: Parameters,
+        pilot: Pilot,
     ) -> None:
         self.attitude = attitude
         self._parameters = parameters
         self._pilot = pilot
-        self.position = PositionControl(attitude, parameters, gravity)
+        self.position = position
         self.guided = Guided(attitude, self.position, parameters)
         self.has_position = False
         self.home: Vector = (0.0, 0.0, 0.0)
-        self._hold: Vector | None = None
         self._phase = Return.CLIMB
         self._waited_s = 0.0
         self._height_m = 0.0
@@ -70,9 +73,7 @@ class Flying:
 
     def enter(self, mode: Mode, motion: Motion) -> None:
         """Enter a mode from a motion."""
-        self.attitude.reset(motion.attitude)
         self.position.reset(motion)
-        self._hold = None
         self._phase, self._waited_s = Return.CLIMB, 0.0
         self._height_m = max(-motion.position[2], self._parameters["RTL_ALT"] / 100)
         self.guided.needs_position = mode is not Mode.GUIDED_NOGPS
@@ -81,7 +82,7 @@ class Flying:
     def rest(self, motion: Motion) -> None:
         """Rest on the ground: no thrust, integrators reset."""
         self.attitude.reset(motion.attitude)
-        self.position.reset(motion)
+        self.position.rest(motion)
         self.attitude.set_throttle(0.0)
 
     def should_leave_ground(self, mode: Mode, now_s: float) -> bool:
@@ -119,21 +120,20 @@ class Flying:
         if pitch or roll:
             heading = to_euler(motion.attitude)[2]
             cos, sin = math.cos(heading), math.sin(heading)
-            self._hold = None
             self.position.velocity(
                 motion, (speed * (-cos * pitch - sin * roll), speed * (-sin * pitch + cos * roll))
             )
         else:
-            self._stay(motion)
+            self.position.stay(motion)
         self.position.climb(motion, self._stick_climb(now_s))
 
     def _brake(self, motion: Motion, _now_s: float) -> None:
-        self._stay(motion)
+        self.position.stay(motion)
         self.position.climb(motion, 0.0)
 
     def _land(self, motion: Motion, _now_s: float) -> None:
         if self.has_position:
-            self._stay(motion)
+            self.position.stay(motion)
         else:
             self.attitude.input_attitude(from_euler(0, 0, self.position.yaw))
         self._descend(motion)
@@ -144,7 +144,7 @@ class Flying:
         speed = self._parameters["WPNAV_SPEED"] / 100
         match self._phase:
             case Return.CLIMB:
-                self._stay(motion)
+                self.position.stay(motion)
                 self.position.height(motion, -self._height_m)
                 if abs(down + self._height_m) < _AT_M:
                     self._phase = Return.FLY
@@ -168,15 +168,6 @@ class Flying:
         fast = max(self._parameters["LAND_SPEED_HIGH"] or self._parameters["WPNAV_SPEED_DN"], 10) / 100
         above = -motion.position[2] - self._parameters["LAND_ALT_LOW"] / 100
         self.position.climb(motion, -(slow if above <= 0 else min(fast, slow + above)))
-
-    def _stay(self, motion: Motion) -> None:
-        """Brake, then hold the position."""
-        if self._hold is None and math.hypot(*motion.velocity[:2]) < 0.2:
-            self._hold = motion.position
-        if self._hold is None:
-            self.position.velocity(motion, (0.0, 0.0))
-        else:
-            self.position.point(motion, self._hold[:2], 1.0)
 
     def _lean_by_sticks(self, now_s: float) -> None:
         max_lean = math.radians(self._parameters["ANGLE_MAX"] / 100)

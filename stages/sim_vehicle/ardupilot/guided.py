@@ -16,7 +16,6 @@ from alula.stages.sim_vehicle.common.quaternions import (
     added,
     from_euler,
     rotate,
-    scaled,
     to_euler,
     unit,
 )
@@ -70,14 +69,13 @@ class Guided:
         self._point: Vector | None = None
         self._velocity: Vector = (0.0, 0.0, 0.0)
         self._acceleration: Vector = (0.0, 0.0, 0.0)
-        self._is_streamed = self._integrates = False
+        self._is_streamed = self._accelerates = False
         self._climbing_s = 0.0  # since the take-off began
         self.speed_m_s: float | None = None
-        self._hold: Vector | None = None
 
     def enter(self, motion: Motion) -> None:
         """Enter or re-initialise the mode: brake."""
-        self.sub, self._is_streamed, self._point, self._hold = Sub.VELOCITY, False, None, None
+        self.sub, self._is_streamed, self._point = Sub.VELOCITY, False, None
         self._velocity = self._acceleration = (0.0, 0.0, 0.0)
         self._silent_s = 0.0
         self._position.reset(motion)
@@ -161,8 +159,6 @@ class Guided:
         is_thrust = bool(self._parameters.whole("GUID_OPTIONS") & THRUST_AS_THRUST)
         if self.sub is not Sub.ANGLE or (self._is_thrust and not is_thrust):
             self._position.reset(motion)
-        if self.sub is not Sub.ANGLE:
-            self._attitude.reset(motion.attitude)
         self.sub, self._silent_s = Sub.ANGLE, 0.0
         self._target, self._omega, self._is_thrust = quat, omega if not rates else (0.0, 0.0, 0.0), is_thrust
         if is_thrust:
@@ -195,7 +191,8 @@ class Guided:
         given = [v for v in (position, velocity, acceleration) if v is not None]
         known = frame == mavlink.MAV_FRAME_LOCAL_NED or offset
         finite = all(math.isfinite(c) for v in given for c in v)
-        if not known or mask & _FORCE_BIT or not given or not finite:
+        is_force = bool(mask & _FORCE_BIT) and acceleration is not None
+        if not known or is_force or not given or not finite:
             return self._reject(motion)
         if position is not None and velocity is None and acceleration is not None:
             return self._reject(motion)
@@ -211,12 +208,10 @@ class Guided:
             self._position.reset(motion)
         self._set_yaw(message, mask, motion, body)
         zero = (0.0, 0.0, 0.0)
-        if velocity is None and not self._is_streamed:
-            self._velocity = motion.velocity
         self.sub, self._silent_s, self._is_streamed, self._point = Sub.VELOCITY, 0.0, True, position
-        self._velocity = self._velocity if velocity is None else rotate(turn, velocity)
+        self._velocity = zero if velocity is None else rotate(turn, velocity)
         self._acceleration = zero if acceleration is None else rotate(turn, acceleration)
-        self._integrates = velocity is None
+        self._accelerates = velocity is None
         return None
 
     def run(self, motion: Motion) -> None:
@@ -262,20 +257,14 @@ class Guided:
             self._velocity = self._acceleration = (0.0, 0.0, 0.0)
             self._position.yaw_rate = 0.0
         if self._is_streamed:
-            self._hold = None
-            if self._integrates:
-                v, a = self._velocity, self._acceleration
-                self._velocity = added(v, scaled(a, TICK_S))
-            self._position.track(motion, self._point, self._velocity, self._acceleration)
+            if self._accelerates:
+                self._position.accelerate(motion, self._acceleration)
+                return
+            point, velocity, ahead = self._point, self._velocity, self._acceleration
+            self._point, self._velocity = self._position.track(motion, point, velocity, ahead)
             return
-        if self._hold is None and math.dist(motion.velocity, (0.0, 0.0, 0.0)) < 0.2:
-            self._hold = motion.position
-        if self._hold is None:
-            self._position.velocity(motion, (0.0, 0.0))
-            self._position.climb(motion, 0.0)
-        else:
-            self._position.point(motion, self._hold[:2], 1.0)
-            self._position.height(motion, self._hold[2])
+        self._position.stay(motion)
+        self._position.climb(motion, 0.0)
 
     def _set_yaw(self, message: Message, mask: int, motion: Motion, body: bool) -> None:
         heading = to_euler(motion.attitude)[2]

@@ -24,7 +24,8 @@ class ModeRow:
     """Properties of a mode.
 
     Attributes:
-        needs_position: it cannot be entered without a position estimate, and losing it triggers a failsafe.
+        needs_position: without a position estimate it cannot be entered while armed nor armed in, and losing
+            it triggers a failsafe.
         can_arm: arming is allowed.
         takes_setpoints: it follows SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED.
         is_piloted: sticks control it, so it needs a remote control.
@@ -75,7 +76,7 @@ def refusal(number: int, *, has_position: bool) -> str | None:
 
     Args:
         number: custom_mode.
-        has_position: whether there is a valid position estimate.
+        has_position: whether there is a valid position estimate, or none is needed because it is disarmed.
     """
     if number not in Mode._value2member_map_:
         if number in ABSENT:

@@ -20,6 +20,9 @@ class ParamType(IntEnum):
 
 _B, _H, _I, _F = ParamType.INT8, ParamType.INT16, ParamType.INT32, ParamType.FLOAT
 
+_RATE_GAINS = {"P": 0.135, "I": 0.135, "D": 0.0036, "IMAX": 0.5, "FLTT": 20.0, "FLTE": 0.0, "FLTD": 20.0}
+_YAW_GAINS = {"P": 0.3, "I": 0.02, "D": 0.0, "FLTE": 2.5}
+
 # name: (type, default). Some are here only because clients read them when they connect.
 TABLE: dict[str, tuple[ParamType, float]] = {
     "ACRO_YAW_RATE": (_F, 202.5),
@@ -35,6 +38,14 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "ATC_ANG_RLL_P": (_F, 4.5),
     "ATC_ANG_YAW_P": (_F, 4.5),
     "ATC_INPUT_TC": (_F, 0.15),  # s, time constant of lean-angle commands
+    **{
+        f"ATC_RAT_{axis}_{part}": (_F, value)
+        for axis in ("PIT", "RLL")
+        for part, value in _RATE_GAINS.items()
+    },
+    # Gains of yaw are those for ArduPilot's own simulation, P and I 1.67 and 1.11 times the firmware's.
+    **{f"ATC_RAT_YAW_{part}": (_F, value) for part, value in (_RATE_GAINS | _YAW_GAINS).items()},
+    "ATC_SLEW_YAW": (_F, 6000),  # centidegrees/s
     "BATT_CAPACITY": (_I, 3300),
     "BATT_CRT_MAH": (_F, 0),
     "BATT_CRT_VOLT": (_F, 0),
@@ -65,6 +76,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "FORMAT_VERSION": (_H, 120),
     "FRAME_CLASS": (_B, 1),
     "FRAME_TYPE": (_B, 1),
+    "FS_CRASH_CHECK": (_B, 1),
     "FS_EKF_ACTION": (_B, 1),  # 1: land
     "FS_EKF_THRESH": (_F, 0.8),
     "FS_GCS_ENABLE": (_B, 0),  # 1: RTL, 5: land
@@ -78,11 +90,15 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "GUID_OPTIONS": (_I, 0),  # 8: the "thrust" of SET_ATTITUDE_TARGET is a thrust
     "GUID_TIMEOUT": (_F, 3),
     "INITIAL_MODE": (_B, 0),
+    "INS_GYRO_FILTER": (_H, 20),  # Hz
     "LAND_ALT_LOW": (_H, 1000),  # cm
     "LAND_SPEED": (_H, 50),  # cm/s below that
     "LAND_SPEED_HIGH": (_H, 0),
     "LOG_BACKEND_TYPE": (_B, 0),
     "LOIT_SPEED": (_F, 1250),
+    "MAV_GCS_SYSID": (_H, 255),
+    "MAV_OPTIONS": (_H, 0),
+    "MAV_SYSID": (_H, 1),
     "MIS_TOTAL": (_H, 0),
     "MOT_HOVER_LEARN": (_B, 2),
     "MOT_SPIN_ARM": (_F, 0.1),
@@ -94,8 +110,26 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "PILOT_SPEED_DN": (_H, 0),
     "PILOT_SPEED_UP": (_H, 250),  # cm/s
     "PILOT_TKOFF_ALT": (_F, 0),
+    "PSC_ACCZ_FLTE": (_F, 20),
+    "PSC_ACCZ_I": (_F, 1),
+    "PSC_ACCZ_IMAX": (_F, 800),
+    "PSC_ACCZ_P": (_F, 0.5),
+    "PSC_JERK_XY": (_F, 5),  # m/s^3
+    "PSC_JERK_Z": (_F, 5),
     "PSC_POSXY_P": (_F, 1),
     "PSC_POSZ_P": (_F, 1),
+    "PSC_VELXY_D": (_F, 0.25),
+    "PSC_VELXY_FLTD": (_F, 5),
+    "PSC_VELXY_FLTE": (_F, 5),
+    "PSC_VELXY_I": (_F, 1),
+    "PSC_VELXY_IMAX": (_F, 1000),
+    "PSC_VELXY_P": (_F, 2),
+    "PSC_VELZ_D": (_F, 0),
+    "PSC_VELZ_FLTD": (_F, 5),
+    "PSC_VELZ_FLTE": (_F, 5),
+    "PSC_VELZ_I": (_F, 0),
+    "PSC_VELZ_IMAX": (_F, 1000),
+    "PSC_VELZ_P": (_F, 5),
     "RCMAP_PITCH": (_B, 2),
     "RCMAP_ROLL": (_B, 1),
     "RCMAP_THROTTLE": (_B, 3),
@@ -111,9 +145,6 @@ TABLE: dict[str, tuple[ParamType, float]] = {
         for group in ("EXTRA1", "EXTRA2", "EXTRA3", "EXT_STAT", "PARAMS", "POSITION", "RAW_SENS", "RC_CHAN")
     },
     "STAT_BOOTCNT": (_H, 1),
-    "SYSID_ENFORCE": (_B, 0),
-    "SYSID_MYGCS": (_H, 255),
-    "SYSID_THISMAV": (_H, 1),
     "TELEM_DELAY": (_B, 0),
     "TKOFF_SLEW_TIME": (_F, 2),  # s from no throttle to full
     "VISO_TYPE": (_B, 0),
@@ -140,6 +171,9 @@ class Parameters:
         table: names, types and defaults.
         derived: for names that the table does not hold, functions of the values in the table.
 
+    Attributes:
+        revision: number of changes, for what is computed from the values.
+
     Raises:
         UsageError: a name is unknown or a value is not finite.
     """
@@ -152,6 +186,7 @@ class Parameters:
         derived: Mapping[str, Callable[[Mapping[str, float]], float]] | None = None,
     ) -> None:
         self._table, self._derived = table, derived or {}
+        self.revision = 0
         self._values = {name: float(default) for name, (_, default) in table.items()}
         self._derive()
         self._names = tuple(sorted(table))
@@ -174,6 +209,10 @@ class Parameters:
 
     def __contains__(self, name: str) -> bool:
         return name in self._table
+
+    def get(self, name: str, default: float) -> float:
+        """Value of a parameter, or a default for an unknown name."""
+        return self._values.get(name, default)
 
     def whole(self, name: str) -> int:
         """Value of an integer parameter."""
@@ -208,6 +247,7 @@ class Parameters:
             limit = 2 ** (_BITS[kind] - 1)
             value = float(max(-limit, min(limit - 1, round(value))))
         self._values[name] = value
+        self.revision += 1
         self._derive()
         return True
 

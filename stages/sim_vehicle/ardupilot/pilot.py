@@ -21,6 +21,7 @@ class Pilot:
 
     Attributes:
         is_lost: whether the receiver has lost the signal.
+        was_seen: whether it ever had one.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -29,7 +30,7 @@ class Pilot:
         self._sticks[2] = LOW
         self._overrides: dict[int, tuple[int, float]] = {}
         self._position: int | None = None
-        self.is_lost = False
+        self.is_lost = self.was_seen = False
 
     def channels(self, now_s: float) -> list[int]:
         """Pulse widths of all channels at `now_s` [us]."""
@@ -69,6 +70,7 @@ class Pilot:
     def attend(self, *, landed: bool) -> None:
         """Hold the throttle stick low on the ground, centred in the air."""
         self._sticks[2] = LOW if landed else CENTRE
+        self.was_seen = self.was_seen or not self.is_lost
 
     def stick(self, name: str, now_s: float) -> float:
         """Deflection of a stick, -1 to 1 with a dead zone around 0.

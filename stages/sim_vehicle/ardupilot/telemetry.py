@@ -171,7 +171,8 @@ class Telemetry:
         healthy |= gps if copter.estimator.has_fix else 0
         settled = copter.estimator.has_position and not copter.estimator.has_failed
         healthy |= mavlink.MAV_SYS_STATUS_AHRS if settled else 0
-        healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK if settled and not battery.charge else 0
+        can_arm = copter.is_armed or copter.check_refusal() is None
+        healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK if can_arm else 0
         return mavlink.MAVLink_sys_status_message(
             present,
             present,
@@ -193,7 +194,7 @@ class Telemetry:
         lat, lon, alt = estimator.global_position(self._motion.position) if fixed else (0.0, 0.0, 0.0)
         speed = round(100 * math.hypot(*self._motion.velocity[:2])) if fixed else 0
         return mavlink.MAVLink_gps_raw_int_message(
-            self._now_ms * 1000,
+            round(1e6 * (estimator.fix_s or 0.0)),
             6 if fixed else 1,
             *_degrees(lat, lon),
             round(alt * 1000),

@@ -24,6 +24,7 @@ from alula.stages.vehicles.frames import LocalFrame, flipped_body
 
 TICK_S = 1 / 400  # period of the autopilot, that of ArduPilot's main loop
 _STEPS = 3  # steps of the plant in a tick: 1200 Hz
+_LYING_UP = 0.5  # cosine of the tilt beyond which a touch-down leaves it lying
 _FLIP = np.tile([1.0, -1.0, -1.0], 4)
 
 
@@ -52,7 +53,8 @@ class Airframe:
     The plant's own world is north-west-up. Both of its frames then turn into the autopilot's by the same half
     turn about x, which changes the signs of y and z of every vector of the state, Rodrigues parameters
     included. On the floor the vehicle stays at rest while its thrust is below its weight. After a touch-down
-    it stands level and still.
+    it stands level and still, unless it was tilted by more than 60 degrees: then it lies there, whatever its
+    rotors do.
 
     Args:
         vehicle: a quadrotor; its disturbances act.
@@ -64,6 +66,8 @@ class Airframe:
         sensed: motion with the sensor noise and delay of the vehicle file.
         on_ground: whether it stands on the floor.
         touchdown_m_s: largest speed of a touch-down [m/s].
+        is_lying: whether it lies on its side or back.
+        are_rotors_dead: fault: the rotors give no thrust.
 
     Raises:
         UsageError: the vehicle is no quadrotor.
@@ -86,6 +90,7 @@ class Airframe:
         self.on_ground = True
         self._stood: Vector | None = None  # position before a hand lifted it
         self.touchdown_m_s = 0.0
+        self.is_lying = self.are_rotors_dead = False
         self.truth = self.sensed = Motion((0.0,) * 3, (0.0,) * 3, from_euler(0, 0, heading_rad), (0.0,) * 3)
         self._park()
 
@@ -124,9 +129,9 @@ class Airframe:
             torque: torque in FRD [N m].
         """
         wrench = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
-        limited = self.body.limited(wrench)[0]
+        limited = np.zeros(4) if self.are_rotors_dead else self.body.limited(wrench)[0]
         if self.on_ground:
-            if limited[0] <= self.weight_n:
+            if self.is_lying or limited[0] <= self.weight_n:
                 return
             self.on_ground = False
         self._commands[:] = limited
@@ -140,11 +145,19 @@ class Airframe:
 
     def _park(self) -> None:
         x, y, _ = self.truth.position if self._stood is None else self._stood
-        attitude = from_euler(0, 0, to_euler(self.truth.attitude)[2])
+        attitude = self.truth.attitude
+        self.is_lying = _up(attitude) < _LYING_UP
+        if not self.is_lying:
+            attitude = from_euler(0, 0, to_euler(attitude)[2])
         state = np.concatenate([[x, y, 0.0], to_mrp(attitude), np.zeros(6)])
         self._plant.reset(state * _FLIP)
         self.truth = self.sensed = _motion(self._plant.state, [0.0, 0.0, 0.0])
         self.on_ground = True
+
+
+def _up(attitude: Quat) -> float:
+    """Cosine of the tilt."""
+    return 1 - 2 * (attitude[1] ** 2 + attitude[2] ** 2)
 
 
 def _motion(state: np.ndarray, acceleration: list[float]) -> Motion:

@@ -116,7 +116,7 @@ DERIVED: dict[str, Callable[[_Values], float]] = {
     "PSC_POSXY_P": _times("MPC_XY_P", 1),
     "RTL_ALT": _times("RTL_RETURN_ALT", 100),
     "RTL_LOIT_TIME": lambda p: 1000 * max(p["RTL_LAND_DELAY"], 0.0),
-    "SYSID_THISMAV": _times("MAV_SYS_ID", 1),
+    "MAV_SYSID": _times("MAV_SYS_ID", 1),
     "TKOFF_SLEW_TIME": _times("MPC_TKO_RAMP_T", 1),
     "WPNAV_ACCEL": _times("MPC_ACC_HOR", 100),
     "WPNAV_ACCEL_Z": _times("MPC_ACC_UP_MAX", 100),

@@ -11,12 +11,17 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import ClassVar
 
+from alula.schemas.vehicle import Vehicle
+from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Charge
 from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, INFO, WARNING, Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import LatLonAlt
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.ardupilot.position import PositionControl
+from alula.stages.sim_vehicle.px4.attitude import Px4AttitudeControl
 from alula.stages.sim_vehicle.px4.modes import ROWS, SWITCHED, Px4Mode
 from alula.stages.sim_vehicle.px4.parameters import DERIVED, TABLE
+from alula.stages.sim_vehicle.px4.position import Px4PositionControl
 
 ZURICH: LatLonAlt = (47.397742, 8.545594, 488.0)  # start of PX4's own simulation
 
@@ -84,6 +89,7 @@ class Px4Copter(Copter):
     FIRMWARE: ClassVar[str] = "PX4 v1.15.4 (simulated)"
     HOVER: ClassVar[str] = "MPC_THR_HOVER"
     LOCATION: ClassVar[LatLonAlt] = ZURICH
+    POSITION: ClassVar[type[PositionControl]] = Px4PositionControl
     ARMING_DELAY_S: ClassVar[float] = 0.0
 
     def _boot(self) -> None:
@@ -94,6 +100,16 @@ class Px4Copter(Copter):
         self._top_m: float | None = None  # height of a take-off above the local origin
         self._has_flown = False
         self.mode = ROWS[self.flown].flown
+
+    def _plant(self, vehicle: Vehicle) -> Vehicle:
+        return vehicle
+
+    def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
+        rate_s, motor_s = vehicle.rates.tilting_s, vehicle.disturbance.motor_time_constant_s
+        return Px4AttitudeControl(self.airframe, self.parameters, rate_s, motor_s)
+
+    def _checks_crashes(self) -> bool:
+        return False  # by default its failure detector does not act in the air
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values, table=TABLE, derived=DERIVED)
@@ -198,6 +214,10 @@ class Px4Copter(Copter):
         if self.parameters.whole("NAV_DLL_ACT") and self._is_ground_station_away():
             return "No connection to the ground control station"
         return None
+
+    def check_refusal(self) -> str | None:
+        """Reason why it would not arm in the chosen mode; None if it would."""
+        return self.arming_refusal()
 
     def arm(self, *, forced: bool = False) -> bool:
         """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.

@@ -221,12 +221,7 @@ def _chain(run: WorldRun, cover: Artifact | None, left: list[str], *, complete: 
         "Model: the vehicle is a rigid body with the limits of its rotors, commanded by "
         + ("thrust and torque" if table.interface == "wrench" else "thrust and body rates")
         + f" that are held for {exact(rules.dt_s * rules.filter_ticks)} s"
-        + (
-            ""
-            if table.interface == "wrench"
-            else ", which a rate loop with a time constant of "
-            f"{exact(run.vehicle.rates.time_constant_s)} s follows"
-        )
+        + ("" if table.interface == "wrench" else f", which a rate loop with {_rate_lags(run)} follows")
         + (f", with a motor time constant of {exact(lag)} s." if lag else ", and its rotors follow at once."),
         "Estimation: the state that the filter gets has no error"
         + (f"; it is {exact(delay)} s old, and the model predicts the present one." if delay else "."),
@@ -256,11 +251,19 @@ def _shield_of(scenario: WorldScenario) -> dict[str, Any]:
     return {name: values[name] for name in _SHIELD if name in values}
 
 
+def _rate_lags(run: WorldRun) -> str:
+    """Time constants of the rate loop, in words."""
+    roll, pitch, yaw = run.vehicle.rates.axes_s
+    if roll == pitch == yaw:
+        return f"a time constant of {exact(roll)} s"
+    return f"time constants of {exact(roll)}, {exact(pitch)} and {exact(yaw)} s in roll, pitch and yaw"
+
+
 def _model(run: WorldRun) -> str:
     """The filters' model of the vehicle, in words."""
     table = run.scenario.vehicle
     lag, delay = table.assumed.motor_time_constant_s, table.assumed.delay_s
-    loop = f"a rate loop with a time constant of {exact(run.vehicle.rates.time_constant_s)} s"
+    loop = f"a rate loop with {_rate_lags(run)}"
     parts = (
         (loop, table.interface != "wrench"),
         (f"a motor time constant of {exact(lag or 0.0)} s", lag),

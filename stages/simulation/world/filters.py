@@ -75,7 +75,7 @@ def filter_world(
         gains=_core.TrackingGains() if vehicle.model == "single-integrator" else tracking_gains(vehicle),
         racer=racer_model(vehicle) if vehicle.throttle is not None else None,
         motor_time_constant_s=table.assumed.motor_time_constant_s or 0.0,
-        rate_time_constant_s=vehicle.rates.time_constant_s if table.interface == "body-rates" else 0.0,
+        rate_time_constant_s=vehicle.rates.axes_s if table.interface == "body-rates" else (0.0, 0.0, 0.0),
         max_rate_rad_s=vehicle.rates.max_rad_s,
     )
 

@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
-from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.filtering.polytope_cbf import barrier
-from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
-from alula.stages.planning.plan_samples import sample_plan
+from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.among_hulls import note_of_psi
 from alula.stages.simulation.world.encounters import seen_by
 from alula.stages.simulation.world.filters import (
@@ -44,7 +35,8 @@ from alula.stages.simulation.world.filters import (
 )
 from alula.stages.simulation.world.judge import WorldJudge
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
-from alula.stages.simulation.world.tasks import Missions, missions_of
+from alula.stages.simulation.world.prepared_run import PreparedRun
+from alula.stages.simulation.world.tasks import missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
 from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
@@ -53,138 +45,6 @@ _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
 _FAR_M = 1e9  # beyond every position
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
-
-
-@dataclass(frozen=True, slots=True)
-class PreparedRun:
-    """A scenario ready to be flown; `fly` flies some of its trials.
-
-    Attributes:
-        scenario: completed.
-        vehicle: that it names.
-        world: static obstacles.
-        told: what the filters were built for.
-        missions: tasks of all trials.
-        vehicle_spec, options: what the computer on board knows.
-        spec: native simulation.
-        bare: the same, whose logs have only what the judge needs.
-        filters: native, in their order.
-        names: of the scenario's filters, in their order.
-        judge: of the flights.
-        plans: judges of the plans, by trial.
-        start_h_i_m: see `start_h_i` [m].
-        among: barrier of the hulls, where the vehicle is flown by velocities among them.
-        start_margin_m: psi less what filters keep, at the start of each trial, with that barrier [m].
-        notes: for the summary.
-    """
-
-    scenario: WorldScenario
-    vehicle: Vehicle
-    world: StaticWorld
-    told: FilterWorld
-    missions: Missions
-    vehicle_spec: _core.VehicleSpec
-    options: _core.FlightOptions
-    spec: _core.SimulationSpec
-    bare: _core.SimulationSpec
-    filters: list[_core.SafetyFilter]
-    names: list[str]
-    judge: WorldJudge
-    plans: Callable[[int], PlanJudge | None]
-    start_h_i_m: float | None
-    among: _core.PolytopeCbf | None
-    start_margin_m: FloatArray | None
-    notes: list[str] = field(default_factory=list)
-
-    def fly(
-        self,
-        first: int,
-        count: int,
-        *,
-        is_logged: bool = True,
-        jobs: int = 0,
-        progress: Progress | None = None,
-    ) -> list[dict[str, Any]]:
-        """Fly consecutive trials; their native logs.
-
-        Args:
-            first: number of the first trial.
-            count: number of trials.
-            is_logged: keep their path and a row per tick, besides what the judge needs.
-            jobs: threads, 0 for all processors; only measured times depend on it.
-            progress: called with (trials done, trials).
-
-        Raises:
-            UsageError: an obstacle cannot meet the vehicle, or the motion diverges.
-            InputError: a filter returned no command or one beyond the limits.
-        """
-        try:
-            return _core.simulate(
-                self.spec if is_logged else self.bare,
-                self.missions.tasks[first : first + count],
-                self.filters,
-                seed=self.scenario.rules.seed,
-                first_trial=first,
-                jobs=1 if any(one.shares_state for one in self.filters) else jobs,
-                progress=progress,
-            )
-        except ValueError as error:
-            if not self.scenario.world.moving:
-                raise InputError(str(error)) from error
-            raise UsageError(f"`$.world.moving`: {error}") from error
-        except OverflowError as error:
-            raise UsageError(f"`$.vehicle`: {error}") from error
-
-    def on_board(self, index: int) -> _core.Flight:
-        """The flight of one trial as the computer on board sees it, without a simulation around it.
-
-        Args:
-            index: number of the trial.
-        """
-        return _core.Flight(self.vehicle_spec, self.options, self.missions.missions[index], self.filters)
-
-    def judged(self, index: int, flown: dict[str, Any]) -> TrialResult:
-        """Verdict on one flight.
-
-        Args:
-            index: number of the trial.
-            flown: its native log.
-        """
-        goal = self.missions.goal[index]
-        if self.scenario.mission.kind == "pilot":
-            goal = flown["last"][:3]
-        margin = math.inf if self.start_margin_m is None else float(self.start_margin_m[index])
-        start, curve = self.missions.start[index], self.missions.curves[index]
-        trial = self.judge.trial(index, start, goal, curve, flown, self.plans(index))
-        return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
-
-    def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
-        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf.
-
-        Args:
-            index: number of the trial.
-            flown: its native log.
-        """
-        if self.among is not None and not self.filters:
-            smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
-            flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
-        rules = self.scenario.rules
-        return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz, rules.filter_ticks)
-
-    def filter_seconds(self, flown: dict[str, Any]) -> NDArray[np.float32]:
-        """Measured times of the filters in a flight, shape (F,) [s].
-
-        Of all filters together in each tick; of one among moving obstacles in the ticks of a manoeuvre or a
-        warning, as in the others it has little to do.
-
-        Args:
-            flown: its native log.
-        """
-        if self.names == [self.judge.seen_by]:
-            return np.asarray(flown["active_tick_s"])
-        return np.asarray(
-            flown["filter_s"].sum(axis=1, dtype=np.float32)[:: self.scenario.rules.filter_ticks]
-        )
 
 
 def prepare(
@@ -436,9 +296,7 @@ def _extent(
     if pairs is not None:
         points += [pairs.start, pairs.goal]
     if plan is not None:
-        curve = _core.ReferenceCurve(
-            np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
-        )
+        curve = curve_of(plan)
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
     seconds = 1 + (scenario.vehicle.velocity_lag_s or 0.0)

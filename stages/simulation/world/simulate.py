@@ -24,7 +24,8 @@ from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
 from alula.stages.simulation.world.encounters import rows_of_obstacles
 from alula.stages.simulation.world.judge import worst_clearance
-from alula.stages.simulation.world.prepare import PreparedRun, prepare
+from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.world.prepared_run import PreparedRun
 from alula.stages.simulation.world.world import StaticWorld
 
 CHUNK, CHUNK_TICKS = 16, 100_000  # maximum number of trials and ticks whose samples are in memory at once

@@ -16,6 +16,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.simulation.planned import count_planned, plans_of
@@ -102,7 +103,7 @@ def missions_of(
         return _hovering(scenario, world, np.array(mission.start_m), count, model, speed_m_s, jobs)
     if mission.kind == "plan":
         assert plan is not None
-        curve = _curve(plan)
+        curve = curve_of(plan)
         ends = curve.at(np.array([0.0, curve.duration_s]))[:, :3]
         pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
         plans = [plan]
@@ -142,7 +143,7 @@ def _along(
         yaw = _heading(goal - start)
         curve: _core.ReferenceCurve | None = None
         if own is not None:
-            curve = _curve(own)
+            curve = curve_of(own)
         elif mission.kind == "waypoints":
             curve = _through([start, *map(np.array, mission.waypoints_m)], speed_m_s)
         elif not is_point:
@@ -345,11 +346,6 @@ def _through(points: list[FloatArray], speed_m_s: float) -> _core.ReferenceCurve
         pieces.append(coefficient)
         times.append(times[-1][-1] + np.asarray(time)[1:])
     return _core.ReferenceCurve(np.concatenate(times), np.concatenate(pieces))
-
-
-def _curve(plan: Artifact) -> _core.ReferenceCurve:
-    time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
-    return _core.ReferenceCurve(time, coefficient)
 
 
 def _heading(direction: FloatArray) -> float:

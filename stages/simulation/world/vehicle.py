@@ -60,7 +60,7 @@ def vehicle_spec(
             delay_s=table.assumed.delay_s or 0.0,
         ),
         "max_rate_rad_s": vehicle.rates.max_rad_s,
-        "rate_time_constant_s": vehicle.rates.time_constant_s,
+        "rate_time_constant_s": vehicle.rates.axes_s,
         "rate_gain_scale": table.rate_gain_scale,
         "max_speed_m_s": max_speed_m_s,
         "radius_m": table.radius_m,

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas import foreign_filters
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.schemas.vehicles import VEHICLES
@@ -28,7 +27,7 @@ from alula.stages.filtering.protocol import (
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
 from support.fabricate import make_scene
-from support.foreign_filters import OfVelocities, Passing
+from support.foreign_filters import OfVelocities, Passing, Wrapped, provide
 from support.small_scenes import box_cover
 
 BODY = quadrotor(FASTBRIDGE)
@@ -48,19 +47,6 @@ HOVER = np.array([BODY.hover_thrust, 0, 0, 0])
 TRACK = np.zeros((1, 32))
 TRACK[0, 1:7], TRACK[0, 28] = (3.0, 0.1, 0.0, -4.0, 0.0, 0.0), 0.1
 TRACK[0, [7, 9, 12, 16, 21, 27]] = 0.01
-
-
-class Wrapped:
-    """A filter of this package as one of another package."""
-
-    def __init__(self, made):
-        self.made, self.kind = made, made.kind
-
-    def reset(self):
-        self.made.reset()
-
-    def __call__(self, state, nominal):
-        return self.made(state, nominal)
 
 
 def given(rng):
@@ -167,21 +153,10 @@ def test_filters_among_moving_obstacles_see_tracks_from_python():
             made(FlightState(np.zeros(3), tracks=rng.normal(size=(1, 30))), nominal)
 
 
-class Entry:
-    def __init__(self, name, target):
-        self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-    def load(self):
-        return self.target
-
-
 @pytest.fixture
 def elsewhere(monkeypatch):
-    groups = {
-        "alula.filters": [Entry("passing", Passing), Entry("unkind", lambda world, parameters: None)],
-        "alula.splat_filters": [Entry("former", Passing)],
-    }
-    monkeypatch.setattr(foreign_filters, "entry_points", lambda group: groups[group])
+    known = {"passing": Passing, "unkind": lambda world, parameters: None}
+    provide(monkeypatch, known, former={"former": Passing})
 
 
 def test_a_filter_of_another_package_is_in_the_one_group(elsewhere):

@@ -20,10 +20,16 @@ BODY, GAINS = quadrotor(CRAZYFLIE), tracking_gains(CRAZYFLIE)
 INERTIA = np.array(BODY.inertia)
 MAX_RATE = CRAZYFLIE.rates.max_rad_s
 TICK, PERIOD = 0.01, 0.001
+COPTER = (0.054, 0.057, 0.3)  # a yaw that is slower than roll and pitch [s]
+
+
+def axes(constant):
+    """Time constants about x, y, z, of one number or of three."""
+    return tuple(np.broadcast_to(constant, 3).tolist())
 
 
 def shield_of(scene, lag=0.0, constant=0.02, kind="brake", **options):
-    own = {"motor_time_constant_s": lag, "rate_time_constant_s": constant, "max_rate_rad_s": MAX_RATE}
+    own = {"motor_time_constant_s": lag, "rate_time_constant_s": axes(constant), "max_rate_rad_s": MAX_RATE}
     policy = _core.BackupPolicy(BODY, kind)
     return _core.Shield(policy, scene.index, _core.ShieldOptions(**own, **options))
 
@@ -34,9 +40,12 @@ def random_wrench(rng):
 
 def commanded(x, u, rotors, lag, constant):
     """Rates and thrust that a flight commands for a wrench."""
-    rates = _core.body_rates(BODY, x[None], np.array([u]), dt_s=max(constant, TICK), max_rate_rad_s=MAX_RATE)[
-        0
+    leads = [max(each, TICK) for each in axes(constant)]
+    led = [
+        _core.body_rates(BODY, x[None], np.array([u]), dt_s=each, max_rate_rad_s=MAX_RATE)[0]
+        for each in leads
     ]
+    rates = np.diagonal(led)
     if not lag:
         return rates, u[0]
     goal = np.linalg.solve(BODY.allocation, u)
@@ -55,7 +64,7 @@ def at_random(rng, lag, fast=3.0):
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.03, 0.05])
-@pytest.mark.parametrize("constant", [0.02, 0.05])
+@pytest.mark.parametrize("constant", [0.02, 0.05, COPTER])
 def test_a_tick_is_that_of_the_model_integrated_by_another_solver(lag, constant):
     """Of a loop without a period: the shield's differs by half a period of the angular acceleration."""
     rng, shield = np.random.default_rng(1), shield_of(empty_scene(), lag, constant)
@@ -69,7 +78,7 @@ def test_a_tick_is_that_of_the_model_integrated_by_another_solver(lag, constant)
             made = BODY.allocation @ f
             spin = (made[1:] - np.cross(state[9:], INERTIA * state[9:])) / INERTIA
             sensed = state[9:] - PERIOD / 2 * spin if lag else state[9:]
-            own = constant if lag else constant - PERIOD / 2
+            own = np.array(constant) - (0 if lag else PERIOD / 2)
             goal = BODY.limited(np.array([[thrust, *loop_torque(sensed, rates, own)]]))[0]
             if not lag:
                 made = goal
@@ -96,8 +105,9 @@ def ticks_of_the_plant(plant, u, rotors, lag, constant):
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.03, 0.05])
-def test_a_tick_is_what_the_plant_flies(lag):
-    rng, shield = np.random.default_rng(2), shield_of(empty_scene(), lag)
+@pytest.mark.parametrize("constant", [0.02, COPTER])
+def test_a_tick_is_what_the_plant_flies(lag, constant):
+    rng, shield = np.random.default_rng(2), shield_of(empty_scene(), lag, constant)
     plant = _core.Plant(BODY, _core.PlantOptions(motor_time_constant_s=lag))
     for _ in range(20):
         x, _ = at_random(rng, lag)
@@ -108,19 +118,22 @@ def test_a_tick_is_what_the_plant_flies(lag):
         u = BODY.limited(random_wrench(rng)[None])[0]
         shield.see(rotors.tolist())
         after = shield.after(x, tuple(u))
-        ticks_of_the_plant(plant, u, rotors, lag, 0.02)
+        ticks_of_the_plant(plant, u, rotors, lag, constant)
         np.testing.assert_allclose(after[:9], plant.state[:9], rtol=0, atol=2e-4)
         np.testing.assert_allclose(after[9:], plant.state[9:], rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.03])
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.034])
-def test_the_prediction_is_the_plant_with_its_rate_loop(lag, delay):
+@pytest.mark.parametrize("constant", [0.02, COPTER])
+def test_the_prediction_is_the_plant_with_its_rate_loop(lag, delay, constant):
     rng = np.random.default_rng(3)
     options = _core.PlantOptions(motor_time_constant_s=lag, sensor=_core.SensorOptions(delay_s=delay))
     plant = _core.Plant(BODY, options)
     plant.reset(moving((1, -0.5, 0.2)))
-    assumed = _core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay, rate_time_constant_s=0.02)
+    assumed = _core.ActuatorModel(
+        motor_time_constant_s=lag, delay_s=delay, rate_time_constant_s=axes(constant)
+    )
     predictor = _core.StatePredictor(BODY, assumed, tick_s=TICK)
     for tick in range(30):
         now = np.array(predictor.now(np.array(plant.measured), age_s=TICK * tick))
@@ -129,16 +142,17 @@ def test_the_prediction_is_the_plant_with_its_rate_loop(lag, delay):
         if lag and tick:
             np.testing.assert_allclose(BODY.allocation @ predictor.rotors, plant.wrench, rtol=0, atol=1e-7)
         u = random_wrench(rng)
-        thrust, rates = ticks_of_the_plant(plant, u, np.array(predictor.rotors), lag, 0.02)
+        thrust, rates = ticks_of_the_plant(plant, u, np.array(predictor.rotors), lag, constant)
         predictor.fly(np.array([thrust, 0, 0, 0]), rates.tolist(), now)
 
 
 def test_a_rate_loop_needs_rates_and_a_state():
-    predictor = _core.StatePredictor(BODY, _core.ActuatorModel(rate_time_constant_s=0.02), tick_s=TICK)
+    predictor = _core.StatePredictor(BODY, _core.ActuatorModel(rate_time_constant_s=axes(0.02)), tick_s=TICK)
     with pytest.raises(ValueError, match="rates and the present state"):
         predictor.fly(np.array([0.28, 0, 0, 0]))
-    with pytest.raises(ValueError, match="rate loop"):
-        _core.ActuatorModel(rate_time_constant_s=-1.0)
+    for bad in (axes(-1.0), (0.02, 0.02, -1.0), (0.0, 0.02, 0.02), (0.02, 0.02, 0.0)):
+        with pytest.raises(ValueError, match="rate loop"):
+            _core.ActuatorModel(rate_time_constant_s=bad)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.05])
@@ -147,7 +161,7 @@ def test_what_counts_as_rest_stays_within_half_the_margin(lag, kind):
     """Flown on the plant, from states near rest, with any heading for `brake`."""
     body = model.fastbridge() if kind == "hover" else BODY
     policy, inertia = _core.BackupPolicy(body, kind), np.array(body.inertia)
-    options = _core.ShieldOptions(motor_time_constant_s=lag, rate_time_constant_s=0.02)
+    options = _core.ShieldOptions(motor_time_constant_s=lag, rate_time_constant_s=axes(0.02))
     shield, rng, rests = _core.Shield(policy, empty_scene().index, options), np.random.default_rng(4), 0
     plant = _core.Plant(body, _core.PlantOptions(motor_time_constant_s=lag))
     for _ in range(300):
@@ -162,7 +176,7 @@ def test_what_counts_as_rest_stays_within_half_the_margin(lag, kind):
             continue
         rests += 1
         predictor = _core.StatePredictor(
-            body, _core.ActuatorModel(motor_time_constant_s=lag, rate_time_constant_s=0.02), tick_s=TICK
+            body, _core.ActuatorModel(motor_time_constant_s=lag, rate_time_constant_s=axes(0.02)), tick_s=TICK
         )
         for _ in range(60):
             x = np.array(plant.state)
@@ -184,12 +198,12 @@ def test_what_counts_as_rest_stays_within_half_the_margin(lag, kind):
 def test_gains_too_quick_for_the_rate_loop_are_refused():
     with pytest.raises(ValueError, match="do not settle"):
         shield_of(empty_scene(), 0.2, 0.2, tick_s=0.05, margin_m=0.1)
-    for bad in ({"rate_time_constant_s": -0.1}, {"max_rate_rad_s": (1, 0, 1)}):
+    for bad in ({"rate_time_constant_s": axes(-0.1)}, {"max_rate_rad_s": (1, 0, 1)}):
         with pytest.raises(ValueError, match="rate"):
             _core.Shield(_core.BackupPolicy(BODY, "brake"), empty_scene().index, _core.ShieldOptions(**bad))
 
 
-def world_of(scene, lag):
+def world_of(scene, lag, constant=0.02):
     return FilterWorld(
         index=scene.index,
         body=BODY,
@@ -197,14 +211,17 @@ def world_of(scene, lag):
         radius_m=scene.radius,
         dt_s=TICK,
         motor_time_constant_s=lag,
-        rate_time_constant_s=0.02,
+        rate_time_constant_s=axes(constant),
         max_rate_rad_s=MAX_RATE,
     )
 
 
 @pytest.mark.parametrize("name", ["cone-backup", "cone-ecbf", "shield"])
-@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.03, 0.02), (0.05, 0.02)])
-def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
+@pytest.mark.parametrize(
+    ("lag", "delay", "constant"),
+    [(0.0, 0.0, 0.02), (0.03, 0.02, 0.02), (0.05, 0.02, 0.02), (0.0, 0.0, (0.02, 0.03, 0.1))],
+)
+def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay, constant):
     rng = np.random.default_rng(11)
     assumed = _core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay)
     options = _core.PlantOptions(motor_time_constant_s=lag, sensor=_core.SensorOptions(delay_s=delay))
@@ -214,12 +231,12 @@ def test_flights_by_rates_are_certified_in_all_ticks(name, lag, delay):
         plant=options,
         interface="body-rates",
         max_rate_rad_s=MAX_RATE,
-        rate_time_constant_s=0.02,
+        rate_time_constant_s=axes(constant),
         assumed=assumed,
     )
     ticks = 0
     for scene in (wall_scene(), random_scene(rng, 120)):
-        made = make_filter(name, world_of(scene, lag), {})
+        made = make_filter(name, world_of(scene, lag, constant), {})
         ends = [(rng.uniform(-3, 1, 3) * [1, 0.5, 0.5], (5.0, *rng.uniform(-1, 1, 2))) for _ in range(3)]
         references = [
             _core.ReferenceCurve(*rest_to_rest(np.array(a), np.array(b), 3.0))
@@ -243,5 +260,5 @@ def test_a_thin_obstacle_between_ticks_is_seen():
 def test_a_filter_is_built_for_the_rate_loop_of_its_world():
     made = make_filter("cone-backup", world_of(empty_scene(), 0.03), {})
     options = made.native.options.shield_options
-    assert options.rate_time_constant_s == 0.02
+    assert options.rate_time_constant_s == [0.02, 0.02, 0.02]
     assert options.max_rate_rad_s == list(MAX_RATE)

@@ -39,7 +39,10 @@ def commander_of(made, accepts):
 MISSIONS = {
     "velocity": lambda: mission(plan=line_plan(START, GOAL, 4.5)),
     "rates": lambda: mission("cone-backup", scene=BALL, is_clear=True),
-    "acceleration": lambda: mission("cone-di", scene=BALL, is_clear=True),
+    # an autopilot that follows accelerations late swings wide around the ball: nothing but the filter may act
+    "acceleration": lambda: mission(
+        "cone-di", scene=BALL, is_clear=True, fence=(-4.0, -4.0, -2.0, 8.0, 8.0, 5.0)
+    ),
 }
 
 

@@ -38,6 +38,7 @@ SHOWN = {
     Event.CHECK_FAILED: {"checks": False},
     Event.ARMED: {"armed": True},
     Event.DISARMED: {"armed": False},
+    Event.LANDED_AWAY: {"armed": False, "from_goal_m": 0.51},
     Event.AIRBORNE: {"climbed_m": 0.96},
     Event.LANDED: {"landed": True},
     Event.FRAME_WRONG: {"frame_wrong": True},
@@ -46,10 +47,14 @@ SHOWN = {
     Event.LOOP_LATE: {"late_s": 0.11},
     Event.FILTER_REFUSED: {"filter": FilterHealth.REFUSED},
     Event.FILTER_FAILED: {"filter": FilterHealth.FAILED},
+    Event.CRASHED: {"is_lying": True},
+    Event.TURNED_OVER: {"is_over": True},
+    Event.FALLEN: {"is_fallen": True},
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
     Event.HEALTH_UNKNOWN: {"health_unknown": True},
+    Event.PARAMETER_CHANGED: {"parameter_changed": True},
     Event.OFF_CLIMB: {"off_climb_m": 0.01},
     Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
@@ -85,6 +90,7 @@ def standing(state, event=None):
         holds=holds,
         well_since_s=well,
         failsafe_s=failsafe,
+        cause=Event.PLAN_FINISHED if event in (Event.LANDED_AWAY, Event.ESTIMATOR_BAD) else None,
     )
 
 

@@ -23,7 +23,9 @@ from support.lockstep import (
     nearly_up,
     refuse,
     set_back,
+    set_by_another,
     stall,
+    topple,
     unmute,
     unseen,
 )
@@ -62,10 +64,16 @@ def failsafe(flight):
 
 
 def left_to_itself(flight):
-    """The link reports a failsafe and no mode; with ArduPilot the changed mode would have priority."""
+    """The link reports a failsafe and no mode: a failsafe need not change it."""
     status = flight.link.status
     status.is_failsafe, status.obeys, status.mode = True, False, ""
     flight.muted.add("HEARTBEAT")
+
+
+def flat(flight):
+    """The battery's failsafe acts: the vehicle lands by itself."""
+    for name, value in (("BATT_LOW_TIMER", 0.0), ("BATT_FS_LOW_ACT", 1.0), ("BATT_LOW_VOLT", 13.0)):
+        flight.copter.parameters.set(name, value)
 
 
 def kill(flight):
@@ -94,7 +102,7 @@ def mend(flight):
 
 ENDINGS = {  # in the air, from any state in which the program has control
     E.MODE_CHANGED: [fault("mode", amount=5)],  # LOITER
-    E.FAILSAFE: [left_to_itself],
+    E.FAILSAFE: [flat],
     E.DISARMED: [kill],
     E.LINK_LOST: [cut],
     E.RESTARTED: [set_back],
@@ -102,6 +110,7 @@ ENDINGS = {  # in the air, from any state in which the program has control
     E.ESTIMATOR_BAD: [fault("estimator")],
     E.BATTERY_LOW: [fault("battery", amount=0.15)],
     E.FAILSAFE_IDLE: [failsafe],
+    E.PARAMETER_CHANGED: [set_by_another("GUID_OPTIONS", 0.0)],
     E.INTERRUPT: [interrupt(1)],
     E.INTERRUPT_ON_GROUND: [land_seen, lambda flight: None],
     E.INTERRUPT_IN_AIR: [interrupt(2)],
@@ -158,6 +167,7 @@ FROZEN = on(S.FLY, fault("freeze", **SHORT), after=0.3)
 # Armed, but not reported as armed, when the operator ends the flight: the order to disarm is lost.
 STRAY = on(S.ARMING, interrupt(1), fault("drop", way="in"), after=armed_unseen)
 
+CRASHES = {"FS_CRASH_CHECK": 0.0}  # it does not disarm by itself
 PLOTS = {
     "as planned, armed late": Plot(
         [
@@ -323,6 +333,37 @@ PLOTS = {
     "land: its own failsafe": Plot(
         [(S.LAND, E.FAILSAFE)], [*on(S.FLY, interrupt(1)), *on(S.LAND, failsafe, after=0.4)]
     ),
+    "land: no satellites": Plot(
+        [(S.FLY, E.PLAN_FINISHED), (S.LAND, E.ESTIMATOR_BAD)], on(S.LAND, fault("satellites"), after=0.0)
+    ),
+    **{
+        f"{state.value}: {event.value}": Plot(
+            [(state, event)],
+            [*before, *on(state, do, after=after)],
+            {"jump_m": 9.0, "drift_m": 9.0, "settle_s": 3.0},
+            {},
+            CRASHES,
+            {},
+            False,
+        )
+        for state, before, after in ((S.TAKE_OFF, [], 1.0), (S.FLY, [], 0.3), (S.HOLD, FROZEN, 0.45))
+        for event, do in (
+            (E.CRASHED, topple(1.2, falls=True)),
+            (E.TURNED_OVER, topple(seconds=0.4)),
+            (E.FALLEN, fault("rotors")),
+        )
+        if (state, event) != (S.TAKE_OFF, E.FALLEN)
+    },
+    "land: crashed": Plot(
+        [(S.LAND, E.CRASHED)],
+        on(S.LAND, topple(1.2, falls=True), after=0.1),
+        {"jump_m": 9.0},
+        {},
+        CRASHES,
+        {},
+        False,
+    ),
+    "land: away": Plot([(S.LAND, E.LANDED_AWAY)], [], limits={"landed_m": 0.0}),
     "land: too slow": Plot([(S.LAND, E.TIMED_OUT)], on(S.FLY, interrupt(1)), limits={"landing_s": 0.5}),
     "land: silence": Plot(
         [(S.LAND, E.LINK_LOST), (S.LAND, E.INTERRUPT_IN_AIR)],

@@ -55,7 +55,7 @@ def test_the_defaults_are_the_traps():
         "VISO_TYPE": 0,
         "GPS1_TYPE": 1,
         "ARMING_CHECK": 1,
-        "SYSID_MYGCS": 255,
+        "MAV_GCS_SYSID": 255,
     }
     for name, value in names.items():
         assert client.copter.parameters[name] == value
@@ -73,7 +73,7 @@ def test_a_parameter_that_is_set_answers_with_what_now_holds():
     assert put(b"VISO_TYPE", 1000)[0].param_value == 127
     assert put(b"GUID_TIMEOUT", math.nan)[0].param_value == pytest.approx(0.3)
     assert put(b"NO_SUCH", 1) == []
-    put(b"SYSID_THISMAV", 7)
+    put(b"MAV_SYSID", 7)
     assert of("HEARTBEAT", client.wait(1.1))[0].get_srcSystem() == 7
 
 
@@ -112,7 +112,17 @@ def test_messages_come_only_at_the_rate_they_were_asked_for():
     assert client.last("MESSAGE_INTERVAL").interval_us == 20000
     assert client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, -1) == 0
     assert not of("LOCAL_POSITION_NED", client.wait(1))
-    assert client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 9999, 1000) == 4
+
+
+def test_the_interval_of_an_unknown_message_is_denied_with_a_text():
+    client = Client()
+    client.wait(1)
+    assert client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 9999, 1000) == mavlink.MAV_RESULT_DENIED
+    assert client.texts()[-1] == "No ap_message for mavlink id (9999)"
+    number = mavlink.MAVLINK_MSG_ID_ATTITUDE
+    assert client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, -5) == mavlink.MAV_RESULT_DENIED
+    for command in (mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE):
+        assert client.command(command, 9999) == mavlink.MAV_RESULT_FAILED
 
 
 def test_data_streams_come_and_go():

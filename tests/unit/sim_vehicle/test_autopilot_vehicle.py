@@ -45,10 +45,7 @@ def test_angles_survive_a_quaternion(roll, pitch, yaw):
 def test_the_estimator_settles_36_seconds_after_boot_and_arming_waits_for_it():
     client = Client(options=EstimatorOptions())
     client.wait(5)
-    assert client.mode(GUIDED) == FAILED
-    assert client.texts()[-1] == "Mode change to GUIDED failed: requires position"
-    client.copter.parameters.set("INITIAL_MODE", GUIDED)
-    client.copter.mode = Mode.GUIDED
+    assert client.mode(GUIDED) == ACCEPTED  # disarmed, any mode is
     assert client.arm() == FAILED
     assert client.texts()[-1] == "Arm: GPS 1: Bad fix"
     client.wait(20)
@@ -77,13 +74,23 @@ def test_every_mode_is_refused_or_entered_as_its_row_says(mode):
     assert (refusal(mode, has_position=False) is None) is not row.needs_position
     client = Client()
     client.wait(0.01)
-    assert client.mode(mode) == (FAILED if row.needs_position else ACCEPTED)
+    assert client.mode(mode) == ACCEPTED
+    assert client.arm() == FAILED
     client.wait(1)
     assert client.mode(mode) == ACCEPTED
     assert client.arm() == (ACCEPTED if row.can_arm else FAILED)
     client.wait(1.5)
     assert client.last("HEARTBEAT").custom_mode == mode
     assert bool(client.last("HEARTBEAT").base_mode & 128) is row.can_arm
+
+
+def test_an_armed_vehicle_without_a_position_does_not_enter_a_mode_that_needs_one():
+    client = Client().fly(2)
+    client.mode(NOGPS)
+    client.vehicle.inject(Fault(kind="estimator"))
+    client.wait(0.5)
+    assert client.mode(GUIDED) == FAILED
+    assert client.texts()[-1] == "Mode change to GUIDED failed: requires position"
 
 
 def test_modes_that_are_not_there_are_refused_by_name():
@@ -208,7 +215,7 @@ def test_an_estimator_that_gives_up_lands_it_where_it_needs_a_position():
     assert client.copter.mode is Mode.GUIDED
     client.wait(0.8)
     assert client.copter.mode is Mode.LAND
-    assert "EKF Failsafe" in client.texts()
+    assert "EKF Failsafe: changed to LAND Mode" in client.texts()
     client.wait(9)
     assert not client.copter.is_armed
     without = Client().fly(2)

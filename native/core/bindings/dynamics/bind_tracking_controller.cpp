@@ -143,7 +143,7 @@ void bind_tracking(nb::module_& m) {
         require_rows(u.shape(0), x.shape(0));
         Rows rows(x.shape(0));
         for (std::size_t i = 0; i < x.shape(0); ++i)
-          rows.add(body_rates(quadrotor, state_at(x.data() + 12 * i), wrench_at(u.data() + 4 * i), dt_s,
+          rows.add(body_rates(quadrotor, state_at(x.data() + 12 * i), wrench_at(u.data() + 4 * i), {dt_s, dt_s, dt_s},
                               vector_of(max_rate)));
         return rows.array({x.shape(0), 3});
       },

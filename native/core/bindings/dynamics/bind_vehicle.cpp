@@ -80,7 +80,7 @@ struct Fields<flight::ActuatorModel> {
       Field{"motor_time_constant_s", &Model::motor_time_constant_s, "assumed lag of the rotors; 0: none [s]"},
       Field{"delay_s", &Model::delay_s, "assumed age of a measurement [s]"},
       Field{"rate_time_constant_s", &Model::rate_time_constant_s,
-            "of the rate loop, when commanded by body rates; 0: commanded by wrenches [s]"}};
+            "of each axis of the rate loop, when commanded by body rates; 0 for all: commanded by wrenches [s]"}};
 };
 
 namespace flight {
@@ -325,7 +325,7 @@ void bind_predictor(nb::module_& m) {
           "fly",
           [](StatePredictor& self, const In<double, nb::shape<4>>& u, const Triple& rates,
              const std::optional<InState>& now) {
-            if (!now && self.model().rate_time_constant_s > 0)
+            if (!now && flight::has_rate_loop(self.model().rate_time_constant_s))
               throw std::invalid_argument("a rate loop needs the rates and the present state");
             self.fly(wrench_at(u.data()), vector_of(rates), now ? state_at(now->data()) : State{});
           },

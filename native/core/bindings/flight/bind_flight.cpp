@@ -49,7 +49,7 @@ struct Fields<flight::VehicleSpec> {
       Field{"plant", &Spec::plant, "true lag, air, noise and delay"},
       Field{"assumed", &Spec::assumed, "lag and delay that controller and filters assume"},
       Field{"max_rate_rad_s", &Spec::max_rate, "limit of a commanded body rate [rad/s]"},
-      Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of the vehicle's own rate loop [s]"},
+      Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of each axis of the vehicle's own rate loop [s]"},
       Field{"velocity_gain_per_s", &Spec::velocity_gain, "of the velocity loop [1/s]"},
       Field{"velocity_lag_s", &Spec::velocity_lag_s, "assumed time constant with which velocities are followed [s]"},
       Field{"max_speed_m_s", &Spec::max_speed, "limit of velocity commands, and of points [m/s]"},

@@ -180,9 +180,13 @@ Wrench realise(const Quadrotor& quadrotor, const TrackingGains& gains, const Sta
   return attitude_loop(quadrotor, gains, x, reference, force, C).nominal.wrench;
 }
 
-Vec3 body_rates(const Quadrotor& quadrotor, const State& x, const Wrench& u, double dt, Vec3 max_rate) {
-  Vec3 rate =
-      rk4_step(x.omega, dt, [&](double, Vec3 omega) { return quadrotor.angular_acceleration(omega, u.torque); });
+Vec3 body_rates(const Quadrotor& quadrotor, const State& x, const Wrench& u, Vec3 lead, Vec3 max_rate) {
+  const auto after = [&](double t) {
+    return rk4_step(x.omega, t, [&](double, Vec3 omega) { return quadrotor.angular_acceleration(omega, u.torque); });
+  };
+  Vec3 rate = after(lead.x);
+  for (int i = 1; i < 3; ++i)
+    if (lead[i] != lead.x) rate[i] = after(lead[i])[i];
   if (!geometry::is_finite(rate)) return {};
   for (int i = 0; i < 3; ++i) rate[i] = std::max(-max_rate[i], std::min(max_rate[i], rate[i]));
   return rate;

@@ -49,23 +49,29 @@ State Shield::following_rates(const State& x, Vec4& rotors, const Wrench& u) con
   const double lag = o.motor_time_constant_s;
   const Vec3 rates = body_rates(body, x, u, rate_lead_s(o.rate_time_constant_s, o.tick_s), o.max_rate_rad_s);
   const double thrust = lags() ? leading(body, lag, rotors, u, o.tick_s).thrust : u.thrust;
-  const double constant = o.rate_time_constant_s, held = std::min(kRateLoopPeriod, constant) / 2;
-  const auto commanded = [&](Vec3 omega, double time_constant) {
+  const Vec3 constant = o.rate_time_constant_s;
+  Vec3 held, without;  // half a period, and the time constant without it
+  for (int i = 0; i < 3; ++i) {
+    held[i] = std::min(kRateLoopPeriod, constant[i]) / 2;
+    without[i] = constant[i] - held[i];
+  }
+  const auto commanded = [&](Vec3 omega, Vec3 time_constant) {
     return body.limited({thrust, rate_loop_torque(body, omega, rates, time_constant)});
   };
-  const double fastest = lags() ? std::min(lag, constant) : constant;
+  const double turning = std::min({constant.x, constant.y, constant.z});
+  const double fastest = lags() ? std::min(lag, turning) : turning;
   const int steps = steps_of(o, x, fastest / 2);
   const double h = o.tick_s / steps;
   Driven y{x, rotors};
   for (int i = 0; i < steps; ++i) {
     if (!lags()) {
-      y.x = rk4_step(
-          y.x, h, [&](double, const State& at) { return body.derivative(at, commanded(at.omega, constant - held)); });
+      y.x = rk4_step(y.x, h,
+                     [&](double, const State& at) { return body.derivative(at, commanded(at.omega, without)); });
       continue;
     }
     y = rk4_step(y, h, [&](double, const Driven& at) {
       const State change = body.derivative(at.x, body.wrench(at.f));
-      const Vec4 goal = body.rotor_thrust(commanded(at.x.omega - held * change.omega, constant));
+      const Vec4 goal = body.rotor_thrust(commanded(at.x.omega - multiply(held, change.omega), constant));
       return Driven{change, 1 / lag * plus(goal, -1.0 * at.f)};
     });
     for (std::size_t r = 0; r < 4; ++r) y.f[r] = std::clamp(y.f[r], body.rotors().f_min[r], body.rotors().f_max[r]);

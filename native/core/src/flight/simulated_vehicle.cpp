@@ -61,8 +61,9 @@ void check(const VehicleSpec& spec) {
       break;
   }
   check(spec.gains), check(spec.plant), check(spec.assumed), check(spec.racer);
-  require(spec.rate_time_constant_s > 0 && spec.max_rate.x > 0 && spec.max_rate.y > 0 && spec.max_rate.z > 0,
-          "the rate loop needs a time constant and limits above 0");
+  require(
+      has_rate_loop(spec.rate_time_constant_s) && spec.max_rate.x > 0 && spec.max_rate.y > 0 && spec.max_rate.z > 0,
+      "the rate loop needs a time constant and limits above 0");
   require(spec.velocity_gain > 0 && spec.max_speed > 0 && spec.max_acceleration > 0 && spec.max_jerk > 0 &&
               spec.actuation_delay_s >= 0 && spec.actuation_delay_s <= 10 && spec.radius_m >= 0 &&
               spec.mass_scale >= 0.01 && spec.mass_scale <= 100 && spec.rate_gain_scale >= 0.01 &&
@@ -115,7 +116,8 @@ Wrench SimulatedVehicle::wrench_of_acceleration(Vec3 a) const {
 
 Wrench SimulatedVehicle::wrench_of_rates() const {
   Wrench u = held_;
-  const double time_constant = spec_.rate_time_constant_s / spec_.rate_gain_scale;
+  Vec3 time_constant = spec_.rate_time_constant_s;
+  for (int i = 0; i < 3; ++i) time_constant[i] = time_constant[i] / spec_.rate_gain_scale;
   u.torque = rate_loop_torque(spec_.body, x_.omega, command_.rates, time_constant);
   return spec_.body.limited(u);
 }

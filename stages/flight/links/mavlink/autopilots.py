@@ -48,12 +48,17 @@ class Autopilot:
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
             change needs a restart.
         ground_station: possible names of the parameter with the system id of the monitored ground station.
+        watched: names of further parameters that flights rely on; they are watched in flight with those that
+            were set.
+        position_source: name of the parameter that selects the source of the horizontal position, and its
+            value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
+        reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
         mode_of: function from custom_mode to main mode, sub mode and name.
         accepts: kinds of set-points that it follows.
@@ -63,15 +68,25 @@ class Autopilot:
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, tuple[float, ...]], ...]
     ground_station: tuple[str, ...]
+    watched: tuple[str, ...]
+    position_source: tuple[str, float] | None
     hover: str
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
     streams_first: bool
     takes_off_by_command: bool
+    reports_arming: bool
     has_odometry: bool
     mode_of: Callable[[int], tuple[int, int, str]]
     accepts: frozenset[type[Setpoint]] = ALL_SETPOINTS
+
+    @property
+    def relied_on(self) -> tuple[str, ...]:
+        """Names of all parameters whose values must not change in flight."""
+        source = () if self.position_source is None else (self.position_source[0],)
+        set_or_checked = (*(each.name for each in self.parameters), *(name for name, _ in self.fixed))
+        return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
 
     def intervals(self, rate_hz: float) -> dict[int, float]:
         """Requested rate of each message [Hz] by its number.
@@ -91,7 +106,11 @@ class Autopilot:
                 dialect.MAVLINK_MSG_ID_ODOMETRY: rate_hz,
                 dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 5.0,
             }
-        return rates | {dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0}
+        return rates | {
+            dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+            dialect.MAVLINK_MSG_ID_GPS2_RAW: 5.0,
+        }
 
 
 def _copter_mode(custom: int) -> tuple[int, int, str]:
@@ -130,12 +149,15 @@ ARDUPILOT = Autopilot(
         ("VISO_TYPE", (1.0,)),
     ),
     ground_station=("MAV_GCS_SYSID", "SYSID_MYGCS"),
+    watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
+    position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     is_bytewise=False,
     control=(4, 0),
     landing=(9, 0),
     streams_first=False,
     takes_off_by_command=True,
+    reports_arming=True,
     has_odometry=False,
     mode_of=_copter_mode,
 )
@@ -152,12 +174,15 @@ PX4 = Autopilot(
     ),
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
+    watched=(),
+    position_source=None,
     hover="MPC_THR_HOVER",
     is_bytewise=True,
     control=(6, 0),
     landing=(4, 6),
     streams_first=True,
     takes_off_by_command=False,
+    reports_arming=False,
     has_odometry=True,
     mode_of=_px4_mode,
 )

@@ -32,6 +32,7 @@ from alula.stages.flight.links.protocol import (
 )
 
 _ANSWER_S = 2.0
+_OPTIONAL_S = 0.6  # for the answer of a vehicle that may not have a parameter
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat's period, to detect a second vehicle
 _STREAM_S = 0.05
@@ -40,6 +41,7 @@ _STATE_S = 1.0  # after this time without state, intervals are requested again: 
 _REQUEST_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
 _SYNC_S = 0.5
+_REASONS_S = 5.0  # between requests for the reasons why it does not arm
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
 
@@ -85,6 +87,7 @@ class MavlinkLink:
         self._version: Any = None
         self._origin: Any = None
         self._origin_s = self._requested_s = self._streamed_s = self._sync_s = -math.inf
+        self._reasons_s = -math.inf
         self._requests: dict[int, float] = {}  # time requests by their number [ns]: when they were sent [s]
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
@@ -175,9 +178,14 @@ class MavlinkLink:
         if self._orders is None:
             return
         self._orders.poll(now_s)
+        if self._parameters is not None and (changed := self._parameters.poll(now_s)) is not None:
+            status.changed = changed
         if now_s - self._sync_s >= _SYNC_S:
             self._sync_s = now_s
             self._request_time(now_s)
+        if status.can_arm is False and not status.armed and now_s - self._reasons_s >= _REASONS_S:
+            self._reasons_s = now_s
+            self._session.send(self._session.command(dialect.MAV_CMD_RUN_PREARM_CHECKS, ()))
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
             self._stream_since_s = min(self._stream_since_s, now_s)
@@ -309,13 +317,19 @@ class MavlinkLink:
         if self._mocap is not None:
             parameters.require(self._autopilot.fixed)
         for name in self._autopilot.ground_station:
-            watched = parameters.read(name, 0.6)
+            watched = parameters.read(name, _OPTIONAL_S)
             if watched is not None:
                 if round(watched) != GROUND_STATION:
                     lines.append(
                         f"{name} is {watched:g}: the vehicle will not land when this program's heartbeats end"
                     )
                 break
+        if self._autopilot.position_source is not None:
+            name, satellites = self._autopilot.position_source
+            self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
+        for name in self._autopilot.watched:
+            parameters.read(name, _OPTIONAL_S)
+        parameters.watch(self._autopilot.relied_on)
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
         self._orders = Orders(self._session, self._autopilot, self._telemetry)

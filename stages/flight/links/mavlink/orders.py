@@ -19,6 +19,7 @@ _PATIENCE_S = 5.0
 _SETTLED_S = 0.3  # a heartbeat that arrives this long after a command shows its effect
 _REASONS_S = 2.0  # texts up to this long before a refusal may be its reason
 _AFTER_S = 0.1  # and texts up to this long after it: PX4 sends the refusal first
+_FORCED = 21196.0  # parameter of COMPONENT_ARM_DISARM
 _PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change", "Switching")
 
 
@@ -192,14 +193,14 @@ class Orders:
         telemetry, autopilot = self._telemetry, self._autopilot
         status = telemetry.status
         control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
-        arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never forced
+        arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # to arm, it is never forced
         match order:
             case Order.TAKE_CONTROL:
                 return [control]
             case Order.ARM:
                 return [control, _Step(arm, (1.0,), lambda: status.armed is True)]
-            case Order.DISARM:
-                step = _Step(arm, (0.0,))
+            case Order.DISARM | Order.STOP:
+                step = _Step(arm, (0.0, _FORCED) if order is Order.STOP else (0.0,))
                 step.is_done = lambda: (
                     status.armed is False and telemetry.beat_s > step.first_sent_s + _SETTLED_S
                 )

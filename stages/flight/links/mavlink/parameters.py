@@ -13,6 +13,7 @@ from alula.stages.flight.links.mavlink.autopilots import Parameter
 from alula.stages.flight.links.mavlink.session import Session
 
 _ANSWER_S = 3.0
+_ROUND_S = 1.0  # all watched parameters are read once in this time
 _FORMATS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE of integers
 _LEFT = struct.Struct("<f")
 
@@ -30,6 +31,9 @@ class Parameters:
         self._values: dict[str, float] = {}
         self._types: dict[str, int] = {}
         self._changed: dict[str, tuple[float, float]] = {}  # old value, value that was set
+        self._watched: dict[str, float] = {}  # value that each must keep
+        self._asked = self._answers = self._judged = 0
+        self._asked_s = -math.inf
 
     def take(self, message: Any) -> None:
         """Process a PARAM_VALUE."""
@@ -42,6 +46,7 @@ class Parameters:
             value = float(struct.unpack_from(f"<{format_}", frame, header)[0])
         if math.isfinite(value) and name in self._types:
             self._values[name], self._types[name] = value, message.param_type
+            self._answers += 1
 
     def read(self, name: str, timeout_s: float = _ANSWER_S) -> float | None:
         """Read a parameter within `timeout_s` [s]; None if the vehicle does not report it."""
@@ -92,8 +97,38 @@ class Parameters:
         if wrong:
             raise LinkError(f"for motion capture set these and restart the vehicle: {'; '.join(wrong)}")
 
+    def watch(self, names: tuple[str, ...]) -> None:
+        """Begin to watch parameters; those that were not read, or do not exist, are left out."""
+        self._watched = {name: self._values[name] for name in names if name in self._values}
+
+    def poll(self, now_s: float) -> str | None:
+        """Ask for the next watched parameter if it is due; autopilots do not announce every change.
+
+        Args:
+            now_s: monotonic clock [s].
+
+        Returns:
+            Those that no longer have their value, in words; None if no value arrived since the last call.
+        """
+        if self._watched and now_s - self._asked_s >= _ROUND_S / len(self._watched):
+            self._asked_s = now_s
+            name = list(self._watched)[self._asked % len(self._watched)]
+            self._asked += 1
+            self._session.send(
+                dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
+            )
+        if self._answers == self._judged:
+            return None
+        self._judged = self._answers
+        return "; ".join(
+            f"{name} is {self._values[name]:g}, not {kept:g}"
+            for name, kept in self._watched.items()
+            if name in self._values and not _is_same(self._values[name], kept)
+        )
+
     def restore(self, timeout_s: float) -> list[str]:
         """Restore all changes within `timeout_s` [s], the newest first; a line for each failure."""
+        self._watched.clear()
         lines = []
         end_s = self._session.options.clock() + timeout_s
         for name, (before, ours) in reversed(self._changed.items()):

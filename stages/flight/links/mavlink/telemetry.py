@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.stages.flight.links.mavlink.autopilots import Autopilot
+from alula.stages.flight.links.mavlink.satellites import KINDS, Satellites
 from alula.stages.flight.links.protocol import VehicleStatus
 
 _OLD_S = {"HEARTBEAT": 5.0, "SYS_STATUS": 10.0, "EXTENDED_SYS_STATE": 3.0, "ESTIMATOR": 3.0}
 _MAX_TEXTS = 100
-_FLAGS_NEEDED = 1 | 2 | 4 | 32  # EKF_STATUS_FLAGS: attitude, horizontal and vertical velocity, height
+# Bits of EKF_STATUS_REPORT (ArduPilot) and ESTIMATOR_STATUS (PX4).
+_FLAGS_NEEDED = {1: "attitude", 2: "horizontal velocity", 4: "vertical velocity", 32: "height"}
 _FLAGS_EITHER = 8 | 16  # position, relative or absolute
-_FLAGS_BAD = 128 | 1024  # constant position; not initialised (ArduPilot), jumps of satellites (PX4)
+_FLAGS_BAD = {
+    128: "constant position mode",
+    1024: "not initialised, or a jump of satellites",  # of ArduPilot; of PX4
+    1 << 15: "satellites are not accurate",  # of ArduPilot
+}
 _NO_VOLTAGE = 0xFFFF
 _LANDED = {
     dialect.MAV_LANDED_STATE_ON_GROUND: True,
@@ -22,6 +29,14 @@ _LANDED = {
     dialect.MAV_LANDED_STATE_TAKEOFF: False,
     dialect.MAV_LANDED_STATE_LANDING: False,
 }
+_FAILSAFE = re.compile(r"failsafe|breach|^Crash: ", re.IGNORECASE)
+_OVER = re.compile(r"clear|deactivated|resolved", re.IGNORECASE)
+_REASON = re.compile(r"Battery \d+ is |EKF variance|Dead Reckoning (started|timeout)|GPS Glitch")
+_OF_ARMING = re.compile(r"(Pre)?Arm:|Preflight|Mode change", re.IGNORECASE)
+_REASON_S = 2.0  # a failsafe is reported this long after its reason at most
+_PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+_REFUSAL = "PreArm: "
+_REFUSAL_S = 35.0  # ArduPilot repeats the reasons every 30 s
 _PIECE = 50  # characters of a STATUSTEXT; a shorter piece is the last
 _MAX_PIECES = 8
 _MAX_OPEN = 4
@@ -36,6 +51,7 @@ class Telemetry:
         heartbeat: the newest HEARTBEAT; None before the first.
         mode: its main and sub mode; None if unknown or old.
         autopilot: the family that defines the modes; None before it is known.
+        satellites: watch over satellite receivers.
     """
 
     def __init__(self) -> None:
@@ -43,7 +59,11 @@ class Telemetry:
         self.heartbeat: Any = None
         self.mode: tuple[int, int] | None = None
         self.autopilot: Autopilot | None = None
+        self.satellites = Satellites()
+        self._flags: int | None = None
         self._texts = Texts()
+        self._reason = (-math.inf, "")
+        self._refusals: dict[str, float] = {}  # reasons not to arm, and when they were given last
         self._arrived_s: dict[str, float] = {}  # by kind of message
 
     @property
@@ -55,20 +75,32 @@ class Telemetry:
         """Process a message that arrived at `now_s` [s]; returns the texts that it completes."""
         kind, status = message.get_type(), self.status
         if kind == "STATUSTEXT":
-            return self.say(*self._texts.take(message, now_s))
+            texts = self.say(*self._texts.take(message, now_s))
+            for text in texts:
+                self._read_failsafe(text, now_s)
+                if text.startswith(_REFUSAL):
+                    self._refusals[text.removeprefix(_REFUSAL)] = now_s
+            self._judge_arming(now_s)
+            return texts
         if kind == "HEARTBEAT":
             self.heartbeat = message
             self.read_mode()
         elif kind == "SYS_STATUS":
             voltage, percent = message.voltage_battery, message.battery_remaining
             status.battery_v = voltage * 1e-3 if 0 < voltage < _NO_VOLTAGE else None
+            if self.autopilot is not None and self.autopilot.reports_arming:
+                is_made = message.onboard_control_sensors_enabled & _PREARM
+                status.can_arm = bool(message.onboard_control_sensors_health & _PREARM) if is_made else None
+                self._judge_arming(now_s)
             status.battery_share = percent * 1e-2 if 0 <= percent <= 100 else None
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
         elif kind in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
-            flags, kind = message.flags, "ESTIMATOR"
-            has_all = flags & _FLAGS_NEEDED == _FLAGS_NEEDED and flags & _FLAGS_EITHER != 0
-            status.is_estimator_ready = has_all and not flags & _FLAGS_BAD
+            self._flags, kind = message.flags, "ESTIMATOR"
+            self._judge_estimator(now_s)
+        elif kind in KINDS:
+            self.satellites.take(message, now_s)
+            return []
         else:
             return []
         self._arrived_s[kind] = now_s
@@ -90,6 +122,31 @@ class Telemetry:
             dialect.MAV_STATE_FLIGHT_TERMINATION,
         )
 
+    def _judge_estimator(self, now_s: float) -> None:
+        status = self.status
+        if self._flags is None:
+            status.is_estimator_ready, status.estimator = None, ""
+            return
+        status.estimator = _trouble_of(self._flags) or self.satellites.trouble(now_s)
+        status.is_estimator_ready = not status.estimator
+
+    def _judge_arming(self, now_s: float) -> None:
+        recent = [reason for reason, at_s in self._refusals.items() if now_s - at_s <= _REFUSAL_S]
+        self.status.arming = "; ".join(recent) if self.status.can_arm is False else ""
+        if self.status.can_arm:
+            self._refusals.clear()
+
+    def _read_failsafe(self, text: str, now_s: float) -> None:
+        """Keep a text that names a failsafe, with the reason that the vehicle gave just before."""
+        if _OF_ARMING.match(text):
+            return
+        if _REASON.match(text):
+            self._reason = now_s, text
+        elif _FAILSAFE.search(text):
+            at_s, reason = self._reason
+            recent = reason if now_s - at_s <= _REASON_S else ""
+            self.status.failsafe = "" if _OVER.search(text) else "; ".join(filter(None, (text, recent)))
+
     def say(self, *texts: str) -> list[str]:
         """Append texts for the user; beyond 100 the oldest are dropped."""
         self.status.texts += texts
@@ -100,16 +157,26 @@ class Telemetry:
         """Mark old values as unknown."""
         self.say(*self._texts.flush(now_s))
         status = self.status
+        self._judge_estimator(now_s)
         for kind in [kind for kind, at in self._arrived_s.items() if now_s - at > _OLD_S[kind]]:
             del self._arrived_s[kind]
             if kind == "HEARTBEAT":
                 status.armed, status.obeys, status.mode, self.mode = None, False, "", None
             elif kind == "SYS_STATUS":
-                status.battery_v = status.battery_share = None
+                status.battery_v = status.battery_share = status.can_arm = None
             elif kind == "EXTENDED_SYS_STATE":
                 status.landed = None
             else:
-                status.is_estimator_ready = None
+                self._flags = None
+                self._judge_estimator(now_s)
+
+
+def _trouble_of(flags: int) -> str:
+    """What an estimate with these flags lacks, in words; empty if it is good enough to fly."""
+    missing = [name for bit, name in _FLAGS_NEEDED.items() if not flags & bit]
+    missing += [] if flags & _FLAGS_EITHER else ["position"]
+    found = [name for bit, name in _FLAGS_BAD.items() if flags & bit]
+    return "; ".join([f"no {', '.join(missing)}"] * bool(missing) + found)
 
 
 class Texts:

@@ -67,8 +67,9 @@ def test_rates_and_thrust_mean_what_they_say():
         stream(time, link, 0.5, lambda s: RatesSetpoint(1.1 * G, np.zeros(3)))
         climbed = (served.true_state()[1] - before)[2]
         assert climbed == pytest.approx(0.1 * G * 0.5, rel=0.15)
-        stream(time, link, 0.3, lambda s: RatesSetpoint(G, np.array([0.0, 0.0, 1.0])))
+        stream(time, link, 2.0, lambda s: RatesSetpoint(G, np.array([0.0, 0.0, 1.0])))  # yaw overshoots
         assert link.state.omega == pytest.approx([0, 0, 1.0], abs=0.1)
+        stream(time, link, 2.0, lambda s: RatesSetpoint(G, np.zeros(3)))
         stream(time, link, 0.2, lambda s: RatesSetpoint(G, np.array([0.0, 0.5, 0.0])))
         assert link.state.omega == pytest.approx([0, 0.5, 0], abs=0.1)
         assert served.copter.flying.guided.rejected == 0

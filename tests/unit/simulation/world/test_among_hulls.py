@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas import foreign_filters
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.world import decoded
 from alula.stages.compression.hulls import Hulls
@@ -22,7 +21,9 @@ from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
+from support.foreign_filters import provide
 from support.small_scenes import ball_scene, box_cover, line_plan
+from support.world_runs import set_value
 
 TWO_BLOCKS = [((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))]
 ROOM = (0.0, 0.0, 0.0, 4.0, 4.0, 2.0)
@@ -425,23 +426,10 @@ class Racing(Timid):
         return FilterResult(2 * nominal.velocity, FilterStatus.FILTERED, 1.0)
 
 
-class Point:
-    def __init__(self, name, target):
-        self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-    def load(self):
-        if self.target is None:
-            raise ImportError("no module named 'elsewhere'")
-        return self.target
-
-
 @pytest.fixture
 def others(monkeypatch):
     known = {"timid": Timid, "broken": Broken, "racing": Racing, "absent": None, "none": Broken}
-    points = [Point(*item) for item in known.items()]
-    monkeypatch.setattr(
-        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
-    )
+    provide(monkeypatch, known)
 
 
 def test_a_filter_from_another_package_flies(others):
@@ -504,11 +492,7 @@ def test_filters_that_fail_are_named(others):
 )
 def test_scenarios_without_meaning_are_refused(key, value):
     tree = {"vehicle": dict(POINT), "safety": {"filters": ["polytope-cbf"]}}
-    *tables, last = key.split(".")
-    at = tree
-    for table in tables:
-        at = at.setdefault(table, {})
-    at[last] = value
+    set_value(tree, key, value)
     with pytest.raises(UsageError, match=re.escape(f"`$.{key}")):
         decoded(tree)
 

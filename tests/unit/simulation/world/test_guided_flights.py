@@ -12,7 +12,7 @@ from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.fabricate import make_scene
-from support.foreign_filters import Passing
+from support.foreign_filters import Passing, Wrapped
 from support.reference_flights import along, vehicle_of
 from support.world_runs import IDEAL_POINT, flown
 
@@ -94,18 +94,8 @@ def test_the_nominal_is_what_realises_the_guide_s_acceleration(plant, name):
 def test_a_python_filter_behind_a_guide_flies_as_the_native_one(plant):
     guide = filter_of("cone-di" if plant == "quadrotor" else "safer-splat")
     safety = filter_of("cone-ecbf" if plant == "quadrotor" else "cone-di")
-
-    class Wrapped:
-        kind = safety.kind
-
-        def reset(self):
-            safety.reset()
-
-        def __call__(self, state, nominal):
-            return safety(state, nominal)
-
     (native,) = fly(plant, guide, safety)
-    (python,) = fly(plant, guide, Wrapped())
+    (python,) = fly(plant, guide, Wrapped(safety))
     (alone,) = fly(plant, safety)
     for key in ("state", "command", "nominal", "status"):
         np.testing.assert_array_equal(native[key], python[key])

@@ -11,7 +11,7 @@ from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import make_scene
-from support.foreign_filters import Broken, Holding, Limiting, Passing
+from support.foreign_filters import Broken, Holding, Limiting, Passing, Wrapped
 from support.quadrotor_model import derivative, rk4
 from support.reference_flights import BODY, GAINS, along, vehicle_of
 
@@ -147,17 +147,7 @@ def test_a_native_filter_is_called_as_often_as_a_python_one(name):
     reference = curve((0.2, 0.2, 1.5), (5.8, 3.8, 1.5), speed=3)
     native = registry.make_filter(name, world, {} if name == "shield" else {"prune_ticks": 3})
     flown = one(native, reference, **rules)
-
-    class Wrapped:
-        kind = native.kind
-
-        def reset(self):
-            native.reset()
-
-        def __call__(self, state, nominal):
-            return native(state, nominal)
-
-    np.testing.assert_array_equal(flown["state"], one(Wrapped(), reference, **rules)["state"])
+    np.testing.assert_array_equal(flown["state"], one(Wrapped(native), reference, **rules)["state"])
     assert (flown["margin"][0::2] == flown["margin"][1::2]).all()
 
 
@@ -249,19 +239,9 @@ def test_every_filter_flies_the_same_from_python(name):
     index = _core.EllipsoidIndex(FIELD["mean"], FIELD["scale"], FIELD["quat_wxyz"], sigma=1.0, radius=0.15)
     world = FilterWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.01)
     made = registry.make_filter(name, world, {})
-
-    class Wrapped:
-        kind = made.kind
-
-        def reset(self):
-            made.reset()
-
-        def __call__(self, state, nominal):
-            return made(state, nominal)
-
     rules = {"max_time_s": 1.5}
     reference = curve((0.2, 0.2, 1.5), (5.8, 3.8, 1.5), speed=3)
-    native, python = one(made, reference, **rules), one(Wrapped(), reference, **rules)
+    native, python = one(made, reference, **rules), one(Wrapped(made), reference, **rules)
     np.testing.assert_array_equal(native["state"], python["state"])
     np.testing.assert_array_equal(native["status"], python["status"])
 

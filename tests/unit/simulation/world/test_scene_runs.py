@@ -5,40 +5,20 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas import foreign_filters
-from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.kinds import PLAN, SCENE
 from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.schemas.world_check import FILTER_COMMANDS
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
-from alula.stages.planning.rest_to_rest import rest_to_rest
 from support.fabricate import make_scene
-from support.foreign_filters import Broken, Limiting
+from support.foreign_filters import Broken, Limiting, provide
+from support.small_scenes import ball_scene, rest_plan
 from support.world_runs import flown
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
 NATIVE = list(ELLIPSOID_FILTERS)
-
-
-def ellipsoid_scene(mean, scale):
-    return make_artifact(
-        SCENE,
-        {
-            "mean": np.atleast_2d(mean),
-            "scale": np.atleast_2d(scale),
-            "quat_wxyz": [[1, 0, 0, 0]] * len(np.atleast_2d(mean)),
-            "opacity": np.ones(len(np.atleast_2d(mean))),
-            "color": np.zeros((len(np.atleast_2d(mean)), 3)),
-        },
-        frame="world",
-        unit="m",
-        parameters={},
-        summary={},
-        source={"format": "ply"},
-    )
 
 
 def quick(filters=(), parameters=None, scene=FIELD, **fields):
@@ -56,8 +36,8 @@ def test_a_run_does_not_depend_on_jobs(name):
 
 
 def test_the_judge_measures_the_path_that_was_flown():
-    scene = ellipsoid_scene([[2, 0, 1], [9, 9, 9]], [[0.2, 0.3, 0.2], [0.1, 0.1, 0.1]])
-    plan = make_plan((0, 0.9, 1), (4, 0.9, 1), 1.0)
+    scene = ball_scene([[2, 0, 1], [9, 9, 9]], [[0.2, 0.3, 0.2], [0.1, 0.1, 0.1]])
+    plan = rest_plan((0, 0.9, 1), (4, 0.9, 1), 1.0)
     result = quick(trials=None, speed_m_s=None, radius_m=0.1, scene=scene, plan=plan)
     (trial,) = result.trials
     assert trial.outcome == "reached"
@@ -71,7 +51,7 @@ def test_the_judge_measures_the_path_that_was_flown():
     # jerk of the septic of 4 m in 8.75 s: at most 52.5 L / T^3, in the middle
     assert trial.max_jerk_m_s3 == pytest.approx(52.5 * 4 / 8.75**3, rel=0.1)
     through = quick(
-        trials=None, speed_m_s=None, sigma=2.0, scene=scene, plan=make_plan((0, 0, 1), (4, 0, 1), 1.0)
+        trials=None, speed_m_s=None, sigma=2.0, scene=scene, plan=rest_plan((0, 0, 1), (4, 0, 1), 1.0)
     )
     (trial,) = through.trials
     assert trial.collision
@@ -79,21 +59,6 @@ def test_the_judge_measures_the_path_that_was_flown():
     assert trial.min_gamma == pytest.approx(-1, abs=1e-3)
     assert through.guarantee.claims["scene_collisions"] == 1
     assert through.summary["success_rate"] == 0
-
-
-def make_plan(start, goal, speed):
-    time, coefficient = rest_to_rest(start, goal, speed)
-    return make_artifact(
-        PLAN,
-        {"time": time, "coefficient": coefficient, "waypoint": [[*start, 0], [*goal, 0]]},
-        frame="world",
-        unit="m",
-        parameters={},
-        summary={},
-        radius_m=0.1,
-        speed_m_s=speed,
-        certificate={},
-    )
 
 
 def test_gamma_is_the_least_over_all_ellipsoids_and_points():
@@ -191,22 +156,9 @@ def test_a_double_integrator_of_its_own_file_keeps_its_limit():
         quick("cone-di", vehicle=lone)
 
 
-class Point:
-    def __init__(self, name, target):
-        self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-    def load(self):
-        if self.target is None:
-            raise ImportError("no module named 'elsewhere'")
-        return self.target
-
-
 @pytest.fixture
 def others(monkeypatch):
-    points = [Point("limiting", Limiting), Point("absent", None), Point("none", Broken)]
-    monkeypatch.setattr(
-        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
-    )
+    provide(monkeypatch, {"limiting": Limiting, "absent": None, "none": Broken})
 
 
 def test_a_filter_from_another_package_flies(others):

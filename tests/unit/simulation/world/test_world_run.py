@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from alula.schemas import foreign_filters
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.world import decoded
 from alula.schemas.world_defaults import vehicle_of
@@ -17,7 +16,7 @@ from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
 from support.covers import with_manifest
-from support.foreign_filters import Broken, Holding, Limiting, Passing
+from support.foreign_filters import Broken, Holding, Limiting, Passing, provide
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 WALL = ((15, -20, 0), (18, 20, 30))  # in voxels of 0.1 m
@@ -405,13 +404,6 @@ def test_a_plan_that_is_nearer_to_the_map_than_the_filter_lets_it_is_refused():
 
 @pytest.fixture
 def others(monkeypatch):
-    class Point:
-        def __init__(self, name, target):
-            self.name, self.value, self.target = name, f"elsewhere:{name}", target
-
-        def load(self):
-            return self.target
-
     class Short(Passing):
         def __call__(self, state, nominal):
             return dataclasses.replace(super().__call__(state, nominal), u=np.zeros(2))
@@ -421,10 +413,7 @@ def others(monkeypatch):
             raise ValueError("no idea")
 
     known = {"limiting": Limiting, "broken": Broken, "holding": Holding, "short": Short, "raising": Raising}
-    points = [Point(name, target) for name, target in known.items()]
-    monkeypatch.setattr(
-        foreign_filters, "entry_points", lambda group: points if group == "alula.filters" else []
-    )
+    provide(monkeypatch, known)
 
 
 def test_a_filter_of_another_package_flies_and_its_mistakes_do_not(others):

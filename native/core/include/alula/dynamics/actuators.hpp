@@ -15,10 +15,14 @@ namespace alula::flight {
 struct ActuatorModel {
   double motor_time_constant_s = 0;  // of each rotor's thrust, f' = (f_command - f) / time constant
   double delay_s = 0;                // age of the measured state
-  // Of the rate loop of a vehicle that is commanded by thrust and body rates, see `rate_loop_torque`; 0: it is
-  // commanded by wrenches.
-  double rate_time_constant_s = 0;
+  // Of each axis of the rate loop of a vehicle that is commanded by thrust and body rates, see `rate_loop_torque`; 0
+  // for all: it is commanded by wrenches.
+  Vec3 rate_time_constant_s;
 };
+
+inline bool has_rate_loop(Vec3 time_constant_s) {
+  return time_constant_s.x > 0 && time_constant_s.y > 0 && time_constant_s.z > 0;
+}
 
 // Throws std::invalid_argument for a number out of range.
 inline void check(const ActuatorModel& model) {
@@ -27,7 +31,10 @@ inline void check(const ActuatorModel& model) {
   };
   require(model.motor_time_constant_s, 10, "the time constant of the motors must be in 0..10 s");
   require(model.delay_s, 10, "a delay must be in 0..10 s");
-  require(model.rate_time_constant_s, 10, "the time constant of a rate loop must be in 0..10 s");
+  for (int i = 0; i < 3; ++i)
+    require(model.rate_time_constant_s[i], 10, "the time constants of a rate loop must be in 0..10 s");
+  if (norm(model.rate_time_constant_s) > 0 && !has_rate_loop(model.rate_time_constant_s))
+    throw std::invalid_argument("a rate loop needs a time constant for each axis");
 }
 
 // The rotors' thrusts after they follow `goal` for a time t with the time constant `lag` > 0, within their limits:
@@ -65,15 +72,19 @@ inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, con
 // Period of the rate loop of a vehicle, as of the simulated one by default: 1 kHz [s].
 inline constexpr double kRateLoopPeriod = 1e-3;
 
-// The torque of a rate loop that turns the body to commanded rates as a first-order lag.
-inline Vec3 rate_loop_torque(const Quadrotor& body, Vec3 omega, Vec3 rates, double time_constant_s) {
+// The torque of a rate loop that turns each axis of the body to its commanded rate as a first-order lag.
+inline Vec3 rate_loop_torque(const Quadrotor& body, Vec3 omega, Vec3 rates, Vec3 time_constant_s) {
   const Vec3 inertia = body.inertia();
-  return geometry::cross(omega, geometry::multiply(inertia, omega)) +
-         1 / time_constant_s * geometry::multiply(inertia, rates - omega);
+  Vec3 turning = geometry::multiply(inertia, rates - omega);
+  for (int i = 0; i < 3; ++i) turning[i] = 1 / time_constant_s[i] * turning[i];
+  return geometry::cross(omega, geometry::multiply(inertia, omega)) + turning;
 }
 
-// Time after which a torque leads to the body rates that are commanded for it: a rate loop turns the rates after its
+// Times after which a torque leads to the body rates that are commanded for it: a rate loop turns the rates after its
 // own time constant into the torque now; a command that is held for longer must not pass beyond its rates [s].
-inline double rate_lead_s(double time_constant_s, double held_s) { return std::max(time_constant_s, held_s); }
+inline Vec3 rate_lead_s(Vec3 time_constant_s, double held_s) {
+  for (int i = 0; i < 3; ++i) time_constant_s[i] = std::max(time_constant_s[i], held_s);
+  return time_constant_s;
+}
 
 }  // namespace alula::flight

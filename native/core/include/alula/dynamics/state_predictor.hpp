@@ -50,7 +50,7 @@ class StatePredictor {
     State x;      // at the start of the tick, with a rate loop
     Vec4 rotors;  // at the start of the tick
   };
-  bool has_rate_loop() const { return model_.rate_time_constant_s > 0; }
+  bool has_rate_loop() const { return alula::flight::has_rate_loop(model_.rate_time_constant_s); }
   void advance(State& x, Vec4& rotors, const Tick& tick, double time) const;
   const Tick& ago(std::size_t ticks) const { return past_[(next_ + past_.size() - ticks) % past_.size()]; }
 

@@ -70,9 +70,9 @@ Wrench realise(const Quadrotor& quadrotor, const TrackingGains& gains, const Sta
                const ReferencePoint& reference, const Nominal& nominal, Vec3 acceleration,
                double applied_thrust = own_thrust);
 
-// The body rates to command to a rate loop: omega' = J^-1 (tau - omega x J omega) over one period dt of that loop
+// The body rates to command to a rate loop: omega' = J^-1 (tau - omega x J omega) over the time `lead` of each axis
 // by one RK4 step with tau held, each component clipped to +-max_rate [rad/s].
 // Zero where a number is not finite.
-Vec3 body_rates(const Quadrotor& quadrotor, const State& x, const Wrench& u, double dt, Vec3 max_rate);
+Vec3 body_rates(const Quadrotor& quadrotor, const State& x, const Wrench& u, Vec3 lead, Vec3 max_rate);
 
 }  // namespace alula::flight

@@ -119,7 +119,7 @@ struct Fields<flight::ShieldOptions> {
       Field{"rest_drift_m", &flight::ShieldOptions::rest_drift_m, "maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]", Limits{.above = 0.0}},
       Field{"early_end", &flight::ShieldOptions::early_end, "end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest", Limits{}},
       Field{"motor_time_constant_s", &flight::ShieldOptions::motor_time_constant_s, "assumed time constant of the rotors; 0: rotors follow a command at once [s]", Limits{.min = 0.0, .max = 10.0}},
-      Field{"rate_time_constant_s", &flight::ShieldOptions::rate_time_constant_s, "time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded by thrust and torque [s]", Limits{.min = 0.0, .max = 10.0}},
+      Field{"rate_time_constant_s", &flight::ShieldOptions::rate_time_constant_s, "time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for all: it is commanded by thrust and torque [s]", Limits{.min = 0.0, .max = 10.0}},
       Field{"max_rate_rad_s", &flight::ShieldOptions::max_rate_rad_s, "maximum body rates of a command [rad/s]", Limits{.above = 0.0}},
       Field{"tube_horizon_s", &flight::ShieldOptions::tube_horizon_s, "how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]", Limits{.above = 0.0, .max = 10.0}},
       Field{"tube_risk", &flight::ShieldOptions::tube_risk, "probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track", Limits{.above = 0.0, .below = 1.0}},

@@ -136,9 +136,9 @@ struct ShieldOptions {
   bool early_end = true;
   // assumed time constant of the rotors; 0: rotors follow a command at once [s]
   double motor_time_constant_s = 0.0;
-  // time constant of the rate loop of a vehicle that is commanded by thrust and body rates; 0: it is commanded
-  // by thrust and torque [s]
-  double rate_time_constant_s = 0.0;
+  // time constant of each axis of the rate loop of a vehicle that is commanded by thrust and body rates; 0 for
+  // all: it is commanded by thrust and torque [s]
+  Vec3 rate_time_constant_s{0.0, 0.0, 0.0};
   // maximum body rates of a command [rad/s]
   Vec3 max_rate_rad_s{10.0, 10.0, 4.0};
   // how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]

@@ -52,6 +52,7 @@
 #include <utility>
 #include <vector>
 
+#include "alula/dynamics/actuators.hpp"
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
 #include "alula/filters/options.hpp"
@@ -159,7 +160,7 @@ class Shield {
   enum class Verdict : std::uint8_t { unsafe, safe, clear };
 
   bool lags() const { return options_.motor_time_constant_s > 0; }
-  bool has_rate_loop() const { return options_.rate_time_constant_s > 0; }
+  bool has_rate_loop() const { return alula::flight::has_rate_loop(options_.rate_time_constant_s); }
   bool acts_at_once() const { return !lags() && !has_rate_loop(); }
   void bound_motion();
   Linear linearised() const;

@@ -1,0 +1,54 @@
+"""Watch over satellite receivers: whether new fixes arrive while the vehicle's position depends on them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+_FIX_3D = 3
+_STILL_S = 1.0  # receivers send at least five fixes in this time
+_FIXLESS_S = 0.5  # a receiver that reports that it has no fix may be wrong for this long
+_SILENT_S = 3.0  # reports may be lost on the line for this long
+KINDS = ("GPS_RAW_INT", "GPS2_RAW")
+
+
+class Satellites:
+    """Newest fixes of the vehicle's receivers.
+
+    An autopilot extrapolates its position for seconds after the last fix, and reports the loss only then.
+    The fixes in GPS_RAW_INT and GPS2_RAW have times; when none of them advances the loss is known at once.
+    Receivers that never had a fix are not counted.
+
+    Attributes:
+        is_watched: the vehicle's position depends on satellites.
+    """
+
+    def __init__(self) -> None:
+        self.is_watched = False
+        self._stamps: dict[str, int] = {}
+        self._fixed_s: dict[str, float] = {}  # when the newest good fix of each receiver arrived
+        self._heard_s = -math.inf  # when the newest report of any of them arrived
+        self._fixes: dict[str, int] = {}  # type of the newest fix of each
+
+    def take(self, message: Any, now_s: float) -> None:
+        """Process a message of `KINDS` that arrived at `now_s` [s]."""
+        kind, self._heard_s = message.get_type(), now_s
+        is_new = message.time_usec != self._stamps.get(kind)
+        self._stamps[kind], self._fixes[kind] = message.time_usec, message.fix_type
+        if is_new and message.fix_type >= _FIX_3D:
+            self._fixed_s[kind] = now_s
+
+    def trouble(self, now_s: float) -> str:
+        """Say what is wrong; empty while fixes arrive, before the first one, and if they are not watched.
+
+        Args:
+            now_s: monotonic clock [s].
+        """
+        if not self.is_watched or not self._fixed_s:
+            return ""
+        age_s = self._heard_s - max(self._fixed_s.values())
+        has_fix = any(self._fixes[kind] >= _FIX_3D for kind in self._fixed_s)
+        if age_s > (_STILL_S if has_fix else _FIXLESS_S):
+            return f"no new satellite fix for {age_s:.1f} s"
+        silent_s = now_s - self._heard_s
+        return f"no report of satellites for {silent_s:.1f} s" if silent_s > _SILENT_S else ""

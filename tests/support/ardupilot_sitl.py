@@ -1,0 +1,235 @@
+"""ArduPilot's own simulation, which ALULA_ARDUCOPTER names, flown by `alula fly` in a process of its own.
+
+Nothing of ArduPilot is built or kept here. A second connection is another station: it sets parameters, breaks
+sensors, and reads the true motion (SIM_STATE) and all texts.
+"""
+
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from alula.schemas.artifact import write_artifact
+from alula.stages.sim_vehicle.common.packets import mavlink
+from support.sim_vehicle_process import free_port, until
+from support.small_scenes import box_cover, line_plan
+
+START, GOAL = (0.0, 0.0, 1.5), (14.0, 0.0, 1.5)
+WALLS = box_cover([((0, 60, 0), (140, 64, 30)), ((0, -64, 0), (140, -60, 30))])  # at y = 6 m and -6 m
+LOOSE = ("--stale", "0.4", "--latency", "0.05")  # the machine may have other work than both programs
+STATION = 254
+_EARTH_M = 6378100.0
+_PARAMETERS = "Tools/autotest/default_params/copter.parm"  # in the source tree
+
+
+def program():
+    """Path of the program; the test is skipped without it."""
+    found = os.environ.get("ALULA_ARDUCOPTER", "")
+    if not found:
+        pytest.skip("ALULA_ARDUCOPTER does not name ArduPilot's program (docs/guide/sitl.md)")
+    if not Path(found).is_file():
+        pytest.skip(f"ALULA_ARDUCOPTER: {found} is no file")
+    return Path(found).resolve()
+
+
+def _free_instance():
+    """An instance whose ports are free: 5760 + 10 n and some above."""
+    for number in range(20, 200):
+        with suppress(OSError), socket.socket() as probe, socket.socket() as other:
+            probe.bind(("127.0.0.1", 5762 + 10 * number))
+            other.bind(("127.0.0.1", 5763 + 10 * number))
+            return number
+    pytest.fail("no ports are free")
+
+
+class Sitl:
+    """The running simulation and another station that is connected to it.
+
+    Attributes:
+        port: where it sends, for `alula fly`.
+        texts: STATUSTEXTs, as the other station receives them.
+        truth: true motion: time of this machine [s], east, north, up from the start [m], and the tilt [rad].
+        newest: newest message of each kind.
+    """
+
+    def __init__(self, folder, parameters=None):
+        binary = program()
+        tree = next((each for each in binary.parents if (each / _PARAMETERS).is_file()), None)
+        if tree is None:
+            pytest.skip(f"no {_PARAMETERS} above ALULA_ARDUCOPTER")
+        own = folder / "own.parm"
+        own.write_text("".join(f"{name} {value}\n" for name, value in (parameters or {}).items()))
+        number, self.port = _free_instance(), free_port()
+        command = [
+            *(str(binary), "--model", "quad", "--speedup", "1", "-w", "-I", str(number)),
+            *("--defaults", f"{tree / _PARAMETERS},{own}", f"--serial0=udpclient:127.0.0.1:{self.port}"),
+        ]
+        self._log = (folder / "sitl.txt").open("wb")
+        self.process = subprocess.Popen(command, cwd=folder, stdout=self._log, stderr=subprocess.STDOUT)
+        self._socket = until(lambda: self._connected(5762 + 10 * number))
+        self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
+        self._parser.robust_parsing = True
+        self.texts, self.truth, self.newest = [], [], {}
+        self._home = None
+        self._lives = True
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        until(lambda: "HEARTBEAT" in self.newest)
+        for name, rate_hz in (("SIM_STATE", 20), ("EKF_STATUS_REPORT", 5), ("SYS_STATUS", 5)):
+            number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+            self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+
+    def _connected(self, port):
+        with suppress(OSError):
+            return socket.create_connection(("127.0.0.1", port), 1.0)
+        return None
+
+    def _read(self):
+        self._socket.settimeout(0.5)
+        beat_s = 0.0
+        while self._lives:
+            if time.monotonic() - beat_s > 1.0:
+                beat_s = time.monotonic()
+                with suppress(OSError):
+                    self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            try:
+                data = self._socket.recv(4096)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            for message in self._parser.parse_buffer(data) or []:
+                if message.get_srcSystem() == 1:  # it forwards the heartbeats of `alula fly`, too
+                    self._take(message)
+
+    def _take(self, message):
+        kind = message.get_type()
+        if kind == "STATUSTEXT":
+            self.texts.append(message.text)
+        elif kind == "SIM_STATE":
+            lat, lon, alt = message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt
+            self._home = self._home or (lat, lon, alt)
+            east = math.radians(lon - self._home[1]) * _EARTH_M * math.cos(math.radians(lat))
+            north = math.radians(lat - self._home[0]) * _EARTH_M
+            tilt = math.acos(max(-1.0, min(1.0, math.cos(message.roll) * math.cos(message.pitch))))
+            self.truth.append((time.monotonic(), east, north, alt - self._home[2], tilt))
+        self.newest[kind] = message
+
+    def send(self, message):
+        """Send a message as the other station."""
+        self._socket.sendall(message.pack(self._writer))
+
+    def command(self, number, *values):
+        """Send a COMMAND_LONG."""
+        filled = [*map(float, values), *[0.0] * (7 - len(values))]
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled))
+
+    def set(self, **parameters):
+        """Set parameters of the vehicle or of its simulation."""
+        for name, value in parameters.items():
+            self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), float(value), 9))
+            time.sleep(0.02)
+
+    def close(self):
+        """End the program."""
+        self._lives = False
+        self.process.terminate()
+        try:
+            self.process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(5)
+        self._socket.close()
+        self._thread.join(5)
+        self._log.close()
+
+
+@contextmanager
+def sitl(folder, parameters=None):
+    """A running simulation."""
+    running = Sitl(folder, parameters)
+    try:
+        yield running
+    finally:
+        running.close()
+
+
+class Fly:
+    """`alula fly` in a process of its own.
+
+    Attributes:
+        lines: its lines of standard error with their times [s].
+    """
+
+    def __init__(self, sim, folder, *more, plan=None, cover=WALLS):
+        plan = line_plan(START, GOAL, 24.0) if plan is None else plan
+        x, y, _ = plan["coefficient"][0, :3, 0]
+        write_artifact(folder / "plan.npz", plan)
+        write_artifact(folder / "cover.npz", cover)
+        command = [
+            *(sys.executable, "-P", "-m", "alula.cli", "fly", str(folder / "plan.npz")),
+            *("--map", str(folder / "cover.npz"), "--origin", f"{-x} {-y} 0"),
+            *("--link", f"udpin:127.0.0.1:{sim.port}", "-o", str(folder / "f.run.mcap"), *LOOSE, *more),
+        ]
+        self.lines = []
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            self.lines.append((time.monotonic(), line.rstrip()))
+
+    def at(self, text):
+        """When a text was printed first [s]; None if it was not."""
+        return next((at for at, line in list(self.lines) if text in line), None)
+
+    def wait_for(self, text, timeout_s=150.0):
+        """Wait until a text is printed; returns when it was [s]."""
+        end_s = time.monotonic() + timeout_s
+        while (at := self.at(text)) is None:
+            if self.process.poll() is not None and self.at(text) is None:
+                pytest.fail(f"{text!r} was not printed:\n{self.said}")
+            if time.monotonic() > end_s:
+                pytest.fail(f"{text!r} was not printed in time:\n{self.said}")
+            time.sleep(0.02)
+        return at
+
+    @property
+    def said(self):
+        return "\n".join(line for _, line in self.lines)
+
+    def interrupt(self):
+        self.process.send_signal(signal.SIGINT)
+
+    def end(self, timeout_s=90.0):
+        """Wait for its end; returns the exit code."""
+        self.process.wait(timeout_s)
+        self._thread.join(5)
+        return self.process.returncode
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait(5)
+        self._thread.join(5)
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+
+@contextmanager
+def flight(sim, folder, *more, **words):
+    """A flight of `alula fly`; it is killed at the end."""
+    running = Fly(sim, folder, *more, **words)
+    try:
+        yield running
+    finally:
+        running.close()

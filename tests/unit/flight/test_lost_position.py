@@ -1,0 +1,146 @@
+"""Loss of the position in flight: noticed at once, and never the end of a flight that went well."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from alula.cli.fly.flight import _conclude, _Flown
+from alula.schemas.errors import CheckError, LinkError
+from alula.stages.flight.links.mavlink.satellites import Satellites
+from alula.stages.flight.links.mavlink.telemetry import Telemetry
+from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.sim_vehicle.common.packets import mavlink
+from support.flights import fly, mission
+from support.lockstep import Flight, Upset, fault
+from support.small_scenes import line_plan
+
+START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
+
+
+def flown(state, after, do, parameters=None):
+    made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
+    flight = Flight(made, [Upset(state, after, do)], {}, parameters or {}).fly()
+    flight.judge()
+    return flight
+
+
+def said_of(loop):
+    """The error of the command, after a flight whose log says nothing else."""
+    with pytest.raises((CheckError, LinkError)) as caught:
+        _conclude(loop, _Flown(None, []), SimpleNamespace(output="f.run.mcap", quiet=True))
+    return caught.value
+
+
+def test_lost_satellites_land_it_within_a_second():
+    flight = flown(State.FLY, 1.0, fault("satellites"))
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert flight.entered[State.LAND] - flight.entered[State.FLY] < 2.0
+    error = said_of(flight.loop)
+    assert isinstance(error, LinkError)
+    assert "estimator not healthy (no new satellite fix for" in str(error)
+
+
+def test_satellites_lost_in_the_landing_spoil_a_finished_plan():
+    flight = flown(State.LAND, 0.0, fault("satellites"))
+    assert (State.FLY, Event.PLAN_FINISHED) in flight.rows
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert "the plan was flown, but not landed as planned: estimator" in str(said_of(flight.loop))
+
+
+def test_a_failsafe_in_the_landing_spoils_a_finished_plan():
+    flight = flown(State.LAND, 0.1, fault("radio-loss"), {"FS_THR_ENABLE": 3})
+    assert flight.cause is Event.FAILSAFE
+    assert "not landed as planned: vehicle's own failsafe (Radio Failsafe)" in str(said_of(flight.loop))
+
+
+def test_satellites_do_not_matter_to_a_vehicle_that_does_not_use_them():
+    telemetry = Telemetry()
+    assert not telemetry.satellites.is_watched
+    telemetry.take(report(1, 3), 1.0)
+    telemetry.take(report(1, 0), 9.0)
+    telemetry.take(mavlink.MAVLink_ekf_status_report_message(0x33F, 0, 0, 0, 0, 0), 9.0)
+    telemetry.poll(9.1)
+    assert telemetry.status.is_estimator_ready
+
+
+def test_a_landing_away_from_the_goal_is_no_success():
+    def carry(vehicle, now):
+        if vehicle.status.mode == "LAND" and vehicle.hold_at is not None and not carried:
+            carried.append(now)
+            vehicle.hold_at[0] -= 0.8
+
+    carried = []
+    loop, _ = fly(on_poll=carry)
+    assert loop.supervision.cause is Event.LANDED_AWAY
+    error = said_of(loop)
+    assert isinstance(error, CheckError)
+    assert "the plan was flown, but the vehicle landed away from the plan's end (0." in str(error)
+
+
+def test_a_vehicle_that_never_disarms_after_its_landing_is_no_success():
+    made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
+    stuck = lambda flight: setattr(flight.copter, "disarm", lambda **_: False)  # noqa: E731
+    flight = Flight(made, [Upset(State.FLY, 0.1, stuck)], {"landing_s": 4.0})
+    flight.upsets.append(Upset(State.HAND_OVER, 0.1, lambda flight: setattr(flight, "interrupts", 1)))
+    flight.fly()
+    assert flight.cause is Event.TIMED_OUT
+    error = said_of(flight.loop)
+    assert isinstance(error, LinkError)
+    assert "not landed as planned: took too long (landing: the vehicle has not disarmed within 4 s)" in str(
+        error
+    )
+
+
+def report(stamp, fix, kind="gps_raw_int"):
+    make = getattr(mavlink, f"MAVLink_{kind}_message")
+    more = (0, 0) if kind == "gps2_raw" else ()
+    return make(stamp, fix, 0, 0, 0, 121, 200, 0, 0, 10, *more)
+
+
+@pytest.mark.parametrize(
+    ("reports", "at", "trouble"),
+    [
+        ([], 9.0, ""),  # never a fix: another source of the position
+        ([(1.0, 1, 1)], 9.0, ""),
+        ([(1.0, 1, 3), (1.2, 2, 3)], 1.3, ""),
+        ([(1.0, 1, 3), (1.8, 1, 3)], 1.9, ""),
+        ([(1.0, 1, 3), (2.1, 1, 3)], 2.1, "no new satellite fix for 1.1 s"),
+        ([(1.0, 1, 3), (1.2, 1, 1), (1.4, 1, 1)], 1.4, ""),
+        ([(1.0, 1, 3), (1.2, 1, 1), (1.6, 1, 1)], 1.6, "no new satellite fix for 0.6 s"),
+        ([(1.0, 1, 3), (1.6, 1, 1), (1.8, 2, 3)], 1.8, ""),
+        ([(1.0, 1, 3)], 3.9, ""),  # the line may be bad
+        ([(1.0, 1, 3)], 4.1, "no report of satellites for 3.1 s"),
+    ],
+)
+def test_fixes_that_stop_are_noticed(reports, at, trouble):
+    satellites = Satellites()
+    satellites.is_watched = True
+    for when, stamp, fix in reports:
+        satellites.take(report(stamp, fix), when)
+    assert satellites.trouble(at) == trouble
+
+
+def test_a_second_receiver_is_enough():
+    satellites = Satellites()
+    satellites.is_watched = True
+    for tenth in range(30):
+        satellites.take(report(1, 3), 0.1 * tenth)
+        satellites.take(report(tenth, 3, "gps2_raw"), 0.1 * tenth)
+    assert satellites.trouble(3.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (0x33F, ""),
+        (0x27, "no position"),
+        (0xA7, "no position; constant position mode"),
+        (0x33F | 1 << 15, "satellites are not accurate"),
+        (0x33C, "no attitude, horizontal velocity"),
+    ],
+)
+def test_the_flags_of_the_estimate_say_what_is_wrong(flags, words):
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_ekf_status_report_message(flags, 0, 0, 0, 0, 0), 1.0)
+    assert telemetry.status.estimator == words
+    assert telemetry.status.is_estimator_ready is not bool(words)

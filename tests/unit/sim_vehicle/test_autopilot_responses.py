@@ -1,0 +1,22 @@
+"""The simulated autopilot answers and responds as ArduPilot's own simulation, which `tests/sitl` flies."""
+
+import pytest
+
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.simulator import SimulatedVehicle
+from support.autopilot_client import EXACT
+from support.responses import ANSWERS, MEASURED, Measurer, Stepped, measure
+
+
+def measurer(**options):
+    return Measurer(Stepped(SimulatedVehicle(Copter(FASTBRIDGE, seed=1, **options), seed=1)))
+
+
+def test_it_responds_within_a_tenth_of_the_real_one():
+    found = measure(measurer(options=EXACT))
+    assert found == {name: pytest.approx(value, rel=0.1) for name, value in MEASURED.items()}
+
+
+def test_it_answers_as_the_real_one_before_it_has_a_position():
+    assert measurer().greet() == ANSWERS
