@@ -2,14 +2,14 @@
 
 import pytest
 
-from support.arducopter import arducopter
+from support.arducopter import wired
 from support.responses import ANSWERS, MEASURED, Measurer, measure
 
 pytestmark = [pytest.mark.sitl, pytest.mark.slow]
 
 
 def test_the_real_program_has_the_stored_answers_and_responses(tmp_path):
-    with arducopter(tmp_path) as line:
+    with wired(tmp_path) as line:
         client = Measurer(line)
         assert client.greet() == ANSWERS
         found = measure(client)

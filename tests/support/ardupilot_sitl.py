@@ -1,11 +1,10 @@
 """ArduPilot's own simulation, which ALULA_ARDUCOPTER names, flown by `alula fly` in a process of its own.
 
-Nothing of ArduPilot is built or kept here. A second connection is another station: it sets parameters, breaks
+A second connection is another station: it sets parameters, breaks
 sensors, and reads the true motion (SIM_STATE) and all texts.
 """
 
 import math
-import os
 import signal
 import socket
 import subprocess
@@ -13,12 +12,12 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 
 from alula.schemas.artifact import write_artifact
 from alula.stages.sim_vehicle.common.packets import mavlink
+from support.arducopter import arducopter, second_port
 from support.sim_vehicle_process import free_port, until
 from support.small_scenes import box_cover, line_plan
 
@@ -27,27 +26,6 @@ WALLS = box_cover([((0, 60, 0), (140, 64, 30)), ((0, -64, 0), (140, -60, 30))]) 
 LOOSE = ("--stale", "0.4", "--latency", "0.05")  # the machine may have other work than both programs
 STATION = 254
 _EARTH_M = 6378100.0
-_PARAMETERS = "Tools/autotest/default_params/copter.parm"  # in the source tree
-
-
-def program():
-    """Path of the program; the test is skipped without it."""
-    found = os.environ.get("ALULA_ARDUCOPTER", "")
-    if not found:
-        pytest.skip("ALULA_ARDUCOPTER does not name ArduPilot's program (docs/guide/sitl.md)")
-    if not Path(found).is_file():
-        pytest.skip(f"ALULA_ARDUCOPTER: {found} is no file")
-    return Path(found).resolve()
-
-
-def _free_instance():
-    """An instance whose ports are free: 5760 + 10 n and some above."""
-    for number in range(20, 200):
-        with suppress(OSError), socket.socket() as probe, socket.socket() as other:
-            probe.bind(("127.0.0.1", 5762 + 10 * number))
-            other.bind(("127.0.0.1", 5763 + 10 * number))
-            return number
-    pytest.fail("no ports are free")
 
 
 class Sitl:
@@ -60,21 +38,9 @@ class Sitl:
         newest: newest message of each kind.
     """
 
-    def __init__(self, folder, parameters=None):
-        binary = program()
-        tree = next((each for each in binary.parents if (each / _PARAMETERS).is_file()), None)
-        if tree is None:
-            pytest.skip(f"no {_PARAMETERS} above ALULA_ARDUCOPTER")
-        own = folder / "own.parm"
-        own.write_text("".join(f"{name} {value}\n" for name, value in (parameters or {}).items()))
-        number, self.port = _free_instance(), free_port()
-        command = [
-            *(str(binary), "--model", "quad", "--speedup", "1", "-w", "-I", str(number)),
-            *("--defaults", f"{tree / _PARAMETERS},{own}", f"--serial0=udpclient:127.0.0.1:{self.port}"),
-        ]
-        self._log = (folder / "sitl.txt").open("wb")
-        self.process = subprocess.Popen(command, cwd=folder, stdout=self._log, stderr=subprocess.STDOUT)
-        self._socket = until(lambda: self._connected(5762 + 10 * number))
+    def __init__(self, instance, port):
+        self.port = port
+        self._socket = until(lambda: self._connected(second_port(instance)))
         self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
         self._parser.robust_parsing = True
         self.texts, self.truth, self.newest = [], [], {}
@@ -139,27 +105,22 @@ class Sitl:
             time.sleep(0.02)
 
     def close(self):
-        """End the program."""
+        """Disconnect the other station."""
         self._lives = False
-        self.process.terminate()
-        try:
-            self.process.wait(5)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait(5)
-        self._socket.close()
         self._thread.join(5)
-        self._log.close()
+        self._socket.close()
 
 
 @contextmanager
 def sitl(folder, parameters=None):
     """A running simulation."""
-    running = Sitl(folder, parameters)
-    try:
-        yield running
-    finally:
-        running.close()
+    port = free_port()
+    with arducopter(folder, port, parameters) as instance:
+        running = Sitl(instance, port)
+        try:
+            yield running
+        finally:
+            running.close()
 
 
 class Fly:

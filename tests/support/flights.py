@@ -32,7 +32,7 @@ def mission(
     name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=None, vehicle=FASTBRIDGE, **fields
 ):
     """By default past a pillar."""
-    is_splat = scene is not None or name == "shield"
+    is_splat = scene is not None or name in ("shield", "cone-backup", "cone-ecbf")
     cover = box_cover(PILLAR) if cover is None and scene is None else cover
     plan = plan or line_plan(START, GOAL)
     made = make_mission(

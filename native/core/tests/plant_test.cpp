@@ -79,7 +79,7 @@ void test_commands_and_states_without_meaning_do_no_harm() {
     x.sigma.x = bad;
     const Nominal nominal = track(quadrotor, {}, x, {});
     CHECK(quadrotor.admissible(quadrotor.limited(nominal.wrench), 1e-9));
-    const Vec3 rates = body_rates(quadrotor, x, nominal.wrench, 0.01, {1, 1, 1});
+    const Vec3 rates = body_rates(quadrotor, x, nominal.wrench, {0.01, 0.01, 0.01}, {1, 1, 1});
     CHECK(std::abs(rates.x) <= 1 && std::abs(rates.y) <= 1 && std::abs(rates.z) <= 1);
   }
 }

@@ -1,0 +1,46 @@
+"""Flights of the real autopilot past a pillar, judged by its true motion and flown again from their logs."""
+
+import numpy as np
+import pytest
+
+from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+from alula.stages.clearance import path_clearance
+from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
+from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.replay import replay
+from support.ardupilot_sitl import GOAL, START, flight, sitl
+from support.flights import mission
+from support.paths import VEHICLES
+from support.small_scenes import box_cover, line_plan
+
+pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
+
+PILLAR = box_cover([((70, 4, 0), (76, 10, 40))])  # 0.4 m beside the line
+COPTER = VEHICLES / "arducopter.toml"
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.ardupilot_sitl.LOOSE
+
+
+@pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])
+def test_a_flight_past_a_pillar_is_clear_and_its_log_repeats_every_set_point(tmp_path, name):
+    plan = line_plan(START, GOAL, 24.0)
+    by_rates = name == "cone-backup"
+    more = ("--vehicle", str(COPTER)) if by_rates else ()
+    with (
+        sitl(tmp_path) as sim,
+        flight(sim, tmp_path, "--filter", name, "--allow-tight", *more, plan=plan, cover=PILLAR) as flown,
+    ):
+        assert flown.end(150.0) == 0, flown.said
+        path = np.array([(x, y, z) for _, x, y, z, _ in sim.truth if z > 0.5])
+    made = mission(
+        name,
+        cover=PILLAR,
+        plan=plan,
+        vehicle=read_vehicle(COPTER) if by_rates else FASTBRIDGE,
+        **AS_FLOWN,
+    )
+    assert path[:, 0].max() > 13.0
+    obstacles = [obstacle for _, obstacle in made.obstacles]
+    assert min(float(path_clearance(path, each).min()) for each in obstacles) > FASTBRIDGE.body.radius_m
+    found = replay(tmp_path / "f.run.mcap", make_commander(made, make_safety(made), ARDUPILOT.accepts))
+    assert found.ticks > 1000
+    assert found.differing == []
