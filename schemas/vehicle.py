@@ -45,7 +45,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import VERSION
@@ -105,12 +105,13 @@ class RatesTable(_Table, frozen=True, kw_only=True):
 
     max_rad_s: Positives = (10.0, 10.0, 4.0)
     time_constant_s: Positive = 0.02
-    axis_time_constant_s: Positives | None = None
+    axis_time_constant_s: Positives | UnsetType = UNSET
 
     @property
     def axes_s(self) -> tuple[float, float, float]:
         """Time constants about x, y, z of the body [s]."""
-        return self.axis_time_constant_s or (self.time_constant_s,) * 3
+        one, each = self.time_constant_s, self.axis_time_constant_s
+        return (one, one, one) if isinstance(each, UnsetType) else each
 
     @property
     def tilting_s(self) -> float:
@@ -266,6 +267,7 @@ def contents(table: msgspec.Struct) -> dict[str, Any]:
     values = {
         name: contents(value) if isinstance(value, msgspec.Struct) else value
         for name, value in msgspec.structs.asdict(table).items()
+        if value is not UNSET
     }
     return msgspec.json.decode(msgspec.json.encode(values), type=dict[str, Any])
 

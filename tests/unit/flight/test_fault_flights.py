@@ -10,10 +10,12 @@ import pytest
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
 from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
 from support.autopilot_client import QUICK
 from support.flights import mission
 from support.lockstep import Flight, Upset, fault
+from support.paths import VEHICLES
 
 START, GOAL = "0.8 0.8 0.9", "4.7 3.6 1.1"  # behind a hoop and a pillar
 FILTERS = ("cone-backup", "polytope-cbf")
@@ -41,9 +43,10 @@ def room(tmp_path_factory):
         read_artifact(folder / name, kind)
         for name, kind in (("cover.npz", COVER), ("metric.npz", SCENE), ("plan.npz", PLAN))
     )
+    copter = read_vehicle(VEHICLES / "arducopter.toml")  # that turns about its yaw axis as slowly
     return {
         rate_hz: {
-            "cone-backup": mission("cone-backup", scene=scene, plan=plan, rate_hz=rate_hz),
+            "cone-backup": mission("cone-backup", scene=scene, plan=plan, rate_hz=rate_hz, vehicle=copter),
             "polytope-cbf": mission("polytope-cbf", cover=cover, plan=plan, rate_hz=rate_hz),
         }
         for rate_hz in (100.0, 50.0)
