@@ -7,6 +7,7 @@ import math
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
+from alula.stages.sim_vehicle.ardupilot.shaping import square_root
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.quaternions import Vector, added, from_euler, scaled, to_euler
 
@@ -63,11 +64,8 @@ class Px4PositionControl(PositionControl):
             limit: maximum speed [m/s].
             acceleration: deceleration [m/s^2].
         """
-        gain = max(self._parameters["PSC_POSXY_P"], 0.01)
-        linear = acceleration / gain**2
-        size = abs(error)
-        speed = gain * size if size <= linear else math.sqrt(max(0.0, 2 * acceleration * (size - linear / 2)))
-        return math.copysign(min(speed, limit), error)
+        speed = square_root(error, max(self._parameters["PSC_POSXY_P"], 0.01), acceleration)
+        return max(-limit, min(limit, speed))
 
     def climb(self, motion: Motion, climb_m_s: float) -> None:
         """Command the throttle for a climb rate, reached with WPNAV_ACCEL_Z.

@@ -7,6 +7,7 @@
 #include <limits>
 #include <utility>
 
+#include "alula/base/least.hpp"
 #include "alula/filters/moving_guide.hpp"
 
 namespace alula::flight {
@@ -52,16 +53,7 @@ std::span<const alula_wall> WallPlanes::at(Vec3 p, Vec3 v) {
   const auto keep = [&](const Contact& c) {
     // possible increase of the speed towards it
     const Near it{c, std::sqrt(2 * brake_ * std::max(0.0, c.distance - radius_)) + dot(c.normal, v)};
-    if (near_.size() < ALULA_WALLS) {
-      near_.push_back(it);
-      if (near_.size() < ALULA_WALLS) return;
-      std::make_heap(near_.begin(), near_.end(), before);
-    } else {
-      if (!before(it, near_.front())) return;
-      std::pop_heap(near_.begin(), near_.end(), before);
-      near_.back() = it;
-      std::push_heap(near_.begin(), near_.end(), before);
-    }
+    if (!keep_least(near_, ALULA_WALLS, it, before)) return;
     // Farther away the vehicle has more to spare, even where it flies straight at the obstacle.
     const double most = near_.front().spare + speed;
     reach = std::min(farthest_, (1 + 1e-12) * (radius_ + most * most / (2 * brake_)));

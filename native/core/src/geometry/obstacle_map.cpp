@@ -6,6 +6,7 @@
 #include <tuple>
 #include <utility>
 
+#include "alula/base/least.hpp"
 #include "alula/base/require.hpp"
 
 namespace alula {
@@ -111,16 +112,7 @@ void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector
   if (most == 0) return;
   double within = reach;
   const auto keep = [&](const Contact& c) {
-    if (found.size() < most) {
-      found.push_back(c);
-      if (found.size() < most) return;
-      std::make_heap(found.begin(), found.end(), nearer);
-    } else {
-      if (!nearer(c, found.front())) return;
-      std::pop_heap(found.begin(), found.end(), nearer);
-      found.back() = c;
-      std::push_heap(found.begin(), found.end(), nearer);
-    }
+    if (!keep_least(found, most, c, nearer)) return;
     within = std::nextafter(found.front().distance, kInfinity);  // the index decides between equal distances
   };
   visit(p, within, std::ref(keep), memory);

@@ -153,10 +153,8 @@ class Orders:
         if order is Order.ARM:
             self._has_armed = True
             return _Pending(order, lambda: session.arm(True), lambda: bool((self.info or 0) & IS_ARMED))
-        if order in (
-            Order.DISARM,
-            Order.STOP,
-        ):  # its supervisor stops the motors of one that lies on its side
+        # Its supervisor also stops the motors of a Crazyflie that lies on its side.
+        if order in (Order.DISARM, Order.STOP):
             self._has_armed = False
             return _Pending(order, lambda: session.arm(False), lambda: status.armed is False)
         if order is Order.TAKE_OFF:

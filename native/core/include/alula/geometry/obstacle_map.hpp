@@ -38,7 +38,7 @@ struct MapMemory {
 };
 
 using Visit = std::function<void(const Contact&)>;
-constexpr std::size_t kVisited = 128;
+constexpr std::size_t kVisited = 128;  // of a map that finds the nearest only: see `visit`
 
 // By distance; equal ones by kind and index.
 bool nearer(const Contact& a, const Contact& b);
