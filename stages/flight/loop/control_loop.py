@@ -191,8 +191,6 @@ class ControlLoop:
             Exception: any error of the loop itself, after the order to land was sent.
         """
         gc.collect()
-        is_frozen = gc.get_freeze_count() > 0  # by the caller, who keeps it so
-        gc.freeze()
         gc.disable()
         self._begin_s = self._clock()
         try:
@@ -202,8 +200,6 @@ class ControlLoop:
             raise
         finally:
             gc.enable()
-            if not is_frozen:
-                gc.unfreeze()
 
     def _loop(self) -> None:
         period, counters = 1 / self.options.rate_hz, self.counters

@@ -163,13 +163,15 @@ class Copter:
         if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
             self._check(self.time_s - self._checked_s)
             self._checked_s = self.time_s
-        # As in the firmware, the rates and the throttle of the tick before are followed first.
-        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
         self.flying.has_position = self.estimator.has_position
         if not self.is_armed:
-            self.flying.rest(motion)
             self.attitude.throttle = 0.0
-        elif self._is_spooling or (
+            self.airframe.step(0.0, (0.0, 0.0, 0.0))
+            self._detect_landing(0.0)
+            return
+        # As in the firmware, the rates and the throttle of the tick before are followed first.
+        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
+        if self._is_spooling or (
             self.is_landed and not self.flying.should_leave_ground(self.mode, self.time_s)
         ):
             self.flying.rest(motion)
@@ -214,6 +216,7 @@ class Copter:
             return False
         self.is_armed, self._armed_s, self._idle_s = True, self.time_s, 0.0
         self.flying.home = self.estimator.motion.position
+        self.flying.rest(self.estimator.motion)
         self.flying.enter(self.mode, self.estimator.motion)
         self.say(INFO, "Arming motors")
         return True

@@ -252,7 +252,8 @@ class Estimator:
             acceleration,
         )
         self._history.append((self._time_s, self.motion))
-        while len(self._history) > 1 and self._history[1][0] <= self._time_s - self._options.delay_s + 1e-9:
+        shown_s = self._time_s - self._options.delay_s + 1e-9
+        while len(self._history) > 1 and self._history[1][0] <= shown_s:
             self._history.popleft()
 
     def global_position(self, position: Vector) -> LatLonAlt:
@@ -276,22 +277,22 @@ class Estimator:
     def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> Vector:
         """Advance position and velocity; return the measured acceleration, NED [m/s^2]."""
         mocap = self.uses_mocap
-        height_outside = mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL
-        follows = [not mocap and self.has_fix] * 2 + [not height_outside]
+        follows_level = not mocap and self.has_fix
+        follows_height = not (mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL)
+        stands = is_still and not self.has_position
         _, x, y, z = multiply(multiply(turn, (0.0, *truth.acceleration)), (turn[0], 0.0, 0.0, -turn[3]))
-        moved = (x, y, z)
-        for i in range(3):
-            if is_still and not self.has_position:
-                self._velocity[i] = 0.0  # standstill is detected
-            else:
-                self._velocity[i] += (moved[i] + self._bias[i]) * TICK_S
-            if follows[i]:
-                error = truth.position[i] + noise[i] - self._position[i]
-                slip = truth.velocity[i] + noise[3 + i] - self._velocity[i]
-                self._velocity[i] += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
-                self._position[i] += TICK_S * _GAIN[0] * error
-            self._position[i] += self._velocity[i] * TICK_S
-        return added(moved, self._bias)
+        measured = added((x, y, z), self._bias)
+        for i, follows in enumerate((follows_level, follows_level, follows_height)):
+            velocity, position = self._velocity[i] + measured[i] * TICK_S, self._position[i]
+            if stands:
+                velocity = 0.0  # standstill is detected
+            if follows:
+                error = truth.position[i] + noise[i] - position
+                slip = truth.velocity[i] + noise[3 + i] - velocity
+                velocity += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
+                position += TICK_S * _GAIN[0] * error
+            self._velocity[i], self._position[i] = velocity, position + velocity * TICK_S
+        return measured
 
     def _settle(self) -> None:
         self.fix_s = self._time_s if self.has_fix else self.fix_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,8 +28,7 @@ _LYING_UP = 0.5  # cosine of the tilt beyond which a touch-down leaves it lying
 _FLIP = np.tile([1.0, -1.0, -1.0], 4)
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """Motion of the vehicle; world north-east-down (NED) from the start, body forward-right-down (FRD).
 
     Attributes:
@@ -128,6 +127,8 @@ class Airframe:
             thrust_n: thrust [N].
             torque: torque in FRD [N m].
         """
+        if self.on_ground and not (thrust_n or any(torque)):
+            return
         wrench = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
         limited = np.zeros(4) if self.are_rotors_dead else self.body.limited(wrench)[0]
         if self.on_ground:

@@ -113,6 +113,7 @@ def assert_hulls_are_those_of_their_members(cover):
         assert volume == pytest.approx(qhull.volume, rel=1e-9)
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("method", ["default", "paper"])
 @pytest.mark.parametrize("hulls", [1, 2, 7, 40, 10000])
 def test_a_scene_is_covered_at_every_number_of_hulls(method, hulls):

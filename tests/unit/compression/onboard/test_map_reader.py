@@ -13,7 +13,7 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
 from support.covers import cover_of, furniture, voxels_of
-from support.effort import examples
+from support.effort import examples, some
 from support.fabricate import box, exact_hull, make_cover
 from support.maps import decode, is_at_least, psi, sealed
 
@@ -125,7 +125,7 @@ def test_every_header_byte_but_those_of_the_place_is_checked_even_with_matching_
     assert refusal(image) == ""
     point = np.array([[0.3, 0.1, 0.2]], np.float32)
     for at in range(64):
-        for value in range(256):
+        for value in some(range(256), 5):
             changed = bytearray(image)
             changed[at] = value
             if bytes(changed) == image:
