@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +35,7 @@ from alula.stages.simulation.world.filters import (
 from alula.stages.simulation.world.judge import WorldJudge
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.prepared_run import PreparedRun
-from alula.stages.simulation.world.tasks import missions_of
+from alula.stages.simulation.world.tasks import Missions, missions_of
 from alula.stages.simulation.world.vehicle import vehicle_spec
 from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
@@ -125,59 +124,32 @@ def prepare(
         jobs=jobs,
         progress=progress,
     )
-    paths = [missions.start, missions.goal]
-    paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
-    lower, upper = world.room(paths, has_moving=bool(full.world.moving))
-    known, has_pilot = full.estimation, geofence is not None
-    has_losses = known.lost_share > 0 or known.lost_from_s is not None
     is_point = vehicle.model == "single-integrator"
-    waits = mission.receded_s is not None  # for what moves, and not for the goal
-    stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
-    dt_s = rules.dt_s
-    flight = _core.FlightOptions(
-        dt_s=dt_s,
-        controller_ticks=rules.controller_ticks,
-        filter_ticks=rules.filter_ticks,
-        stale_s=min(known.stale_s, 1e3),
-        has_losses=has_losses,
-    )
     # References and ellipsoids are compared with rows of ticks; a point's motion is that from tick to tick.
     by_ticks = any(missions.curves) or is_point or world.ellipsoids is not None
-    needs = {
-        "keeps_path": world.polytopes is not None or bool(world.parts) or mission.kind == "plan",
-        "keeps_ticks": by_ticks,
-    }
-    spec_of = partial(
-        _core.SimulationSpec,
-        spec,
-        options=flight,
-        losses=_losses(full),
-        moving=moving_spec(
-            full.world.moving,
-            known.sensor,
-            known.tracker,
-            yaw_rate_rad_s=known.sensor.yaw_rate_rad_s,
-        ),
-        fence=judging,
-        watcher=watcher(full, told),
-    )
+    options = _options(full)
     simulation, bare = (
-        spec_of(
-            rules=_core.SimulationRules(
-                plant_steps=plant_steps_of(full, is_point=is_point),
-                stuck_ticks=max(1, round(stuck_s / dt_s)),
-                stuck_speed_m_s=1e-3 * most if is_point else 0.02,
-                receded_s=math.inf if mission.receded_s is None else mission.receded_s,
-                # A pilot has no reference near which the flight must stay.
-                lower=(-_FAR_M,) * 3 if has_pilot else lower,
-                upper=(_FAR_M,) * 3 if has_pilot else upper,
-                ends_when_refused=not (full.world.moving or waits or has_losses or has_pilot),
-                ends_at_goal=not waits,
-                risk_window_s=risk_window_s(full),
-                **kept,
-            )
+        _core.SimulationSpec(
+            spec,
+            options=options,
+            rules=_rules(full, world, missions, most_m_s=most, is_point=is_point, **kept),
+            losses=_losses(full),
+            moving=moving_spec(
+                full.world.moving,
+                full.estimation.sensor,
+                full.estimation.tracker,
+                yaw_rate_rad_s=full.estimation.sensor.yaw_rate_rad_s,
+            ),
+            fence=judging,
+            watcher=watcher(full, told),
         )
-        for kept in ({}, needs)
+        for kept in (
+            {"keeps_path": True, "keeps_ticks": True},
+            {
+                "keeps_path": world.polytopes is not None or bool(world.parts) or mission.kind == "plan",
+                "keeps_ticks": by_ticks,
+            },
+        )
     )
     judge = WorldJudge(
         world=world,
@@ -187,33 +159,13 @@ def prepare(
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         seen_by=seen_by(full),
         via_tolerance_m=via_tolerance(mission.via_tolerance_m, table.radius_m),
-        dt_s=dt_s,
+        dt_s=rules.dt_s,
         by_ticks=by_ticks,
         is_point=is_point,
         jobs=jobs,
     )
     flown_plan = judge.of_plan(plan if mission.kind == "plan" else None)
-    notes: list[str] = []
-    if flown_plan is not None and names:
-        sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
-        keeps: list[float | None] = [
-            world.hull_keep_m
-            if each is world.polytopes
-            else None
-            if names == ["polytope-cbf"]  # it does not see them
-            else world.keep_m
-            for each in sets
-        ]
-        notes = require_room(
-            flown_plan,
-            keeps,
-            " + ".join(names),
-            allow_tight=mission.allow_tight,
-            insist="--set mission.allow_tight=true",
-        )
-        if among is not None and "polytope-cbf" in names and not notes:
-            assert plan is not None
-            notes = note_of_psi(sample_plan(plan, dt_s), among, world.hull_keep_m)
+    notes = [] if flown_plan is None else _notes(full, world, names, flown_plan, among, plan)
 
     def of_trial(index: int) -> PlanJudge | None:
         return flown_plan if flown_plan is not None else judge.of_plan(missions.plans[index])
@@ -225,7 +177,7 @@ def prepare(
         told=told,
         missions=missions,
         vehicle_spec=spec,
-        options=flight,
+        options=options,
         spec=simulation,
         bare=bare,
         filters=filters,
@@ -239,6 +191,88 @@ def prepare(
         else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
         notes=notes,
     )
+
+
+def _options(scenario: WorldScenario) -> _core.FlightOptions:
+    rules, known = scenario.rules, scenario.estimation
+    return _core.FlightOptions(
+        dt_s=rules.dt_s,
+        controller_ticks=rules.controller_ticks,
+        filter_ticks=rules.filter_ticks,
+        stale_s=min(known.stale_s, 1e3),
+        has_losses=_has_losses(scenario),
+    )
+
+
+def _has_losses(scenario: WorldScenario) -> bool:
+    return scenario.estimation.lost_share > 0 or scenario.estimation.lost_from_s is not None
+
+
+def _rules(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    missions: Missions,
+    *,
+    most_m_s: float,
+    is_point: bool,
+    keeps_path: bool,
+    keeps_ticks: bool,
+) -> _core.SimulationRules:
+    """When a flight ends, where it may be, and what of it is kept."""
+    paths = [missions.start, missions.goal]
+    paths += [curve.at(np.linspace(0, curve.duration_s, 64))[:, :3] for curve in missions.curves[:1] if curve]
+    moving, has_pilot = scenario.world.moving, scenario.mission.kind == "pilot"
+    lower, upper = world.room(paths, has_moving=bool(moving))
+    if has_pilot:  # without a reference near which the flight must stay
+        lower, upper = (-_FAR_M,) * 3, (_FAR_M,) * 3
+    waits = scenario.mission.receded_s is not None  # for what moves, and not for the goal
+    stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
+    return _core.SimulationRules(
+        plant_steps=plant_steps_of(scenario, is_point=is_point),
+        stuck_ticks=max(1, round(stuck_s / scenario.rules.dt_s)),
+        stuck_speed_m_s=1e-3 * most_m_s if is_point else 0.02,
+        receded_s=math.inf if scenario.mission.receded_s is None else scenario.mission.receded_s,
+        lower=lower,
+        upper=upper,
+        ends_when_refused=not (moving or waits or _has_losses(scenario) or has_pilot),
+        ends_at_goal=not waits,
+        risk_window_s=risk_window_s(scenario),
+        keeps_path=keeps_path,
+        keeps_ticks=keeps_ticks,
+    )
+
+
+def _notes(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    names: list[str],
+    flown: PlanJudge,
+    among: _core.PolytopeCbf | None,
+    plan: Artifact | None,
+) -> list[str]:
+    """Warnings of a plan with less clearance than the filters keep; refused unless that is allowed."""
+    if not names:
+        return []
+    sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
+    keeps: list[float | None] = [
+        world.hull_keep_m
+        if each is world.polytopes
+        else None
+        if names == ["polytope-cbf"]  # it does not see them
+        else world.keep_m
+        for each in sets
+    ]
+    notes = require_room(
+        flown,
+        keeps,
+        " + ".join(names),
+        allow_tight=scenario.mission.allow_tight,
+        insist="--set mission.allow_tight=true",
+    )
+    if among is not None and "polytope-cbf" in names and not notes:
+        assert plan is not None
+        notes = note_of_psi(sample_plan(plan, scenario.rules.dt_s), among, world.hull_keep_m)
+    return notes
 
 
 def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
