@@ -44,7 +44,8 @@ from alula.stages.compression.hulls import Hulls
 FILTERS = {"cone-backup": "scene", "polytope-cbf": "cover"}
 START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar
 _ALULA = [sys.executable, "-P", "-m", "alula.cli"]
-_BRISK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250")
+_INDOORS = ("--param", "FS_THR_ENABLE=3", "--param", "FS_DR_ENABLE=1")  # it must not fly home in an emergency
+_BRISK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250", *_INDOORS)
 _PLAN_RADIUS_M = 0.25  # radius and margin of the filters
 _ARRIVED_M = 0.4  # arrival radius of `fly` (0.2 m), the filter's margin, and the error of the estimate
 _TIMEOUT_S = 120.0

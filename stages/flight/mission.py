@@ -50,6 +50,7 @@ _LAG_MARGIN, _MAX_LAG_S = 1.25, 5.0
 _HORIZONTAL_LAG, _VERTICAL_LAG, _MAX_UP_M_S = (0.56, 0.18), (0.22, 0.57), 2.5
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
+_FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
 _CARRYING_S = 600.0  # maximum time of checks with moves by hand
 
@@ -403,6 +404,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         setpoints=frozenset(setpoints),
         start=mission.start,
         goal=mission.goal,
+        path=sample_plan(mission.plan, _FAILSAFE_STEP_S).position_world,
         obstacles=mission.obstacles,
         radius_m=mission.vehicle.body.radius_m,
         margin_m=config.margin_m,

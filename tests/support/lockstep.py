@@ -37,7 +37,10 @@ _ORDERS = {
     mavlink.MAV_CMD_NAV_TAKEOFF,
     mavlink.MAV_CMD_NAV_LAND,
 }
-_BRISK = {"LAND_SPEED": 120.0, "WPNAV_SPEED_DN": 200.0, "MOT_SPOOL_TIME": 0.05}
+_BRISK = {
+    **{"LAND_SPEED": 120.0, "WPNAV_SPEED_DN": 200.0, "MOT_SPOOL_TIME": 0.05},
+    **{"FS_THR_ENABLE": 3.0, "FS_DR_ENABLE": 1.0},  # in rooms it must not fly home in an emergency
+}
 
 
 class Upset(NamedTuple):

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
-QUICK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250")
+INDOORS = ("--param", "FS_THR_ENABLE=3", "--param", "FS_DR_ENABLE=1")  # below a ceiling it must not fly home in an emergency
+QUICK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250", *INDOORS)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
+from alula.stages.flight.links.own_safety import OwnSafety
 
 HIGHEST_M = 100.0  # maximum take-off height
 UNANSWERED, UNDONE = "no answer", "not done"  # first words of the reason if no refusal was received
@@ -115,6 +116,7 @@ class VehicleStatus:
         failsafe: cause of its newest failsafe in its own words; empty if it reported none.
         can_arm: whether its own checks before arming hold; None if it does not report or make them.
         arming: why they do not hold, in its own words; may be empty.
+        own_safety: its failsafes and its fence; `Link.prepare` reads them. None if they are not known.
         changed: parameters that the flight relies on and another station has changed, in words.
         texts: its messages for people, oldest first; the reader removes them.
         refusals: commands that it refused or did not execute, with the reason; the reader removes them.
@@ -136,6 +138,7 @@ class VehicleStatus:
     failsafe: str = ""
     can_arm: bool | None = None
     arming: str = ""
+    own_safety: OwnSafety | None = None
     changed: str = ""
     texts: list[str] = field(default_factory=list)
     refusals: list[tuple[Order, str]] = field(default_factory=list)

@@ -17,7 +17,7 @@ from alula.stages.flight.recorder.samples import ERROR, INFO
 # Checks that may pass later without any action.
 TRANSIENT = frozenset({"heartbeat", "state", "latency", "rate", "estimator", "loop", "level", "arming"})
 # Checks of the position; they may pass later when the estimator gets ready or somebody carries the vehicle.
-OF_POSITION = frozenset({"start", "clearance", "landing", "fence"})
+OF_POSITION = frozenset({"start", "clearance", "failsafes", "landing", "fence"})
 CARRIED = OF_POSITION | {"on the ground"}
 
 Say = Callable[[int, str], None]

@@ -13,6 +13,7 @@ from alula._core import EllipsoidSet, Fence, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
+from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 Obstacles = PolytopeSet | EllipsoidSet
@@ -31,6 +32,7 @@ class Needs:
     Attributes:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
+        path: points of the plan, shape (T, 3), world frame [m].
         obstacles: obstacles by name, world frame.
         radius_m: radius of the vehicle [m].
         margin_m: additional clearance of the climb path [m].
@@ -51,6 +53,7 @@ class Needs:
     setpoints: frozenset[type[Setpoint]]
     start: FloatArray
     goal: FloatArray
+    path: FloatArray
     obstacles: Sequence[tuple[str, Obstacles]]
     radius_m: float
     margin_m: float
@@ -233,6 +236,20 @@ def _arming(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("arming", status.can_arm, ": ".join(filter(None, (words, status.arming))), of_link=True)
 
 
+def _failsafes(seen: Observed, needs: Needs) -> Verdict:
+    """What the vehicle does by itself must be clear of the map, from every point of the plan."""
+    own = seen.status.own_safety
+    if own is None:
+        return Verdict("failsafes", True, "the vehicle's own failsafes are not known, and not judged")
+    if seen.state is None or not np.isfinite(seen.state.position).all():
+        return Verdict("failsafes", False, "no state")
+    foot_m = _FOOT * (needs.radius_m + needs.margin_m)  # as for the landing path, to leave out the ground
+    faults, found = failsafe_faults(
+        own, needs.path, seen.state.position, needs.obstacles, radius_m=needs.radius_m, foot_m=foot_m
+    )
+    return Verdict("failsafes", not faults, "; ".join(faults) or found)
+
+
 def _level(seen: Observed, needs: Needs) -> Verdict:
     """A vehicle at rest is level; an attitude in another convention is not."""
     if seen.state is None:
@@ -354,6 +371,7 @@ CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
     _battery,
     _on_ground,
     _arming,
+    _failsafes,
     _level,
     _start,
     _clearance,

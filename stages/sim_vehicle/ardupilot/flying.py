@@ -16,6 +16,8 @@ from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.quaternions import Vector, from_euler, to_euler
 
 _AT_M = 0.3  # a point is reached within this distance
+_LOWEST_RETURN_M = 0.3  # height of a return above home
+_SHALLOWEST_CONE = 0.5  # smaller values of RTL_CONE_SLOPE have no effect
 
 
 class Return(Enum):
@@ -75,9 +77,19 @@ class Flying:
         """Enter a mode from a motion."""
         self.position.reset(motion)
         self._phase, self._waited_s = Return.CLIMB, 0.0
-        self._height_m = max(-motion.position[2], self._parameters["RTL_ALT"] / 100)
+        self._height_m = self._return_height_m(motion.position)
         self.guided.needs_position = mode is not Mode.GUIDED_NOGPS
         self.guided.enter(motion)
+
+    def _return_height_m(self, position: Vector) -> float:
+        """Height above the local origin in which RTL flies level, by its RTL_ parameters."""
+        p, above_m = self._parameters, self.home[2] - position[2]
+        least_m = max(above_m + max(p["RTL_CLIMB_MIN"], 0.0) / 100, _LOWEST_RETURN_M)
+        level_m = max(p["RTL_ALT"] / 100, least_m)
+        if p["RTL_CONE_SLOPE"] >= _SHALLOWEST_CONE:
+            away_m = math.dist(position[:2], self.home[:2])
+            level_m = min(level_m, max(p["RTL_CONE_SLOPE"] * away_m, least_m))
+        return level_m - self.home[2]
 
     def rest(self, motion: Motion) -> None:
         """Rest on the ground: no thrust, integrators reset."""

@@ -65,7 +65,12 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "EK3_SRC1_VELZ": (_B, 3),
     "EK3_SRC1_YAW": (_B, 1),  # 1: compass
     "EK3_SRC_OPTIONS": (_H, 1),
+    "FENCE_ACTION": (_B, 1),
+    "FENCE_ALT_MAX": (_F, 100),
     "FENCE_ENABLE": (_B, 0),
+    "FENCE_MARGIN": (_F, 2),
+    "FENCE_RADIUS": (_F, 300),
+    "FENCE_TYPE": (_B, 7),
     "FLTMODE1": (_B, 7),
     "FLTMODE2": (_B, 9),
     "FLTMODE3": (_B, 6),
@@ -77,6 +82,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "FRAME_CLASS": (_B, 1),
     "FRAME_TYPE": (_B, 1),
     "FS_CRASH_CHECK": (_B, 1),
+    "FS_DR_ENABLE": (_B, 2),  # 1: land, 2: RTL
     "FS_EKF_ACTION": (_B, 1),  # 1: land
     "FS_EKF_THRESH": (_F, 0.8),
     "FS_GCS_ENABLE": (_B, 0),  # 1: RTL, 5: land
@@ -137,6 +143,8 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "RC_OVERRIDE_TIME": (_F, 3),
     "RTL_ALT": (_I, 1500),  # cm
     "RTL_ALT_FINAL": (_H, 0),
+    "RTL_CLIMB_MIN": (_H, 0),  # cm
+    "RTL_CONE_SLOPE": (_F, 3),  # height over distance
     "RTL_LOIT_TIME": (_I, 5000),  # ms
     "SERIAL0_PROTOCOL": (_B, 2),
     "SERIAL1_PROTOCOL": (_B, 2),

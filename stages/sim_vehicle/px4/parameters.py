@@ -115,6 +115,8 @@ DERIVED: dict[str, Callable[[_Values], float]] = {
     "PILOT_SPEED_UP": _times("MPC_Z_VEL_MAX_UP", 100),
     "PSC_POSXY_P": _times("MPC_XY_P", 1),
     "RTL_ALT": _times("RTL_RETURN_ALT", 100),
+    "RTL_CLIMB_MIN": _always(0.0),
+    "RTL_CONE_SLOPE": _always(0.0),
     "RTL_LOIT_TIME": lambda p: 1000 * max(p["RTL_LAND_DELAY"], 0.0),
     "MAV_SYSID": _times("MAV_SYS_ID", 1),
     "TKOFF_SLEW_TIME": _times("MPC_TKO_RAMP_T", 1),

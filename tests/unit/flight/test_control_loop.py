@@ -108,7 +108,7 @@ def test_a_dry_run_checks_everything_and_orders_nothing():
     assert loop.supervision.cause is Event.CHECKS_PASSED_DRY
     assert vehicle.orders == [Order.NOTHING]
     assert not vehicle.sent
-    assert len(loop.checks.verdicts) == 19
+    assert len(loop.checks.verdicts) == 20
     assert all(v.holds for v in loop.checks.verdicts)
 
 

@@ -9,6 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError
+from alula.stages.flight.links.mavlink.ardupilot_failsafes import ardupilot_safety
+from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
@@ -53,6 +55,7 @@ class Autopilot:
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
+        own_safety: failsafes and fence, from a function that reads a parameter; None if they are not judged.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
@@ -71,6 +74,7 @@ class Autopilot:
     watched: tuple[str, ...]
     position_source: tuple[str, float] | None
     hover: str
+    own_safety: Callable[[Callable[[str], float | None]], OwnSafety] | None
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
@@ -152,6 +156,7 @@ ARDUPILOT = Autopilot(
     watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
+    own_safety=ardupilot_safety,
     is_bytewise=False,
     control=(4, 0),
     landing=(9, 0),
@@ -177,6 +182,7 @@ PX4 = Autopilot(
     watched=(),
     position_source=None,
     hover="MPC_THR_HOVER",
+    own_safety=None,
     is_bytewise=True,
     control=(6, 0),
     landing=(4, 6),

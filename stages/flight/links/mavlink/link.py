@@ -329,6 +329,10 @@ class MavlinkLink:
             self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
+        if self._autopilot.own_safety is not None:
+            self.status.own_safety = self._autopilot.own_safety(
+                lambda name: parameters.read(name, _OPTIONAL_S)
+            )
         parameters.watch(self._autopilot.relied_on)
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
