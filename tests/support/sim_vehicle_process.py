@@ -10,7 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
-INDOORS = ("--param", "FS_THR_ENABLE=3", "--param", "FS_DR_ENABLE=1")  # below a ceiling it must not fly home in an emergency
+# Below a ceiling it must not fly home in an emergency.
+INDOORS = ("--param", "FS_THR_ENABLE=3", "--param", "FS_DR_ENABLE=1")
 QUICK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250", *INDOORS)
 
 
