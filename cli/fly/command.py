@@ -151,6 +151,7 @@ def command(
             key=None if key_path is None else read_key(key_path),
             signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
             mocap=mocap,
+            flies_rates=is_splat,
             allow_remote=allow_remote,
         ),
     )

@@ -400,6 +400,8 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """
     config = mission.config
     model = rates_model(mission.vehicle)
+    speed = config.speed_m_s
+    assert speed is not None
     return Needs(
         setpoints=frozenset(setpoints),
         start=mission.start,
@@ -410,6 +412,8 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         margin_m=config.margin_m,
         fence=mission.fence,
         plan=mission.is_clear,
+        speed_m_s=speed,
+        stop_m=_LAG_MARGIN * (_HORIZONTAL_LAG[0] + _HORIZONTAL_LAG[1] * speed) * speed,
         near_m=config.near_m,
         state_hz=min(20.0, 0.5 * config.rate_hz),
         loop_hz=config.rate_hz,

@@ -133,7 +133,8 @@ class Flight(Served):
 
     def fly(self):
         """From opening the link to closing it; the flight itself."""
-        options = LinkOptions(frame=self.frame, clock=self.time, sleep=self.time.sleep)
+        rates = self.made.is_splat
+        options = LinkOptions(frame=self.frame, clock=self.time, sleep=self.time.sleep, flies_rates=rates)
         self.link = link = open_link(f"udpout:127.0.0.1:{self.port}?system=1", options)
         link.clock = self.time  # the loop's, too
         try:

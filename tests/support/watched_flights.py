@@ -52,9 +52,8 @@ class WatchedPx4(Watched):
 @contextmanager
 def flight(made, served, recorder=None, **keywords):
     time = Time(served)
-    link = open_link(
-        f"udpout:127.0.0.1:{served.port}", LinkOptions(frame=FRAME, clock=time, sleep=time.sleep)
-    )
+    options = LinkOptions(frame=FRAME, clock=time, sleep=time.sleep, flies_rates=made.is_splat)
+    link = open_link(f"udpout:127.0.0.1:{served.port}", options)
     link.clock = time  # of the loop, too
     recorder = recorder or Kept()
     try:

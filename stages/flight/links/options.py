@@ -38,6 +38,8 @@ class LinkOptions:
         vehicle: the vehicle file; gives the body of `sim:`, gravity, and the limits of body rates.
         state_rate_hz: rate at which state messages are requested [Hz].
         limits: limits of set-points; None for the vehicle's body rates and otherwise the defaults.
+        flies_rates: set-points are body rates. A link then sets further parameters: the vehicle follows rates
+            at once, and lands soon after this program ended.
         learns_hover: estimate the hover throttle in flight instead of only reading it beforehand.
         key: 32 bytes that sign packets; unsigned packets are then refused.
         signing_file: file that stores the newest signature time stamp between runs; required with a key.
@@ -53,6 +55,7 @@ class LinkOptions:
     vehicle: Vehicle = FASTBRIDGE
     state_rate_hz: float = 100.0
     limits: Limits | None = None
+    flies_rates: bool = False
     learns_hover: bool = False
     key: bytes | None = None
     signing_file: Path | None = None

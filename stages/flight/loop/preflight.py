@@ -33,6 +33,8 @@ class Needs:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
         path: points of the plan, shape (T, 3), world frame [m].
+        speed_m_s: limit of the speed [m/s].
+        stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
         radius_m: radius of the vehicle [m].
         margin_m: additional clearance of the climb path [m].
@@ -59,6 +61,8 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    speed_m_s: float = math.nan
+    stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
     gravity_m_s2: float = 9.81
     near_m: float = 0.5
@@ -247,6 +251,9 @@ def _failsafes(seen: Observed, needs: Needs) -> Verdict:
     faults, found = failsafe_faults(
         own, needs.path, seen.state.position, needs.obstacles, radius_m=needs.radius_m, foot_m=foot_m
     )
+    coast_m = needs.speed_m_s * own.alone_s + needs.stop_m
+    if math.isfinite(coast_m):
+        found += f"; if this program ends, it coasts at most {coast_m:.1f} m from {needs.speed_m_s:g} m/s"
     return Verdict("failsafes", not faults, "; ".join(faults) or found)
 
 

@@ -18,17 +18,19 @@ _CONTINUES_GUIDED = 4  # bit of FS_OPTIONS: in GUIDED, a lost radio has no actio
 _HAS_TOP, _HAS_CIRCLE = 1, 2  # bits of FENCE_TYPE
 _SHALLOWEST = 0.5  # smaller values of RTL_CONE_SLOPE have no effect
 _LOWEST_M = 0.3  # of the way home
+_HEARTBEATS_CHECKED_S = 1 / 3  # period in which it looks for heartbeats
 
 _ALWAYS_READ = ("FS_THR_ENABLE", "FS_OPTIONS", "FS_DR_ENABLE", "FENCE_ENABLE", "BATT_MONITOR")
 _RETURNS = ("RTL_ALT", "RTL_CLIMB_MIN", "RTL_CONE_SLOPE")
 _FENCE = ("FENCE_TYPE", "FENCE_ACTION", "FENCE_ALT_MAX", "FENCE_RADIUS", "FENCE_MARGIN")
 
 
-def ardupilot_safety(read: Callable[[str], float | None]) -> OwnSafety:
+def ardupilot_safety(read: Callable[[str], float | None], *, flies_rates: bool = False) -> OwnSafety:
     """Failsafes and fence of a Copter.
 
     Args:
         read: value of a parameter; None if the vehicle does not have it.
+        flies_rates: without set-points it levels and coasts until it misses heartbeats; else it stops.
     """
     value = {name: read(name) for name in _ALWAYS_READ}
     if value["FENCE_ENABLE"]:
@@ -77,4 +79,14 @@ def ardupilot_safety(read: Callable[[str], float | None]) -> OwnSafety:
         highest_m=safe_m,
         setting=f"RTL_ALT is {100 * height_m:g} cm",
     )
-    return OwnSafety(tuple(found), way_home, top_m, radius_m, "; ".join(fence))
+    alone_s = read("FS_GCS_TIMEOUT" if flies_rates else "GUID_TIMEOUT")
+    if alone_s is not None and flies_rates:
+        alone_s += _HEARTBEATS_CHECKED_S
+    return OwnSafety(
+        failsafes=tuple(found),
+        way_home=way_home,
+        highest_m=top_m,
+        farthest_m=radius_m,
+        fence="; ".join(fence),
+        alone_s=math.nan if alone_s is None else alone_s,
+    )

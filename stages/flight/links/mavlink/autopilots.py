@@ -47,6 +47,7 @@ class Autopilot:
     Attributes:
         name: name of the family.
         parameters: parameters that are set before a flight and restored afterwards.
+        for_rates: those that are also set for flights by body rates.
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
             change needs a restart.
         ground_station: possible names of the parameter with the system id of the monitored ground station.
@@ -55,7 +56,7 @@ class Autopilot:
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
-        own_safety: failsafes and fence, from a function that reads a parameter; None if they are not judged.
+        own_safety: as `ardupilot_safety`; None if the failsafes are not judged.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
@@ -69,12 +70,13 @@ class Autopilot:
 
     name: str
     parameters: tuple[Parameter, ...]
+    for_rates: tuple[Parameter, ...]
     fixed: tuple[tuple[str, tuple[float, ...]], ...]
     ground_station: tuple[str, ...]
     watched: tuple[str, ...]
     position_source: tuple[str, float] | None
     hover: str
-    own_safety: Callable[[Callable[[str], float | None]], OwnSafety] | None
+    own_safety: Callable[..., OwnSafety] | None
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
@@ -89,8 +91,19 @@ class Autopilot:
     def relied_on(self) -> tuple[str, ...]:
         """Names of all parameters whose values must not change in flight."""
         source = () if self.position_source is None else (self.position_source[0],)
-        set_or_checked = (*(each.name for each in self.parameters), *(name for name, _ in self.fixed))
+        set_or_checked = (
+            *(each.name for each in self.needed(flies_rates=True)),
+            *(name for name, _ in self.fixed),
+        )
         return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
+
+    def needed(self, *, flies_rates: bool) -> tuple[Parameter, ...]:
+        """Parameters that a flight needs.
+
+        Args:
+            flies_rates: set-points are body rates.
+        """
+        return self.parameters + (self.for_rates if flies_rates else ())
 
     def intervals(self, rate_hz: float) -> dict[int, float]:
         """Requested rate of each message [Hz] by its number.
@@ -148,6 +161,13 @@ ARDUPILOT = Autopilot(
         Parameter("GUID_TIMEOUT", _always(0.3), "a set-point expires after 0.3 s"),
         Parameter("FS_GCS_ENABLE", _always(5.0), "the vehicle lands when this program's heartbeats end"),
     ),
+    for_rates=(
+        Parameter("FS_GCS_TIMEOUT", lambda value: min(value, 0.5), "it lands 0.5 s after the last heartbeat"),
+        *(
+            Parameter(f"ATC_ACCEL_{axis}_MAX", _always(0.0), "rates are followed at once", is_required=False)
+            for axis in "RP"
+        ),
+    ),
     fixed=(
         *((f"EK3_SRC1_{each}", (6.0,)) for each in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")),
         ("VISO_TYPE", (1.0,)),
@@ -177,6 +197,7 @@ PX4 = Autopilot(
             "COM_RC_OVERRIDE", _with_bit(2), "the pilot's sticks end offboard control", is_required=False
         ),
     ),
+    for_rates=(),
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
     watched=(),

@@ -306,7 +306,8 @@ class MavlinkLink:
         return f"{autopilot.name} {version}, system {session.target[0]}"
 
     def _prepare(self, parameters: Parameters) -> list[str]:
-        lines = [line for each in self._autopilot.parameters if (line := parameters.change(each)) is not None]
+        needed = self._autopilot.needed(flies_rates=self._options.flies_rates)
+        lines = [line for each in needed if (line := parameters.change(each)) is not None]
         hover = parameters.read(self._autopilot.hover)
         if hover is None:
             raise LinkError(f"the vehicle does not report its parameter {self._autopilot.hover}")
@@ -331,7 +332,8 @@ class MavlinkLink:
             parameters.read(name, _OPTIONAL_S)
         if self._autopilot.own_safety is not None:
             self.status.own_safety = self._autopilot.own_safety(
-                lambda name: parameters.read(name, _OPTIONAL_S)
+                lambda name: parameters.read(name, _OPTIONAL_S),
+                flies_rates=self._options.flies_rates,
             )
         parameters.watch(self._autopilot.relied_on)
         target, limits = self._session.target, self._options.all_limits()

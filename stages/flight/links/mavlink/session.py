@@ -22,6 +22,7 @@ AUTOPILOT_COMPONENT = dialect.MAV_COMP_ID_AUTOPILOT1
 _MAX_READS = 64  # in one poll
 _MAX_BYTES = 1 << 15
 _HEARTBEAT_S = 1.0
+_RATES_HEARTBEAT_S = 0.1  # where the vehicle lands after half a second without one
 _WAIT_S = 0.005
 _DESERTED_S = 3.0  # after this time without packets another address may take the vehicle's place
 
@@ -74,6 +75,7 @@ class Session:
         self._transport: Transport | None = None
         self._peer: Any = None
         self._sequence: int | None = None
+        self._period_s = _RATES_HEARTBEAT_S if options.flies_rates else _HEARTBEAT_S
         self._beat_s = -math.inf
         self.start_s = options.clock()
         self.signer: Signer | None = None
@@ -145,7 +147,7 @@ class Session:
             self._receive(data, peer, now_s)
             if size > _MAX_BYTES:
                 break
-        if now_s - self._beat_s >= _HEARTBEAT_S:
+        if now_s - self._beat_s >= self._period_s:
             self._beat_s = now_s
             self.send(
                 dialect.MAVLink_heartbeat_message(
