@@ -327,8 +327,8 @@ def ticks_over_before(commit: str, scene: Path, made: Path, runs: int) -> dict[s
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows of the combined scenario as Markdown."""
     lines = [
-        "| filters | flights | reached | touched a hull or left the fence | hit by a ball | steps certified | "
-        "also against tubes | tick p50 / p99 [µs] |",
+        "| filters | flights | reached | touched a hull or left the fence | hit by a ball | "
+        "steps certified | also against tubes | tick p50 / p99 [µs] |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
@@ -354,8 +354,8 @@ def page(rows: list[dict[str, Any]], figures: dict[str, Any]) -> str:
 Made by `make bench-world`; do not edit. A Crazyflie by body rates, 20 ms from measurement to command, motors
 with a lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two balls thrown at its
 path ([examples/world/room.toml](../../examples/world/room.toml)). Every list of filters flies the same
-{figures["trials"]} flights, some lists a tenth as many; all counts are from the truth. Ticks are those of the first
-{min(figures["trials"], TIMED)} flights, on one thread.
+{figures["trials"]} flights, some lists a tenth as many; all counts are from the truth. Ticks are those
+of the first {min(figures["trials"], TIMED)} flights, on one thread.
 
 {table(rows)}
 
