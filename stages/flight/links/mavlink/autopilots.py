@@ -19,6 +19,7 @@ from alula.stages.flight.links.protocol import (
 )
 
 _MULTICOPTERS = (2, 13, 14, 15, 29, 35)  # MAV_TYPE
+_THROTTLE_HZ = 25.0
 _CUSTOM_MODE = 1  # bit of base_mode
 ALL_SETPOINTS: frozenset[type[Setpoint]] = frozenset({RatesSetpoint, AccelerationSetpoint, VelocitySetpoint})
 
@@ -105,11 +106,12 @@ class Autopilot:
         """
         return self.parameters + (self.for_rates if flies_rates else ())
 
-    def intervals(self, rate_hz: float) -> dict[int, float]:
+    def intervals(self, rate_hz: float, *, flies_rates: bool = False) -> dict[int, float]:
         """Requested rate of each message [Hz] by its number.
 
         Args:
             rate_hz: rate of the state messages [Hz].
+            flies_rates: set-points are body rates and thrust: also the throttle that the vehicle commands.
         """
         rates = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rate_hz,
@@ -118,6 +120,8 @@ class Autopilot:
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         }
+        if flies_rates:
+            rates[dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET] = _THROTTLE_HZ
         if self.has_odometry:
             return rates | {
                 dialect.MAVLINK_MSG_ID_ODOMETRY: rate_hz,

@@ -14,6 +14,10 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 _WINDOW_S = 0.25  # velocities are compared over this time
 _RISE_S = 0.06  # delay from a throttle to its thrust
 _FASTEST_PER_S = 0.02  # maximum relative change of the hover throttle in a second
+# Before the first set-point with a throttle nothing depends on the estimate, so that it may follow quickly.
+_FIRST_TAU_S, _FIRST_PER_S = 0.3, 1.0
+_FIRST_M_S = 0.8  # there, faster vertical motion is skipped for its drag
+_FIRST_RISE_S = 0.14  # there, the throttle passes a low-pass of 2 Hz
 _ALLOWED = (0.05, 0.9)
 _RANGE = 1.5  # maximum factor between the estimate and its initial value
 
@@ -66,10 +70,11 @@ class HoverThrottle:
 
     It compares the mean throttle over a quarter of a second, 60 ms ago, with the thrust measured from the
     change of velocity: hover' = hover g / T. Each comparison moves the logarithm of the estimate by the
-    fraction time / tau of its error, and by at most 2 % in a second. The estimate stays within a factor of
-    1.5 of its initial value and between 0.05 and 0.9. Windows with a thrust below half or above twice the
-    weight, or with more than 45 degrees of tilt, are skipped: there drag and the rotors' thrust curve are
-    not negligible.
+    fraction time / tau of its error, and by at most 2 % in a second. Until a throttle is asked for, as in a
+    take-off that the vehicle flies itself, tau is 0.3 s and the bound 100 %. The estimate stays within a
+    factor of 1.5 of its initial value and between 0.05 and 0.9. Windows with a thrust below half or above
+    twice the weight, or with more than 45 degrees of tilt, are skipped: there drag and the rotors' thrust
+    curve are not negligible.
 
     Args:
         initial: the hover throttle that the autopilot has learned.
@@ -88,16 +93,18 @@ class HoverThrottle:
         self.gravity_m_s2 = gravity_m_s2
         self._tau_s = tau_s
         self._bounds = (max(low, initial / _RANGE), min(high, initial * _RANGE))
-        self._sent: deque[tuple[float, float]] = deque(maxlen=512)
+        self._throttles: deque[tuple[float, float]] = deque(maxlen=512)
         self._start: VehicleState | None = None
+        self._is_used = False
 
     def throttle(self, thrust_m_s2: float) -> float:
         """Throttle of a thrust per mass [m/s^2], by `throttle_of` with the present estimate."""
+        self._is_used = True
         return throttle_of(thrust_m_s2, self.value, self.gravity_m_s2)
 
-    def sent(self, throttle: float, now_s: float) -> None:
-        """Record a throttle that was sent at `now_s` [s]."""
-        self._sent.append((now_s, throttle))
+    def record(self, throttle: float, now_s: float) -> None:
+        """Record the throttle that the vehicle commanded at `now_s` [s]."""
+        self._throttles.append((now_s, throttle))
 
     def update(self, state: VehicleState) -> None:
         """Update the estimate with a newer state."""
@@ -109,27 +116,35 @@ class HoverThrottle:
         if dt_s < _WINDOW_S:
             return
         self._start = state
-        throttle = self._mean(start.received_s - _RISE_S, state.received_s - _RISE_S)
+        rise_s = _RISE_S if self._is_used else _FIRST_RISE_S
+        throttle = self._mean(start.received_s - rise_s, state.received_s - rise_s)
         thrust = measured_thrust(start.velocity, state.velocity, dt_s, state.attitude_wxyz, self.gravity_m_s2)
         upright = float(matrix_from_quat_wxyz(state.attitude_wxyz)[2, 2])
         if throttle is None or upright < math.sqrt(0.5):
             return
         if not 0.5 < thrust / self.gravity_m_s2 < 2.0:
             return
-        step = math.log(hover_from(throttle, thrust, self.gravity_m_s2) / self.value) * dt_s / self._tau_s
-        max_step = _FASTEST_PER_S * dt_s
+        if not self._is_used and abs(state.velocity[2]) > _FIRST_M_S:
+            return
+        tau_s, most_per_s = (self._tau_s, _FASTEST_PER_S) if self._is_used else (_FIRST_TAU_S, _FIRST_PER_S)
+        step = math.log(hover_from(throttle, thrust, self.gravity_m_s2) / self.value) * dt_s / tau_s
+        max_step = most_per_s * dt_s
         low, high = self._bounds
         self.value = min(max(self.value * math.exp(min(max(step, -max_step), max_step)), low), high)
 
     def _mean(self, begin_s: float, end_s: float) -> float | None:
         """Time-weighted mean, each throttle held until the next; None if the interval is not covered."""
-        while len(self._sent) > 1 and self._sent[1][0] <= begin_s:
-            self._sent.popleft()
-        if not self._sent or self._sent[0][0] > begin_s or end_s - self._sent[-1][0] > _WINDOW_S / 2:
+        while len(self._throttles) > 1 and self._throttles[1][0] <= begin_s:
+            self._throttles.popleft()
+        if (
+            not self._throttles
+            or self._throttles[0][0] > begin_s
+            or end_s - self._throttles[-1][0] > _WINDOW_S / 2
+        ):
             return None
         total = 0.0
-        times = [max(at, begin_s) for at, _ in self._sent if at < end_s]
-        for (_, throttle), at, then in zip(self._sent, times, [*times[1:], end_s], strict=False):
+        times = [max(at, begin_s) for at, _ in self._throttles if at < end_s]
+        for (_, throttle), at, then in zip(self._throttles, times, [*times[1:], end_s], strict=False):
             total += throttle * (then - at)
         mean = total / (end_s - begin_s)
         return mean if mean > 0 else None

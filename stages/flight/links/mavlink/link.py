@@ -40,6 +40,8 @@ _STREAM_FIRST_S = 1.1  # set-points are sent this long before PX4's mode is chan
 _STATE_S = 1.0  # after this time without state, intervals are requested again: it may have restarted
 _REQUEST_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
+_HOVER_TAU_S = 3.0
+_OFF_GROUND_M = 0.2  # from here on its weight rests on its rotors
 _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
@@ -94,6 +96,7 @@ class MavlinkLink:
         self._encoder: SetpointEncoder | None = None
         self._hover: HoverThrottle | None = None
         self._stream: Callable[[int], Any] | None = None  # set-point repeated while `send` is not called
+        self._ground_m = math.inf  # height at which it stood
         self._stream_since_s = math.inf  # start of the uninterrupted stream
         self._state: VehicleState | None = None
 
@@ -258,7 +261,7 @@ class MavlinkLink:
                     self._telemetry.say(*self._parameters.leave())
                 else:
                     self._telemetry.say(*self._parameters.restore(_RESTORE_S))
-                for number in self._autopilot.intervals(1.0):
+                for number in self._autopilot.intervals(1.0, flies_rates=self._options.flies_rates):
                     is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always sent once a second
                     self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
@@ -312,7 +315,8 @@ class MavlinkLink:
         if hover is None:
             raise LinkError(f"the vehicle does not report its parameter {self._autopilot.hover}")
         try:
-            self._hover = HoverThrottle(hover, self._options.vehicle.body.gravity_m_s2)
+            gravity = self._options.vehicle.body.gravity_m_s2
+            self._hover = HoverThrottle(hover, gravity, tau_s=_HOVER_TAU_S)
         except ValueError as error:
             raise LinkError(f"{self._autopilot.hover}: {error}") from error
         if self._mocap is not None:
@@ -355,6 +359,9 @@ class MavlinkLink:
                 self._orders.take_answer(message, now_s)
         elif kind == "AUTOPILOT_VERSION":
             self._version = message
+        elif kind == "ATTITUDE_TARGET":
+            if self._hover is not None and math.isfinite(message.thrust):
+                self._hover.record(message.thrust, now_s)
         elif kind == "TIMESYNC":
             self._take_time(message)
         elif kind == "GPS_GLOBAL_ORIGIN":
@@ -405,7 +412,10 @@ class MavlinkLink:
         return lambda time_ms: encoder.position(above, time_ms)
 
     def _learn(self, hover: HoverThrottle, state: VehicleState) -> None:
-        if self._options.learns_hover and self.status.armed and not self.status.landed:
+        height_m = float(state.position[2])
+        if not self.status.armed or self.status.landed:
+            self._ground_m = height_m
+        elif self._options.flies_rates and height_m - self._ground_m > _OFF_GROUND_M:
             hover.update(state)
 
     def _interval(self, number: int, rate_hz: float) -> Any:
@@ -415,5 +425,7 @@ class MavlinkLink:
 
     def _request_intervals(self, now_s: float) -> None:
         self._requested_s = now_s
-        for number, rate_hz in self._autopilot.intervals(self._options.state_rate_hz).items():
+        options = self._options
+        intervals = self._autopilot.intervals(options.state_rate_hz, flies_rates=options.flies_rates)
+        for number, rate_hz in intervals.items():
             self._session.send(self._interval(number, rate_hz))

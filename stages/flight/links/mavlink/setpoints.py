@@ -134,7 +134,6 @@ class SetpointEncoder:
         slew = np.array([limits.throttle_slew_per_s, *(3 * [limits.rates_slew_rad_s2])])
         neutral = np.array([self.hover.value, 0.0, 0.0, 0.0])
         values = self._bounded(setpoint, nominal, lower, upper, slew, neutral, now_s)
-        self.hover.sent(float(values[0]), now_s)
         roll, pitch, yaw = flipped_body(values[1:])
         return dialect.MAVLink_set_attitude_target_message(
             time_ms, *self.target, RATES_MASK, [1.0, 0.0, 0.0, 0.0], roll, pitch, yaw, float(values[0])

@@ -78,7 +78,7 @@ def test_rates_and_thrust_mean_what_they_say():
 def test_a_wrong_throttle_at_hover_is_found_in_flight():
     right = Copter(FASTBRIDGE).hover_throttle
     served = Served(parameters={"MOT_THST_HOVER": 1.25 * right})
-    with flight(served=served, learns_hover=True) as (served, time, link):
+    with flight(served=served, flies_rates=True) as (served, time, link):
         assert link.hover.value == pytest.approx(1.25 * right)
         take_off(time, link)
         stream(time, link, 8.0, lambda s: RatesSetpoint(G - 4.0 * s.velocity[2], np.zeros(3)))

@@ -264,11 +264,12 @@ def test_hover_throttle_is_found_in_flight_slowly_and_within_bounds():
     assert hover_from(0.7, 2 * G, G) == pytest.approx(0.35)
     for true, initial, expected in ((0.40, 0.35, 0.40), (0.6, 0.35, 0.525), (0.25, 0.4, 0.4 / 1.5)):
         hover = HoverThrottle(initial, G, tau_s=5.0)
+        assert hover.throttle(G) == pytest.approx(initial)  # it is used from now on
         velocity, last = np.zeros(3), hover.value
         for k in range(12000):
             now = k * 0.01
             throttle = hover.value * (1 + 0.1 * math.sin(now))
-            hover.sent(throttle, now)
+            hover.record(throttle, now)
             velocity = velocity + np.array([0, 0, (throttle / true - 1) * G]) * 0.01
             quat = np.array([1.0, 0, 0, 0])
             hover.update(VehicleState(now, np.zeros(3), velocity.copy(), quat, np.zeros(3)))
