@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.mission import make_needs
 from support.flights import BALL, mission
 from support.lockstep import Flight, Upset, stall
+from support.paths import VEHICLES
 from support.served_autopilot import G, flight, stream, take_off
 from support.small_scenes import line_plan
 
@@ -83,3 +85,10 @@ def test_what_it_coasts_is_said_before_take_off():
     flown = Flight(made, loop_words={"dry_run": True}).fly()
     words = next(each.words for each in flown.loop.checks.verdicts if each.name == "failsafes")
     assert words.endswith("; if this program ends, it coasts at most 1.8 m from 1 m/s")
+
+
+def test_a_file_with_a_faster_yaw_than_the_vehicles_own_filter_is_pointed_out():
+    for vehicle, expected in ((FASTBRIDGE, True), (read_vehicle(VEHICLES / "arducopter.toml"), False)):
+        with flight(prepare=False, flies_rates=True, vehicle=vehicle) as (_, _, link):
+            words = [line for line in link.prepare() if line.startswith("ATC_RAT_YAW_FLTE is 2.5 Hz: ")]
+            assert bool(words) is expected

@@ -57,6 +57,8 @@ class Autopilot:
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
+        yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
+            there is none.
         own_safety: as `ardupilot_safety`; None if the failsafes are not judged.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
@@ -77,6 +79,7 @@ class Autopilot:
     watched: tuple[str, ...]
     position_source: tuple[str, float] | None
     hover: str
+    yaw_filter: str
     own_safety: Callable[..., OwnSafety] | None
     is_bytewise: bool
     control: tuple[int, int]
@@ -180,6 +183,7 @@ ARDUPILOT = Autopilot(
     watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
+    yaw_filter="ATC_RAT_YAW_FLTE",
     own_safety=ardupilot_safety,
     is_bytewise=False,
     control=(4, 0),
@@ -207,6 +211,7 @@ PX4 = Autopilot(
     watched=(),
     position_source=None,
     hover="MPC_THR_HOVER",
+    yaw_filter="",
     own_safety=None,
     is_bytewise=True,
     control=(6, 0),

@@ -319,6 +319,8 @@ class MavlinkLink:
             self._hover = HoverThrottle(hover, gravity, tau_s=_HOVER_TAU_S)
         except ValueError as error:
             raise LinkError(f"{self._autopilot.hover}: {error}") from error
+        if self._options.flies_rates:
+            lines += self._slow_yaw(parameters)
         if self._mocap is not None:
             parameters.require(self._autopilot.fixed)
         for name in self._autopilot.ground_station:
@@ -346,6 +348,17 @@ class MavlinkLink:
         if self._autopilot.streams_first:  # so that a mode change is accepted at once
             self._stream = self._encoder.stop
         return lines
+
+    def _slow_yaw(self, parameters: Parameters) -> list[str]:
+        """A line if the vehicle's own filter is slower than its file says that it follows yaw rates."""
+        name, given_s = self._autopilot.yaw_filter, self._options.vehicle.rates.axes_s[2]
+        cutoff_hz = parameters.read(name, _OPTIONAL_S) if name else None
+        if not cutoff_hz or 1 / (2 * math.pi * cutoff_hz) <= given_s:
+            return []
+        return [
+            f"{name} is {cutoff_hz:g} Hz: the vehicle follows yaw rates more slowly than its file says "
+            f"({given_s:g} s), and may swing and climb; ArduPilot's file is examples/vehicles/arducopter.toml"
+        ]
 
     def _take(self, message: Any, now_s: float) -> None:
         """Process a message of the vehicle."""
