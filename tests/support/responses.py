@@ -296,14 +296,8 @@ def crossing(times, shares):
 def measure(client, repeats=1):
     """Fly the manoeuvres; the table, each row the median of its repetitions."""
     client.take_off()
+    found = stops(client, repeats)
     rows = {}
-    for speed in (1.0, 2.0, 3.0):
-        rows[f"stop_{speed:g}_s"] = [
-            client.stop_s((sign * speed, 0.0, 0.0), 1) for sign in (1.0, -1.0) for _ in range(repeats)
-        ]
-    for speed in (1.0, 2.0):
-        rows[f"stop_up_{speed:g}_s"] = [client.stop_s((0.0, 0.0, -speed), 3) for _ in range(repeats)]
-        rows[f"stop_down_{speed:g}_s"] = [client.stop_s((0.0, 0.0, speed), 3) for _ in range(repeats)]
     for axis, (name, seconds) in enumerate((("roll", 0.3), ("pitch", 0.3), ("yaw", 1.5))):
         turns = [client.turn(axis, sign * 0.5, seconds) for sign in (1.0, -1.0) for _ in range(repeats)]
         rows[f"{name}_s"] = [each for each, _ in turns]
@@ -313,6 +307,23 @@ def measure(client, repeats=1):
     client.velocity(3.0)
     client.velocity(3.0, (1.0, 0.0, 0.0), m.POSITION_TARGET_TYPEMASK_FORCE_SET)
     rows["forced_m_s"] = [client.truth[-1][1]]
+    return found | _medians(rows)
+
+
+def stops(client, repeats=1):
+    """Times until velocities have fallen by 63 % after a stop, each the median of its repetitions [s]."""
+    rows = {}
+    for speed in (1.0, 2.0, 3.0):
+        rows[f"stop_{speed:g}_s"] = [
+            client.stop_s((sign * speed, 0.0, 0.0), 1) for sign in (1.0, -1.0) for _ in range(repeats)
+        ]
+    for speed in (1.0, 2.0):
+        rows[f"stop_up_{speed:g}_s"] = [client.stop_s((0.0, 0.0, -speed), 3) for _ in range(repeats)]
+        rows[f"stop_down_{speed:g}_s"] = [client.stop_s((0.0, 0.0, speed), 3) for _ in range(repeats)]
+    return _medians(rows)
+
+
+def _medians(rows):
     return {name: statistics.median(values) for name, values in rows.items()}
 
 
