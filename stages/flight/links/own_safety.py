@@ -85,6 +85,7 @@ class OwnSafety:
         highest_m: height of its fence above the take-off position [m].
         farthest_m: radius of its fence around the take-off position [m].
         fence: the parameters of its fence, with their values.
+        unknown: parameters that the vehicle did not report although they decide.
         alone_s: longest time from this program's last message until it begins to stop [s]; NaN if unknown.
     """
 
@@ -93,4 +94,5 @@ class OwnSafety:
     highest_m: float = math.inf
     farthest_m: float = math.inf
     fence: str = ""
+    unknown: tuple[str, ...] = ()
     alone_s: float = math.nan

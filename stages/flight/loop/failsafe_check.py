@@ -99,7 +99,7 @@ def failsafe_faults(
     Returns:
         A sentence for each fault; and what was found if there is none.
     """
-    faults = []
+    faults = [f"the vehicle does not report {name}" for name in own.unknown]
     above_m = float((path[:, 2] - home[2]).max())
     away_m = float(np.hypot(path[:, 0] - home[0], path[:, 1] - home[1]).max())
     if above_m >= own.highest_m or away_m >= own.farthest_m:

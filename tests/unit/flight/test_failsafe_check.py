@@ -199,6 +199,15 @@ def test_the_closest_way_home_agrees_with_a_search_of_points():
     assert max(found.distance_m, 0.0) == pytest.approx(least, abs=0.02)
 
 
+def test_a_parameter_that_decides_and_is_not_reported_is_a_fault():
+    words = {"path": np.zeros((2, 3)), "home": np.zeros(3), "obstacles": [], "radius_m": 0.1, "foot_m": 0.1}
+    silent = failsafe_faults(ardupilot_safety(lambda name: None), **words)[0]
+    assert silent == ["the vehicle does not report FS_THR_ENABLE"]
+    found = {name: value for name, value in DEFAULTS.items() if name != "RTL_ALT"}
+    assert failsafe_faults(ardupilot_safety(found.get), **words)[0] == ["the vehicle does not report RTL_ALT"]
+    assert failsafe_faults(ardupilot_safety((found | LANDS).get), **words)[0] == []
+
+
 def test_without_the_parameters_nothing_is_claimed():
     faults, words = failsafe_faults(
         OwnSafety((), WayHome(15.0)), np.zeros((2, 3)), np.zeros(3), [], radius_m=0.1, foot_m=0.1

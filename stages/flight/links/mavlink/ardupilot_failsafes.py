@@ -67,8 +67,10 @@ def ardupilot_safety(read: Callable[[str], float | None], *, flies_rates: bool =
         if whole("FENCE_TYPE") & _HAS_CIRCLE and (given := value["FENCE_RADIUS"]) is not None:
             radius_m = given
             fence.append(f"FENCE_RADIUS is {given:g} m")
+    needed = ["FS_THR_ENABLE"]
     if any(each.action is _R for each in found):
         value |= {name: read(name) for name in _RETURNS}
+        needed += _RETURNS
     slope = value.get("RTL_CONE_SLOPE") or 0.0
     height_m = (value.get("RTL_ALT") or 0.0) / 100
     way_home = WayHome(
@@ -88,5 +90,6 @@ def ardupilot_safety(read: Callable[[str], float | None], *, flies_rates: bool =
         highest_m=top_m,
         farthest_m=radius_m,
         fence="; ".join(fence),
+        unknown=tuple(name for name in needed if value[name] is None),
         alone_s=math.nan if alone_s is None else alone_s,
     )
