@@ -14,6 +14,7 @@ import pytest
 
 from alula.cli.main import COMMANDS, run
 from support import damage
+from support.effort import some
 
 NPZ = (
     damage.truncated,
@@ -169,6 +170,7 @@ def test_the_table_has_every_command():
     assert covered == set(COMMANDS) - {"doctor", "fly", "sim-vehicle"}
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_good_command_line_of_the_table_succeeds(name, here):
     assert run([*words_of(WRITERS[name]), "-q"]) == 0
@@ -288,7 +290,7 @@ main(sys.argv[1:])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_command_leaves_nothing(name, number, here):
     before = names(here)
-    for delay in (0.0, 0.1, 0.3):
+    for delay in some((0.1, 0.0, 0.3), 3):
         process = subprocess.Popen(
             [sys.executable, "-P", "-c", TELL_WHEN_READY, *words_of(WRITERS[name]), "-q"],
             stdout=subprocess.PIPE,

@@ -38,6 +38,7 @@ def test_every_dependency_of_the_project_is_looked_for():
     }
 
 
+@pytest.mark.slow
 def test_what_runs_this_test_is_found(found):
     assert found["Python"].status == "ok"
     assert found["alula._core"].status == "ok"

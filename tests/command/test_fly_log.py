@@ -100,6 +100,7 @@ def test_the_log_of_a_take_off_is_kept_though_nobody_can_judge_it(fly):
     assert fly.left() == ["f.run.mcap"]  # the record of the earlier flight does not belong to this one
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("old", [True, False])
 @pytest.mark.parametrize("seconds", [-1.0, 2.0])
 def test_a_writer_that_dies_is_told_after_a_flight_that_went_well(fly, old, seconds):

@@ -96,6 +96,7 @@ def start(*words: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("signals", [("SIGINT", "SIGTERM"), ("SIGKILL", "SIGKILL")])
 def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(here, whole, signals):
     chance = random.Random(signals[0])
@@ -143,6 +144,7 @@ def test_measurements_are_taken_from_the_journal(interrupted, whole, monkeypatch
     assert not interrupted.exists()
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("damage", "word"),
     [

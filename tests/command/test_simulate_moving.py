@@ -244,6 +244,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 640
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_run_that_is_killed_loses_little(here, name):
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -64,6 +64,7 @@ def test_a_library_of_colmap_does_not_take_the_signals_away():
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n" * 2, "")
 
 
+@pytest.mark.slow
 def test_sigterm_while_a_colmap_model_is_read_ends_with_one_line(pipeline, tmp_path):
     """The reference is a file that has the program busy for seconds; the model is never finished."""
     pytest.importorskip("pycolmap")

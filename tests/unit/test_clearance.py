@@ -291,6 +291,7 @@ def test_segments_and_ellipsoids_agree_with_scalar_minimisation(seed):
     assert path_clearance([a, b], obstacles)[0] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("cap", [math.inf, 0.3, 0.0])
 def test_culling_changes_nothing(cap):
     rng = np.random.default_rng(5)

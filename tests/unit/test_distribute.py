@@ -125,6 +125,7 @@ def test_a_scheduler_that_does_not_answer_or_has_no_workers_is_said(tmp_path):
         alone.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "producer", lambda: Producer("alula", "0.0", "none"))

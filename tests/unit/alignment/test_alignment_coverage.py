@@ -85,6 +85,7 @@ def on_a_path(count, rng):
     return np.stack([3 * np.cos(t), 2 * np.sin(t + rng.uniform(0, 6)), 0.6 * np.sin(2 * t)], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "least"), [(20, 0.82), (60, 0.85)])
 def test_intervals_are_wider_where_errors_drift_along_the_path(count, least):
     """Intervals for independent errors held the scale in 51 % of such trials with 20, in 32 % with 60."""
@@ -102,6 +103,7 @@ def test_intervals_are_wider_where_errors_drift_along_the_path(count, least):
     assert sound >= 50
 
 
+@pytest.mark.slow
 def test_independent_errors_hardly_widen_the_intervals():
     ratios, found = [], []
     for seed in range(40):

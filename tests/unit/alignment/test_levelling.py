@@ -76,6 +76,7 @@ def test_the_floor_of_a_tilted_room_is_found_not_its_table_or_walls(seed):
     assert 0.005 < level.facts["sigma_m"] < 0.03
 
 
+@pytest.mark.slow
 def test_the_reported_tilt_and_height_are_as_uncertain_as_they_are():
     tilts, heights = [], []
     for seed in range(24):
@@ -100,6 +101,7 @@ def test_a_street_is_level_without_walls_too():
     assert np.degrees(np.arccos(np.clip(up @ level.facts["up"], -1, 1))) < 0.1
 
 
+@pytest.mark.slow
 def test_what_has_no_floor_is_refused_with_figures():
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(1000, 3))
@@ -159,6 +161,7 @@ def test_of_two_floors_the_lower_one_is_taken_and_the_other_reported(upper):
     assert level.facts["others"][0]["relative_share"] == pytest.approx(upper, abs=0.3)  # of occupied cubes
 
 
+@pytest.mark.slow
 def test_the_crowned_road_of_a_street_is_level():
     points, road = floor_scenes.street(0)
     turned, up = tilted(points, 2, 0.25)

@@ -78,6 +78,7 @@ def test_pycolmap_finds_the_same():
         np.testing.assert_allclose(ours.translation_m, theirs.translation, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_noise_and_outliers_leave_the_truth_within_the_reported_bounds():
     """60 cases of 95 % statements: more than 10 misses have a probability below 0.0004."""
     misses, outside, sigmas = 0, 0, []

@@ -125,6 +125,7 @@ def test_the_cover_holds_every_voxel_after_each_merge(index, block):
         assert frozenset().union(*element.values()) == index
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     "shape", [{"method": "default"}, {"method": "paper"}, {"facet_cap": 7}, {"kdop": 14}]
 )

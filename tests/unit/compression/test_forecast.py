@@ -174,6 +174,7 @@ def test_a_scene_of_too_many_tiles_counts_as_infinite():
     assert tiles.LONGEST_EDGE == 2**20
 
 
+@pytest.mark.slow
 def test_balls_that_overlap_much_are_estimated_from_fewer_tiles(monkeypatch):
     """300 balls nearly fill the same ball of 20 m; their union has its volume, and each tile all of them."""
     rng = np.random.default_rng(0)

@@ -102,6 +102,7 @@ def test_budgets_count_what_is_written(method, cap, limit):
     assert verify(cover, voxels=SCENE).covered
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("k", FAMILY)
 def test_budgets_of_kdops_count_their_planes(k):
     cover = cover_of(SCENE, kdop=k, max_planes=400)

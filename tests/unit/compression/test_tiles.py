@@ -129,6 +129,7 @@ def scene_of(n=300, **fields):
     return make_artifact(SCENE, arrays, **keywords)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("tile_m", [0.1, 0.34, 1.0, 1000.0])
 def test_the_artifact_is_the_same_whatever_the_tile(tile_m):
     config = VoxelizeConfig(size_m=0.1, min_overlap=2, crop=(-1, -1, -1, 0.5, 1, 1), min_opacity=0.25)

@@ -155,6 +155,7 @@ def test_a_hull_that_holds_more_than_its_members_is_caught():
     assert {offence.fault for offence in offences(certificate)} == {"vertex is no corner of a member"}
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("method", COVERS)
 def test_random_changes_are_harmless_or_caught(method):
     cover = COVERS[method]
@@ -311,6 +312,7 @@ def test_files_other_than_those_it_was_made_from_are_noted():
     assert certificate.notes == ["the cover was made from another voxels file, room.voxels.npz"]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("method", COVERS)
 def test_no_change_of_any_array_or_field_passes_for_a_cover_that_is_none(method):
     """What is called covered holds every voxel by an independent check in Python's integers."""

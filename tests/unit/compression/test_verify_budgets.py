@@ -45,6 +45,7 @@ def test_what_voxelize_refuses_verify_refuses_too(count, radius_m, crop):
     assert time.process_time() - begin < MOST_CPU_S
 
 
+@pytest.mark.slow
 def test_ellipsoids_that_the_voxels_lack_are_not_searched_to_the_end():
     """No budget of `voxelize` refuses these; together they touch a missing voxel a billion times."""
     begin = time.process_time()

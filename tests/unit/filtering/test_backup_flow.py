@@ -36,6 +36,7 @@ def test_flow_and_rows_are_those_of_the_paper(case):
         np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_discrete_sensitivity_is_the_derivative_of_the_discrete_flow(kind):
     numpy, flow = model.MODELS[kind](), flow_of(kind, horizon_s=1.0, nodes=10, steps=2, drift=True)

@@ -45,6 +45,7 @@ def test_caps_of_hover_are_those_of_the_paper():
     assert hover.cap_down == hover.cap_up
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_policies_and_their_jacobians_agree_with_the_model(kind):
     native, numpy = policy(kind), model.MODELS[kind]()
@@ -180,6 +181,7 @@ def test_the_brake_stops_within_three_metres_where_hover_needs_six():
     assert hover[:, 2].min() < -0.2
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
 def test_drift_is_what_the_linear_loop_still_moves(kind):
     flown = policy(kind)

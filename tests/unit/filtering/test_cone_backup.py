@@ -89,6 +89,7 @@ def steps_of(kind):
     return int(np.ceil(1.5 / 20 * rates.max()))
 
 
+@pytest.mark.every(2)
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
 @pytest.mark.parametrize(
     ("kind", "first_node"), [("hover", 0), ("hover", 1), ("heading-invariant", 1), ("brake", 1)]
@@ -123,6 +124,7 @@ def test_the_nearest_input_agrees_with_another_solver(kind, first_node):
     assert min(seen.values()) > 0
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("kind", ["hover", "brake"])
 def test_the_interpolation_takes_the_largest_share_that_holds(kind):
     found = 0
@@ -190,6 +192,7 @@ def test_between_walls_without_a_way_out_the_backup_is_flown():
     np.testing.assert_array_equal(report["wrench"], policy()(x))
 
 
+@pytest.mark.slow
 def test_a_solution_and_a_safe_flow_are_different_things():
     """The rows can have a solution while h_b < 0, and h_b >= 0 while they have none."""
     seen = set()

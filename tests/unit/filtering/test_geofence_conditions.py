@@ -66,6 +66,7 @@ def test_the_conditions_of_the_defaults_hold_with_room():
         conditions(steps=7)
 
 
+@pytest.mark.slow
 def test_the_loss_is_that_of_the_independent_model():
     """Of one speed: decrease of the least distance by a tick at full throttle, pitched at the full rate."""
     wide = ((-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))

@@ -103,6 +103,7 @@ def test_other_compilations_of_the_same_c_give_the_same_bits(tmp_path, level):
     assert {OK, FILTERED, SHORTENED, RECOVERING} <= seen
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (shutil.which("cc") and shutil.which("nm")), reason="needs a C compiler and nm")
 def test_the_onboard_objects_need_no_library(tmp_path):
     flags = "-std=c99 -O2 -ffreestanding -ffp-contract=off -fno-math-errno -Wall -Wextra -Wconversion -Werror"

@@ -216,6 +216,7 @@ def world_of(scene, lag, constant=0.02):
     )
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("name", ["cone-backup", "cone-ecbf", "shield"])
 @pytest.mark.parametrize(
     ("lag", "delay", "constant"),

@@ -21,6 +21,7 @@ def silently(name, value):
     return lambda flight: flight.copter.parameters.set(name, value)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("how", [set_by_another, silently])
 @pytest.mark.parametrize(
     ("name", "value", "words"),

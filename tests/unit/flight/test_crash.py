@@ -31,6 +31,7 @@ def thrust_until(flight):
     return max(at for at, m in flight.packets() if m.get_type().startswith("SET_")) - flight.fallen_s
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("tilt", [math.pi, 1.8, -1.2])
 @pytest.mark.parametrize("check", [0.0, 1.0])
 def test_a_vehicle_that_lies_on_the_ground_is_stopped_by_force(tilt, check):

@@ -97,6 +97,7 @@ def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
     assert {s.filter.sent for s in flight.recorder.samples if s.filter} == {SENT[name]}
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("seconds", [0.06, 0.7, 1.5])
 @pytest.mark.parametrize("way", ["in", "out"])
 def test_no_flight_begins_on_a_line_that_was_always_slow(room, seconds, way):

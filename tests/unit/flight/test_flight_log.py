@@ -189,6 +189,7 @@ def test_a_terminal_that_is_closed_costs_no_log(tmp_path):
     assert count_messages(tmp_path / "f.run.mcap")[0]["/log"] > 1000
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_some_seconds_has_no_log_to_sync():
     done = writer_of(None, seconds=1.5)
     assert done.stdout == "written True\n"

@@ -46,6 +46,7 @@ MISSIONS = {
 }
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("kind", MISSIONS)
 def test_the_native_flight_repeats_a_flight_through_an_autopilot_bit_by_bit(tmp_path, kind):
     log, made = tmp_path / "f.run.mcap", MISSIONS[kind]()

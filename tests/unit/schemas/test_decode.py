@@ -57,6 +57,7 @@ for _ in range({forks}):
 GUARDED = "from alula.schemas.decode import decode_json"
 
 
+@pytest.mark.slow
 def test_threads_may_decode_a_type_for_the_first_time_at_once():
     script = RACE.format(decode=GUARDED, forks=examples(100))
     done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)

@@ -13,6 +13,7 @@ def measurer(**options):
     return Measurer(Stepped(SimulatedVehicle(Copter(FASTBRIDGE, seed=1, **options), seed=1)))
 
 
+@pytest.mark.slow
 def test_it_responds_within_a_tenth_of_the_real_one():
     found = measure(measurer(options=EXACT))
     assert found == {name: pytest.approx(value, rel=0.1) for name, value in MEASURED.items()}

@@ -229,6 +229,7 @@ def test_the_force_bit_beside_a_velocity_is_ignored_and_the_velocity_flown():
     assert client.truth.velocity == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("name", "value", "column", "v"),
     [

@@ -69,6 +69,7 @@ def test_a_single_model_is_a_kalman_filter(kind, doppler):
     assert follow(rows, reference, transition=STAY, **SINGLE[kind]) < 1e-9
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("mixes", [False, True])
 @pytest.mark.parametrize("doppler", [False, True])
 @pytest.mark.parametrize("turn", [False, True])

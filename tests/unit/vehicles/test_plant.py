@@ -123,6 +123,7 @@ def test_gusts_are_a_stationary_gauss_markov_process():
     assert np.abs(np.corrcoef(innovation.T) - np.eye(3)).max() < 5 / np.sqrt(steps)
 
 
+@pytest.mark.slow
 def test_noise_is_white_normal_and_of_the_given_size():
     sensor = SensorOptions(
         position_noise_m=0.01, velocity_noise_m_s=0.2, attitude_noise_rad=0.03, rate_noise_rad_s=0.5

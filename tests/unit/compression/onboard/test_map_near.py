@@ -81,6 +81,7 @@ def test_no_hulls_are_infinitely_far():
     assert len(value) == len(hull) == 0
 
 
+@pytest.mark.every(3)
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 @pytest.mark.parametrize(("hulls", "planes"), [(1, 1), (2, 3), (7, 16)])
 def test_little_room_costs_time_and_changes_no_bit(tmp_path, hulls, planes):

@@ -91,6 +91,7 @@ def test_a_box_that_is_too_small_is_caught():
         assert ("every voxel lies in a hull" in failing(certificate)) == bool(missing)
 
 
+@pytest.mark.slow
 def test_each_voxel_of_random_sets_is_judged_as_by_brute_force():
     rng = np.random.default_rng(6)
     for _ in range(20):

@@ -206,6 +206,7 @@ def through(rng, count, speed):
     return [_core.ReferenceCurve(*rest_to_rest(np.array(a), np.array(b), speed)) for a, b in ends]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(("name", "policy"), [("cone-ecbf", "brake"), ("cone-backup", "cone-escape")])
 @pytest.mark.parametrize(("lag", "delay"), [(0.03, 0.02), (0.06, 0.0), (0.0, 0.05)])
 def test_with_the_lag_and_delay_it_counts_with_a_flight_keeps_clear(name, policy, lag, delay):

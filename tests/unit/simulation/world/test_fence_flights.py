@@ -99,6 +99,7 @@ def test_commands_of_the_trace_are_the_blend_and_those_passed_are_the_pilots_bit
     assert (wall["figure"][~passed, 0] < 1).all()
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     "pilot",
     [
