@@ -455,7 +455,13 @@ def make_clock(mission: Mission) -> PlanClock:
     Args:
         mission: to fly.
     """
-    return PlanClock(mission.curve, near_m=_NEAR_M, far_m=_FAR_M)
+    return PlanClock(
+        mission.curve,
+        near_m=_NEAR_M,
+        far_m=_FAR_M,
+        via_s=mission.along.via_s,
+        via_m=mission.along.tolerance_m,
+    )
 
 
 def describe(mission: Mission) -> str:

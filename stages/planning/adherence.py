@@ -46,6 +46,9 @@ class PlanJudge:
         radius_m: of the vehicle [m].
         via_tolerance_m: distance within which a via point counts as passed [m].
         jobs: threads, 0 for all processors.
+
+    Attributes:
+        via: via points, shape (V, 3) [m], and `via_s`, the times at which the plan passes them [s].
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class PlanJudge:
         speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
         count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
+        self.via_s = _times_of(self.via, plan, curve)
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
@@ -113,6 +117,18 @@ class PlanJudge:
             outside = (np.linalg.norm(self.centre - point, axis=1) - self.width).min()
             worst = max(worst, float(outside) - self.gap_m)
         return worst
+
+
+def _times_of(points: FloatArray, plan: Artifact, curve: _core.ReferenceCurve) -> list[float]:
+    """Times at which a plan passes its via points, which are ends of its pieces, in their order [s]."""
+    ends_s = np.asarray(plan["time"], np.float64)
+    ends = curve.at(ends_s)[:, :3]
+    found: list[float] = []
+    first = 0
+    for point in points:
+        first += int(np.linalg.norm(ends[first:] - point, axis=1).argmin())
+        found.append(float(ends_s[first]))
+    return found
 
 
 def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:

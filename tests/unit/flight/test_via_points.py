@@ -1,0 +1,67 @@
+"""The plan's time waits at via points, so that a vehicle that follows late does not cut them."""
+
+import numpy as np
+import pytest
+
+from alula.schemas.configs.plan import PlanConfig
+from alula.stages.flight.loop.plan_clock import PlanClock
+from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.planning.plan import plan
+from support.flights import PILLAR, mission
+from support.lockstep import Flight
+from support.small_scenes import box_cover
+
+DT = 0.01
+VIA = (2.0, 1.78, 1.0)  # as near to the pillar as the filter lets it
+
+
+def around(speed_m_s):
+    config = PlanConfig(
+        start=(0.4, 0.7, 1.0), goal=(3.6, 0.7, 1.0), via=(VIA,), radius_m=0.27, speed_m_s=speed_m_s
+    )
+    return mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
+
+
+@pytest.mark.parametrize("speed_m_s", [1.0, 2.0, 3.0])
+def test_a_vehicle_that_follows_velocities_late_passes_its_via_points(speed_m_s):
+    made = around(speed_m_s)
+    flight = Flight(made).fly()
+    assert flight.cause is Event.PLAN_FINISHED
+    path = flight.path(State.FLY, State.HOLD)[:, 1:]
+    result = made.along.result(path)
+    assert result.missed == [], result
+    assert flight.clearance(State.FLY, State.HOLD) > 0
+
+
+def at_via(clock, error_m, seconds):
+    for _ in range(round(seconds / DT)):
+        clock.advance(DT, error_m)
+    return clock.time_s
+
+
+def test_the_time_stops_at_a_via_point_until_the_vehicle_is_there():
+    made = around(1.0)
+    (via_s,) = made.along.via_s
+    np.testing.assert_allclose(made.curve.at(np.array([via_s]))[0, :3], VIA, atol=1e-9)
+    clock = PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=[via_s], via_m=0.15)
+    assert at_via(clock, 0.14, via_s + 3.0) == pytest.approx(via_s, abs=0.01)
+    assert at_via(clock, 0.13, 1.0) > via_s + 0.4
+
+
+def test_a_via_point_that_cannot_be_reached_is_waited_for_and_left():
+    made = around(1.0)
+    (via_s,) = made.along.via_s
+    clock = PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=[via_s], via_m=0.15)
+    assert at_via(clock, 0.2, via_s + 3.0) <= via_s
+    assert at_via(clock, 0.2, 10.0) > via_s + 1.0
+
+
+def test_a_vehicle_that_keeps_up_is_not_delayed():
+    made = around(1.0)
+    waiting, free = (
+        PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=via, via_m=0.15) for via in (made.along.via_s, [])
+    )
+    for _ in range(800):
+        waiting.advance(DT, 0.1)
+        free.advance(DT, 0.1)
+        assert waiting.time_s == free.time_s
