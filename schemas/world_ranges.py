@@ -203,6 +203,9 @@ def check_estimation_table(table: EstimationTable) -> None:
         UsageError: values contradict each other; the message has the path of the key.
     """
     _check_outage("estimation.lost", table.lost_from_s, table.lost_for_s)
+    estimated_s = table.disturbance_time_s
+    fits = estimated_s == 0 or estimated_s >= 0.05
+    require(fits, "estimation.disturbance_time_s", "must be 0 or at least 0.05")
     require(table.sensor.delay_s <= 10, "estimation.sensor.delay_s", "must be at most 10")
     tracker = table.tracker
     fits = tracker.confirm_hits <= tracker.confirm_scans

@@ -333,6 +333,13 @@ class EstimationTable(Table, frozen=True, kw_only=True):
         Positive,
         about("age of the last measurement beyond which no command is flown on it; inf: no limit [s]"),
     ] = 0.5
+    disturbance_time_s: Annotated[
+        Delay,
+        about(
+            "time constant with which controller and filters of a quadrotor estimate the acceleration that "
+            "its model leaves out, as `fly` does with 0.1 by body rates; 0: not at all [s]"
+        ),
+    ] = 0.0
     sensor: SensorTable = SensorTable()
     tracker: TrackerTable = TrackerTable()
 

@@ -49,6 +49,8 @@ _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
 _LAG_MARGIN, _MAX_LAG_S = 1.25, 5.0
 _HORIZONTAL_LAG, _VERTICAL_LAG, _MAX_UP_M_S = (0.56, 0.18), (0.22, 0.57), 2.5
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
+_DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
+_MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
 _SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
 _FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
@@ -363,6 +365,8 @@ def make_commander(
         dt_s=dt,
         stale_s=config.stale_s,
         has_losses=True,  # the age of a state varies
+        disturbance_max_m_s2=_MAX_DISTURBANCE_M_S2,
+        disturbance_time_s=_DISTURBANCE_S if kind is RatesSetpoint else 0.0,
     )
     return FlightCommander(
         flight=_core.Flight(flown, options, _core.Mission.given(gain_per_s=config.gain), filters),
@@ -446,6 +450,9 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         dry_run=dry_run,
         watch_frame=config.frame_check != "none",
         margin_m=config.margin_m,
+        velocity_lag_s=config.velocity_lag_s or 0.0,
+        max_speed_m_s=config.speed_m_s or 0.0,
+        max_disturbance_m_s2=_MAX_DISTURBANCE_M_S2,
     )
 
 

@@ -109,6 +109,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 throttle_safe=_NUMBER,
                 rates_nom_rad_s=_VECTOR,
                 rates_safe_rad_s=_VECTOR,
+                disturbance_m_s2=_VECTOR,
+                disturbance_bound_m_s2=_NUMBER,
                 sent=_TEXT,
                 sent_values=_array(_NUMBER),
                 solve_time_s=_NUMBER,
@@ -119,7 +121,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "clearance. Of a pilot in a geofence: the true distance as fence_distance_m, h_I as h_m "
             "after subtracting allowance_m, the regulation function lambda, throttles and rates. In a real "
             "flight also the set-point sent (rates: thrust per mass and body rates; acceleration, velocity: "
-            "world frame, and the yaw) and the time of the filter.",
+            "world frame, and the yaw), the time of the filter, and for body rates the acceleration that the "
+            "vehicle's model leaves out, as estimated, and a bound on what is missing in the estimate.",
         },
         "alula.Supervisor": {
             **_object(

@@ -298,6 +298,11 @@ def unmute(flight):
     flight.muted.clear()
 
 
+def blow(*wind_m_s):
+    """Wind begins: east, north, up [m/s]."""
+    return lambda flight: flight.copter.airframe.blow(wind_m_s)
+
+
 def cut(flight):
     """See `Flight.cut`."""
     flight.cut()

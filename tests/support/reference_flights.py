@@ -45,6 +45,7 @@ def along(
     plant_steps: int | None = None,
     controller_ticks: int = 1,
     filter_ticks: int = 1,
+    disturbance_time_s: float = 0.0,
     seed: int = 0,
     first_trial: int = 0,
     jobs: int = 1,
@@ -59,6 +60,7 @@ def along(
         has_yaw: whether flights begin with the curve's yaw.
         max_time_s: default: three times the duration of the curve.
         dt_s, plant_steps, controller_ticks, filter_ticks: timing; default: as of a scenario.
+        disturbance_time_s: of the estimate of disturbances, 0 for none.
         seed, first_trial, jobs: as of `simulate`.
         rules: of `SimulationRules`.
     """
@@ -75,7 +77,12 @@ def along(
         )
     spec = _core.SimulationSpec(
         vehicle or vehicle_of(),
-        options=_core.FlightOptions(dt_s=dt_s, controller_ticks=controller_ticks, filter_ticks=filter_ticks),
+        options=_core.FlightOptions(
+            dt_s=dt_s,
+            controller_ticks=controller_ticks,
+            filter_ticks=filter_ticks,
+            disturbance_time_s=disturbance_time_s,
+        ),
         rules=_core.SimulationRules(
             plant_steps=plant_steps or max(1, math.ceil(dt_s / 1e-3 - 1e-9)), **rules
         ),

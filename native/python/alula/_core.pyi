@@ -2707,7 +2707,7 @@ class VehicleSpec:
 class FlightOptions:
     """Timing of a flight on board."""
 
-    def __init__(self, *, dt_s: float = 0.01, controller_ticks: int = 1, filter_ticks: int = 1, stale_s: float = 0.5, has_losses: bool = False) -> None:
+    def __init__(self, *, dt_s: float = 0.01, controller_ticks: int = 1, filter_ticks: int = 1, stale_s: float = 0.5, has_losses: bool = False, disturbance_time_s: float = 0.0, disturbance_max_m_s2: float = 4.0, disturbance_max_interval_s: float = 0.3) -> None:
         """
         Args:
             dt_s: a tick [s]
@@ -2715,6 +2715,9 @@ class FlightOptions:
             filter_ticks: ticks for which the filters' command is held
             stale_s: a measurement older than this is not predicted any more [s]
             has_losses: measurements can be missing
+            disturbance_time_s: time constant of the estimate of disturbances; 0: none [s]
+            disturbance_max_m_s2: maximum length of the estimate [m/s^2]
+            disturbance_max_interval_s: after a longer time without a measurement the estimate goes on from the next one [s]
         """
 
     @property
@@ -2736,6 +2739,20 @@ class FlightOptions:
     @property
     def has_losses(self) -> bool:
         """measurements can be missing"""
+
+    @property
+    def time_s(self) -> float:
+        """time constant of the estimate of disturbances; 0: none [s]"""
+
+    @property
+    def max_m_s2(self) -> float:
+        """maximum length of the estimate [m/s^2]"""
+
+    @property
+    def max_interval_s(self) -> float:
+        """
+        after a longer time without a measurement the estimate goes on from the next one [s]
+        """
 
 class Losses:
     """Losses of measurements and of the pilot's radio."""

@@ -108,6 +108,8 @@ class FlightCommander:
             certified=report is not None and report["certified"],
             thrust_nominal_n=None if is_velocity else float(nominal["wrench"][0]),
             inputs=inputs,
+            disturbance=np.array(found["disturbance"]) if self.setpoint is RatesSetpoint else None,
+            disturbance_bound=found["disturbance_bound"],
         )
 
     def sent(self, setpoint: Setpoint) -> None:

@@ -44,6 +44,9 @@ class Decision:
         infeasible, certified: as reported by the filter.
         thrust_nominal_n: thrust of the controller [N]; None for velocity set-points.
         inputs: of the native flight; None of other commanders.
+        disturbance: estimated acceleration that the model leaves out, shape (3,), world frame [m/s^2]; None
+            for set-points that the vehicle's own controller follows.
+        disturbance_bound: bound on what the estimate does not contain yet [m/s^2].
     """
 
     setpoint: Setpoint | None
@@ -57,6 +60,8 @@ class Decision:
     certified: bool = False
     thrust_nominal_n: float | None = None
     inputs: TickInputs | None = None
+    disturbance: FloatArray | None = None
+    disturbance_bound: float = 0.0
 
 
 class Commander(Protocol):

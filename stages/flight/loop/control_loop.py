@@ -39,7 +39,7 @@ from alula.stages.flight.loop.supervisor import (
     begun,
     sends_setpoints,
 )
-from alula.stages.flight.loop.watches import HealthWatch, JumpWatch, ModeWatch, PositionWatch
+from alula.stages.flight.loop.watches import HealthWatch, JumpWatch, ModelWatch, ModeWatch, PositionWatch
 from alula.stages.flight.recorder.samples import (
     ERROR,
     INFO,
@@ -69,6 +69,9 @@ class LoopOptions:
             the end counts as reached.
         margin_m: additional distance at which a filter may stop the vehicle [m]; it is accepted after the
             vehicle has been at rest for `rest_s` [s].
+        velocity_lag_s: longest lag with which the vehicle is assumed to follow velocities [s].
+        max_speed_m_s: limit of velocity set-points [m/s].
+        max_disturbance_m_s2: largest acceleration that the vehicle's model may leave out [m/s^2].
     """
 
     rate_hz: float = 100.0
@@ -79,6 +82,9 @@ class LoopOptions:
     stop_speed_m_s: float = 0.3
     margin_m: float = 0.0
     rest_s: float = 1.5
+    velocity_lag_s: float = 1.0
+    max_speed_m_s: float = 1.0
+    max_disturbance_m_s2: float = 4.0
 
 
 @dataclass(slots=True)
@@ -148,6 +154,7 @@ class ControlLoop:
         self._begin_s = 0.0
         self._modes, self._health, self._positions = ModeWatch(), HealthWatch(), PositionWatch(height_m)
         self._crash = CrashWatch()
+        self._model = ModelWatch(options.velocity_lag_s, options.max_speed_m_s, options.max_disturbance_m_s2)
         self._motion, self._jumps, self._jump_m = MotionCheck(), JumpWatch(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
@@ -333,6 +340,7 @@ class ControlLoop:
             overruns=self._overruns,
             filter=self._filter,
             fallback_s=max(0.0, now_s - self._fallback_from_s),
+            model_off_s=self._model.off_s(now_s),
             fence_m=self._fence_m,
             plan_done=self._has_arrived,
             interrupts=self._interrupts(),
@@ -367,6 +375,8 @@ class ControlLoop:
             return self.checks.failure()
         if taken.event in (Event.CRASHED, Event.TURNED_OVER, Event.FALLEN):
             return self._crash.words
+        if taken.event is Event.MODEL_WRONG:
+            return self._model.words
         if taken.event is Event.PARAMETER_CHANGED:
             return self.link.status.changed
         if taken.event is Event.ESTIMATOR_BAD:
@@ -408,8 +418,7 @@ class ControlLoop:
         elif action is Action.ENGAGE:
             self._hold_row = None
             self._positions.moved()
-            self.commander.reset()
-            self.guard.reset()
+            self._begin_to_fly()
             if state is not None:
                 self.plan.pause(heading_of(state.attitude_wxyz))
             self._filter, self._fallback_from_s, self._overruns = FilterHealth.GOOD, math.inf, 0
@@ -429,18 +438,23 @@ class ControlLoop:
         self._modes.ordered(order, self.link.status)
         self.link.order(order, now_s, height_m)
 
+    def _begin_to_fly(self) -> None:
+        self.commander.reset()
+        self.guard.reset()
+        self._model.reset()
+
     def _filters_hold(self, state: VehicleState, now_s: float) -> bool:
         """Decide whether the filter holds the vehicle; if no longer, order the vehicle to hold by itself."""
         is_hold = self.state is State.HOLD
         is_well = self._filter is FilterHealth.GOOD and self.supervision.well_since_s < math.inf
         is_filtered = is_hold and is_well and self.link.status.obeys
         if is_filtered and self._hold_row is None:
-            self.commander.reset()
-            self.guard.reset()
+            self._begin_to_fly()
             self._hold_row = np.zeros((1, 18))
             self._hold_row[0, :3], self._hold_row[0, 15] = state.position, heading_of(state.attitude_wxyz)
         elif not is_filtered and self._hold_row is not None:
             self._hold_row = None
+            self._model.reset()
             if is_hold:
                 self._try(Action.HOLD, now_s)
         return is_filtered
@@ -472,6 +486,7 @@ class ControlLoop:
             self.say(now_s, ERROR, f"no set-point: {type(error).__name__}: {error}")
             return None
         self.counters.filter_s.append(filter_s)
+        self._model.update(now_s, state, decision, self._sent)
         period, is_fallback = 1 / self.options.rate_hz, decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_from_s = min(self._fallback_from_s, now_s) if is_fallback else math.inf
         if self._hold_row is None:

@@ -36,6 +36,7 @@ class SupervisorLimits:
         late_s: maximum lateness of a tick [s].
         overruns: number of ticks that overran in a row.
         fallback_s: maximum time for which the filter or the geofence may fly a fallback [s].
+        model_s: maximum time for which the motion may contradict the vehicle's model [s].
         fence_m: minimum distance to the fence [m].
         battery_share: minimum charge of the battery, from 0 to 1.
         settle_s: time without any cause of a hold, after which a hold ends [s].
@@ -54,6 +55,7 @@ class SupervisorLimits:
     late_s: float = 0.1
     overruns: int = 20
     fallback_s: float = 3.0
+    model_s: float = 0.5
     fence_m: float = 0.0
     battery_share: float = 0.2
     settle_s: float = 1.0
@@ -100,6 +102,7 @@ class Facts:
         overruns: number of ticks that overran in a row.
         filter: result of the last call of the filter.
         fallback_s: time for which the filter or the geofence has flown a fallback [s].
+        model_off_s: time for which the motion has contradicted the vehicle's model, see `ModelWatch` [s].
         fence_m: distance to the fence [m]; None without a state.
         plan_done: the vehicle is at the end of the plan.
         interrupts: how often the operator has interrupted the program.
@@ -136,6 +139,7 @@ class Facts:
     overruns: int = 0
     filter: FilterHealth = FilterHealth.GOOD
     fallback_s: float = 0.0
+    model_off_s: float = 0.0
     fence_m: float | None = None
     plan_done: bool = False
     interrupts: int = 0
@@ -179,7 +183,7 @@ class Taken(NamedTuple):
 
 
 _REPEATS = frozenset({Event.ORDER_REFUSED})  # acts each time it occurs in a state, not only once
-_HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.FENCE})
+_HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.MODEL_WRONG, Event.FENCE})
 # The vehicle must be in a mode that follows set-points in these states, and in none in LAND.
 _OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
@@ -287,6 +291,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),
         (Event.FILTER_REFUSED, facts.filter is FilterHealth.REFUSED),
         (Event.FENCE, fence is not None and not fence >= limits.fence_m),
+        (Event.MODEL_WRONG, not facts.model_off_s <= limits.model_s),
         (Event.FALLBACK_LONG, not facts.fallback_s <= limits.fallback_s),
         (Event.ORDER_REFUSED, facts.order_refused),
         (Event.CHECK_FAILED, facts.checks is False),

@@ -43,6 +43,7 @@ class Event(Enum):
     TURNED_OVER = "upside down"
     FALLEN = "on the ground below its plan"
     FALLBACK_LONG = "fallback for too long"
+    MODEL_WRONG = "motion contradicts the vehicle's model"
     FENCE = "too close to the fence"
     NOT_OBEYED = "vehicle does not follow"
     OFF_CLIMB = "off the climb path"
@@ -176,7 +177,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     # The vehicle levels itself out in its landing mode; on the ground no thrust may be commanded.
     | _land(_E.TURNED_OVER, _E.FALLEN)
     | _stop(_E.CRASHED)
-    | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
+    | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG)
+    | _hold(_E.MODEL_WRONG, _E.FENCE)
     | _land(
         _E.PLAN_FINISHED,
         _E.FRAME_WRONG,
@@ -227,7 +229,10 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
 
 # Events without effect in a state. Together with the table they cover every pair of state and event.
 _OF_CHECKS = (_E.CHECKS_PASSED, _E.CHECKS_PASSED_DRY, _E.CHECK_FAILED)
-_OF_FLIGHT = (_E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.PLAN_FINISHED)
+_OF_FLIGHT = (
+    *(_E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.MODEL_WRONG),
+    _E.PLAN_FINISHED,
+)
 _OF_HOLD = (_E.RECOVERED, _E.HOLDS_USED_UP)
 _HEALTH = (
     _E.FRAME_WRONG,

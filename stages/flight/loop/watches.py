@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
+from alula.stages.flight.commanders.protocol import Decision
+from alula.stages.flight.links.protocol import Order, Setpoint, VehicleState, VehicleStatus, VelocitySetpoint
 
 _FAILSAFE_S = 1.0  # a failsafe changes the mode this long after it was reported at most
 _UNKNOWN_S = 1.0  # a health value may be unknown for this long
 _HEALTH = ("armed", "is_estimator_ready", "battery_share")
+# A vehicle follows velocities with a lag between these: the shortest, and the one that filters assume [s].
+_SHORTEST_LAG_S, _ROOM, _ROOM_M_S = 0.1, 0.3, 0.3
+_AT_LIMIT = 0.99  # estimates of disturbances are cut at the limit
 _BRAKE_M_S2, _REACTION_S = 2.0, 0.5  # minimum deceleration of autopilots, and their maximum reaction time
 
 
@@ -194,3 +198,74 @@ class JumpWatch:
         away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
         jump = math.sqrt(float(away @ away)) - 10.0 * dt * dt
         return max(0.0, jump) if math.isfinite(jump) else math.inf
+
+
+class ModelWatch:
+    """Compares the motion with the model by which controller and filter predict it.
+
+    Body rates: the disturbance that the native flight estimates, and the bound on what the estimate does not
+    contain yet (`alula/dynamics/disturbance.hpp`), must be below `max_m_s2`. Velocities: each component must
+    lie between those of two first-order responses to the set-points, one with 0.1 s and one with `lag_s`.
+    addition; the simulated ArduPilot, with the measured responses of the real one, needs at most a fifth
+    addition; the simulated ArduPilot, which has the measured responses of the real one, needs at most a fifth
+    of the limit for half a second.
+
+    Args:
+        lag_s: lag that filters of velocities assume [s].
+        max_speed_m_s: limit of velocity set-points [m/s].
+        max_m_s2: largest acceleration that the model may leave out [m/s^2].
+
+    Attributes:
+        words: the comparison that failed last, in words.
+    """
+
+    def __init__(self, lag_s: float, max_speed_m_s: float, max_m_s2: float) -> None:
+        self.lag_s, self.max_m_s2 = max(lag_s, _SHORTEST_LAG_S), max_m_s2
+        self.room_m_s = _ROOM_M_S + _ROOM * max_speed_m_s
+        self.words = ""
+        self._bounds: list[list[float]] | None = None  # of each component, by both responses
+        self._last_s, self._since_s = 0.0, math.inf
+
+    def reset(self) -> None:
+        """Forget the motion so far: others flew the vehicle."""
+        self._bounds, self._since_s = None, math.inf
+
+    def update(self, now_s: float, state: VehicleState, decision: Decision, sent: Setpoint | None) -> None:
+        """Compare the motion in a tick.
+
+        Args:
+            now_s: monotonic clock [s].
+            state: of the vehicle, world frame.
+            decision: of the commander.
+            sent: set-point that was sent in this tick; None if none was.
+        """
+        is_off = False
+        if decision.disturbance is not None:
+            left_out = math.sqrt(float(decision.disturbance @ decision.disturbance))
+            worst = max(left_out, decision.disturbance_bound)
+            is_off = not worst < _AT_LIMIT * self.max_m_s2
+            if is_off:
+                self.words = (
+                    f"{worst:.1f} m/s^2 that the model leaves out, at most {self.max_m_s2:g} are allowed"
+                )
+        elif isinstance(sent, VelocitySetpoint):
+            is_off = self._leaves(now_s, state.velocity.tolist(), sent.velocity.tolist())
+        self._since_s = min(self._since_s, now_s) if is_off else math.inf
+
+    def off_s(self, now_s: float) -> float:
+        """Time for which the motion has contradicted the model [s]; 0 if it does not."""
+        return max(0.0, now_s - self._since_s)
+
+    def _leaves(self, now_s: float, velocity: list[float], commanded: list[float]) -> bool:
+        if self._bounds is None:
+            self._bounds, self._last_s = [[v, v] for v in velocity], now_s
+            return False
+        dt_s, self._last_s = max(0.0, now_s - self._last_s), now_s
+        shares = [-math.expm1(-dt_s / lag) for lag in (_SHORTEST_LAG_S, self.lag_s)]
+        for v, u, bounds in zip(velocity, commanded, self._bounds, strict=True):
+            for i, share in enumerate(shares):
+                bounds[i] += share * (u - bounds[i])
+            if not min(bounds) - self.room_m_s <= v <= max(bounds) + self.room_m_s:
+                self.words = f"{v:.2f} m/s where {u:.2f} m/s are commanded"
+                return True
+        return False

@@ -88,6 +88,9 @@ def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) ->
     }
     if done.thrust_nominal_n is not None:
         splat["thrust_nom_n"] = _number(done.thrust_nominal_n)
+    if done.disturbance is not None:
+        splat["disturbance_m_s2"] = _point(done.disturbance)
+        splat["disturbance_bound_m_s2"] = _number(done.disturbance_bound)
     return common | splat | ({} if margin is None else {"margin": margin})
 
 

@@ -83,6 +83,8 @@ class FilterSample(msgspec.Struct, array_like=True, gc=False):
     sent: str
     sent_values: tuple[float, ...]
     replay: ReplaySample | None = None
+    disturbance: Three | None = None
+    disturbance_bound: float = 0.0
 
 
 class TickSample(msgspec.Struct, array_like=True, gc=False):
@@ -247,6 +249,8 @@ def filter_sample(decision: Decision, guarded: Guarded, plan: PlanClock, filter_
         sent=kind,
         sent_values=values,
         replay=replay,
+        disturbance=None if decision.disturbance is None else _three(decision.disturbance),
+        disturbance_bound=decision.disturbance_bound,
     )
 
 

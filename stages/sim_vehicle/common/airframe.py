@@ -74,6 +74,7 @@ class Airframe:
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, heading_rad: float = 0.0) -> None:
         self.body = quadrotor(vehicle)
+        self._vehicle, self._seed = vehicle, seed
         flown = plant(_turned(vehicle), seed=seed)
         if not isinstance(flown, Plant):
             raise UsageError(f"{vehicle.name} is a {vehicle.model}; a quadrotor is needed")
@@ -114,6 +115,20 @@ class Airframe:
             self._stood = self.truth.position
         at = added(self._stood, by[0])
         self.truth = self.sensed = Motion(at, by[1], self.truth.attitude, (0.0,) * 3, by[2])
+
+    def blow(self, wind_m_s: Vector) -> None:
+        """Change the mean wind from now on; the rotors begin at hover again, which matters with a motor lag.
+
+        Args:
+            wind_m_s: in the axes of the vehicle file: east, north, up [m/s].
+        """
+        state = self._plant.state
+        table = msgspec.structs.replace(self._vehicle.disturbance, wind_m_s=wind_m_s)
+        self._vehicle = msgspec.structs.replace(self._vehicle, disturbance=table)
+        flown = plant(_turned(self._vehicle), seed=self._seed)
+        assert isinstance(flown, Plant)
+        self._plant = flown
+        self._plant.reset(state)
 
     @property
     def weight_n(self) -> float:

@@ -195,12 +195,18 @@ def prepare(
 
 def _options(scenario: WorldScenario) -> _core.FlightOptions:
     rules, known = scenario.rules, scenario.estimation
+    if known.disturbance_time_s and scenario.vehicle.interface not in ("wrench", "body-rates"):
+        raise UsageError(
+            "`$.estimation.disturbance_time_s`: disturbances are estimated for a quadrotor that is commanded "
+            "by wrench or body-rates"
+        )
     return _core.FlightOptions(
         dt_s=rules.dt_s,
         controller_ticks=rules.controller_ticks,
         filter_ticks=rules.filter_ticks,
         stale_s=min(known.stale_s, 1e3),
         has_losses=_has_losses(scenario),
+        disturbance_time_s=known.disturbance_time_s,
     )
 
 

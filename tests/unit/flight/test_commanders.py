@@ -39,7 +39,15 @@ def test_thrust_and_filter_are_those_of_simulate(name):
     safety = make_safety(made)
     assert safety is not None
     vehicle = vehicle_of(body, gains=gains, interface="body-rates")
-    (log,) = along([made.curve], [safety], vehicle, dt_s=DT, max_time_s=450 * DT, ends_at_goal=False)
+    (log,) = along(
+        [made.curve],
+        [safety],
+        vehicle,
+        dt_s=DT,
+        max_time_s=450 * DT,
+        ends_at_goal=False,
+        disturbance_time_s=0.1,
+    )
     assert len(log["mark"]) == 450
     commander = make_commander(made, make_safety(made), frozenset({RatesSetpoint}))
     changed = 0

@@ -51,6 +51,7 @@ SHOWN = {
     Event.TURNED_OVER: {"is_over": True},
     Event.FALLEN: {"is_fallen": True},
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
+    Event.MODEL_WRONG: {"model_off_s": 0.51},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
     Event.HEALTH_UNKNOWN: {"health_unknown": True},

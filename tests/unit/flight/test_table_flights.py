@@ -14,6 +14,7 @@ from support.lockstep import (
     Flight,
     Upset,
     allow,
+    blow,
     cut,
     fault,
     interrupt,
@@ -251,6 +252,11 @@ PLOTS = {
         ],
         [],
         limits={"settle_s": 0.2, "fallback_s": 0.2, "holds": 5},
+    ),
+    "blown away": Plot(
+        [(S.FLY, E.MODEL_WRONG)],
+        on(S.FLY, blow(0.0, 25.0, 0.0), after=0.5),
+        mission={"fence": (-5.0, -5.0, -0.5, 9.0, 30.0, 9.0)},
     ),
     "over the fence": Plot(
         [(S.FLY, E.FENCE)],

@@ -64,6 +64,16 @@ struct Fields<flight::VehicleSpec> {
 };
 
 template <>
+struct Fields<flight::DisturbanceOptions> {
+  using Options = flight::DisturbanceOptions;
+  static constexpr std::tuple all{
+      Field{"time_s", &Options::time_s, "time constant of the estimate of disturbances; 0: none [s]"},
+      Field{"max_m_s2", &Options::max_m_s2, "maximum length of the estimate [m/s^2]"},
+      Field{"max_interval_s", &Options::max_interval_s,
+            "after a longer time without a measurement the estimate goes on from the next one [s]"}};
+};
+
+template <>
 struct Fields<flight::FlightOptions> {
   using Options = flight::FlightOptions;
   static constexpr std::tuple all{
@@ -71,7 +81,8 @@ struct Fields<flight::FlightOptions> {
       Field{"controller_ticks", &Options::controller_ticks, "ticks for which the nominal command is held"},
       Field{"filter_ticks", &Options::filter_ticks, "ticks for which the filters' command is held"},
       Field{"stale_s", &Options::stale_s, "a measurement older than this is not predicted any more [s]"},
-      Field{"has_losses", &Options::has_losses, "measurements can be missing"}};
+      Field{"has_losses", &Options::has_losses, "measurements can be missing"},
+      Nested{&Options::disturbance, "disturbance_"}};
 };
 
 template <>
@@ -267,6 +278,8 @@ struct SteppedFlight {
     d["is_refused"] = decision.is_refused, d["is_stale"] = decision.is_stale;
     d["is_limited"] = decision.is_limited;
     d["estimate"] = to_array(flight.estimate().x);
+    d["disturbance"] = triple_of(flight.disturbance().acceleration());
+    d["disturbance_bound"] = flight.disturbance().bound();
     nb::list filters;
     for (const FilterRecord& r : flight.records()) {
       LogDict one;

@@ -94,7 +94,10 @@ void Shield::bound_motion() {
 
 int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
 
-void Shield::reset() { committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_, tubes_.clear(); }
+void Shield::reset() {
+  committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_, margin_ = options_.margin_m;
+  tubes_.clear();
+}
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
   if (has_escapes_) return;
@@ -109,8 +112,8 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
                            bool until_rest) {
   const double least = options_.rest_drift_m / 40;
-  const double here = is_finite(x) ? distance(x.p, radius_ + options_.margin_m) - radius_ : kInfinity;
-  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u, until_rest);
+  const double here = is_finite(x) ? distance(x.p, radius_ + margin_) - radius_ : kInfinity;
+  if (here >= margin_) return is_safe(x, manoeuvre, margin_, &u, until_rest);
   rest_drift_ = least;
   const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u, until_rest);
   rest_drift_ = options_.rest_drift_m;
@@ -120,8 +123,8 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
 // True if no tick of u and of the following rest is nearer than now; the tolerance of `is_safe_after` would
 // accumulate.
 bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
-  if (!is_safe_after(x, u, stop(), -options_.margin_m, true)) return false;
-  const double here = distance(x.p, radius_ + options_.margin_m);
+  if (!is_safe_after(x, u, stop(), -margin_, true)) return false;
+  const double here = distance(x.p, radius_ + margin_);
   return std::all_of(path_.begin(), path_.end(),
                      [&](const Tick& tick) { return distance(tick.p, here) >= here - kNearer; });
 }

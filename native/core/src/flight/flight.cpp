@@ -70,8 +70,10 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
     : vehicle_(vehicle),
       options_(options),
       mission_(mission),
-      predictor_(vehicle.body, remembered(vehicle, options), options.dt_s) {
+      predictor_(vehicle.body, remembered(vehicle, options), options.dt_s),
+      observer_(is_rigid_body(vehicle) ? options.disturbance : DisturbanceOptions{}) {
   check(vehicle);
+  check(options.disturbance, vehicle.body.gravity());
   if (!(options.dt_s > 0 && options.controller_ticks > 0 && options.filter_ticks > 0 && options.stale_s > 0))
     throw std::invalid_argument("the ticks of a flight and the age of its states must be positive");
   if (mission.kind == MissionKind::curve && !mission.curve)
@@ -96,6 +98,7 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
 void Flight::reset() {
   for (const auto& filter : filters_) filter->reset();
   predictor_.reset();
+  observer_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0;
   seen_ = {};
   seen_.thrust = vehicle_.body.hover_thrust();
   flown_ = vehicle_.body.limited({vehicle_.body.hover_thrust(), {}});
@@ -114,6 +117,7 @@ void Flight::reset() {
 void Flight::observe(const Observation& seen) {
   now_ = seen.now_s;
   if (seen.measured && is_finite(*seen.measured)) {
+    if (observer_.is_on()) estimate_disturbance(*seen.measured, seen.age_s);
     last_ = *seen.measured, attitude_ = seen.attitude, arrived_ = now_, has_state_ = true;
     age_ = seen.age_s;
   }
@@ -122,6 +126,18 @@ void Flight::observe(const Observation& seen) {
   seen_.position_variance = seen.position_variance;
   sticks_ = seen.sticks;
   predict();
+}
+
+// From the measurement that just arrived, the one before it and the thrust between them. Ticks are counted by the
+// commands that were sent, because ticks can be left out while the vehicle goes on with its command.
+void Flight::estimate_disturbance(const State& measured, const std::optional<double>& age_s) {
+  const Quadrotor& body = vehicle_.body;
+  if (!has_state_) observer_.begin(thrust_axis(measured.sigma), body.gravity());
+  const double time = static_cast<double>(sent_ticks_) * options_.dt_s - age_s.value_or(vehicle_.assumed.delay_s);
+  const double thrust = level_out_.scale() * seen_.thrust;
+  const Vec3 now = acceleration_of(body, measured, thrust);
+  observer_.update(time, measured.v, has_state_ ? 0.5 * (acceleration_of(body, last_, thrust) + now) : now);
+  level_out_ = Level(observer_.acceleration(), body.gravity());
 }
 
 // The state now, from the newest measurement and the commands since.
@@ -134,10 +150,18 @@ void Flight::predict() {
                                   : age_    ? age <= options_.stale_s + delay
                                             : waited <= options_.stale_s);
   seen_.x = last_, seen_.attitude = attitude_;
+  true_ = seen_.x;
   if (!seen_.is_known || by_sticks) return;
   if (is_rigid_body(vehicle_)) {
-    seen_.x = predictor_.now(last_, age);
+    true_ = seen_.x = predictor_.now(last_, age);
     seen_.rotors = predictor_.rotors();
+    if (observer_.is_on()) {
+      const Vec3 d = observer_.acceleration();
+      true_.p = true_.p + age * age / 2 * d, true_.v = true_.v + age * d;
+      seen_.x = level_out_(true_);
+      for (double& rotor : *seen_.rotors) rotor /= level_out_.scale();
+      seen_.disturbance_bound = observer_.bound();
+    }
     return;
   }
   // A point, or a vehicle with its own cascade: by the commands of the last ticks, each held for a tick.
@@ -381,7 +405,10 @@ void Flight::finish() {
             c.rates = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held),
                                  vehicle_.max_rate);
         }
-        c.wrench = predictor_.lead(flown_);
+        if (!observer_.is_on())
+          c.wrench = predictor_.lead(flown_);
+        else
+          c.wrench = predictor_.lead(vehicle_.body.limited({level_out_.scale() * flown_.thrust, flown_.torque}));
       }
       seen_.thrust_rate =
           by_wrench ? records_.back().report.thrust_rate : (flown_.thrust - seen_.thrust) / options_.dt_s;
@@ -405,8 +432,9 @@ void Flight::sent() {
       return remember(c.acceleration);
     case Interface::wrench:
     case Interface::body_rates:
-      predictor_.fly(c.wrench, c.rates, seen_.x);
+      predictor_.fly(c.wrench, c.rates, true_);
       seen_.thrust = flown_.thrust;
+      ++sent_ticks_;
       return;
     case Interface::sticks:
       return;
@@ -426,8 +454,9 @@ void Flight::sent(const Command& other) {
       predictor_.fly(
           {other.wrench.thrust, is_same && vehicle_.interface == Interface::wrench ? other.wrench.torque
                                                                                    : decision_.command.wrench.torque},
-          other.rates, seen_.x);
-      seen_.thrust = other.wrench.thrust;
+          other.rates, true_);
+      seen_.thrust = other.wrench.thrust / level_out_.scale();
+      ++sent_ticks_;
       return;
     case Interface::sticks:
       return;

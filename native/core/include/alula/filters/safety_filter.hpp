@@ -36,6 +36,8 @@ struct FlightState {
   // What moves, predicted to now, as a tracker estimates it.
   std::span<const alula_track> tracks;
   Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
+  // Acceleration that the model may leave out, beyond what the state accounts for [m/s^2]; see disturbance.hpp.
+  double disturbance_bound = 0;
   bool is_known = true;    // false: there is no navigation, and the state means nothing
   // Of a racing quadrotor: the attitude x.sigma as its unit quaternion w, x, y, z, where that is known to all bits.
   std::optional<Vec4> attitude;

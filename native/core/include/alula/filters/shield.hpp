@@ -37,6 +37,9 @@
 // (a) and (b) are `certified_moving`. They alternate only where both are clear, and a manoeuvre that is being flown
 // comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
 //
+// The margin grows by what a disturbance that the state does not account for can move the vehicle before it is
+// estimated (`FlightState::disturbance_bound`), for new inputs only: the manoeuvre that is being flown stays accepted.
+//
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
 // slowest at its first contact.
@@ -117,6 +120,7 @@ class Shield {
   // The same, and the tracks from now on; initially and after `reset` there are none.
   void see(const FlightState& state) {
     see(state.rotors);
+    margin_ = options_.margin_m + kReaction * kReaction / 2 * state.disturbance_bound;
     tubes_.set(state.tracks, state.position_variance);
   }
 
@@ -144,6 +148,8 @@ class Shield {
   void reset();
 
  private:
+  static constexpr double kReaction = 0.5;  // time until a disturbance is estimated and countered [s]
+
   struct Tick {
     Vec3 p;
     double arc;  // bound on the length of the path up to here
@@ -202,6 +208,7 @@ class Shield {
   std::shared_ptr<const EllipsoidIndex> cones_;
   ShieldOptions options_;
   double rest_drift_;
+  double margin_ = 0;  // that new inputs keep now [m]
   bool ends_early_ = false;
   std::array<Row, 3> drift_{};  // of the linear loop about hover until rest, by velocity, attitude, rates and rotors
   // With a rate loop: the limits of the thrust [N], and bounds on |omega'| by torque [rad/s^2] and, without torque,

@@ -20,6 +20,10 @@
 // A vehicle that follows velocities or accelerations itself is predicted from the commands that it got: a velocity u
 // with the lag tau of that loop, v = u + (v_0 - u) exp(-t / tau), so that p + tau v moves by u t. For a time with no
 // such command its velocity counts as constant.
+//
+// Of a quadrotor that is commanded by wrenches or body rates, what its model leaves out can be estimated
+// (disturbance.hpp). Controller and filters then see the attitude, and give the thrust, for which the disturbance
+// vanishes; command and prediction have the true ones.
 #pragma once
 
 #include <cstdint>
@@ -28,6 +32,7 @@
 #include <span>
 #include <vector>
 
+#include "alula/dynamics/disturbance.hpp"
 #include "alula/dynamics/state_predictor.hpp"
 #include "alula/filters/safety_filter.hpp"
 #include "alula/flight/simulated_vehicle.hpp"
@@ -62,6 +67,7 @@ struct FlightOptions {
   std::int64_t filter_ticks = 1;      // and the command of the filters for this many
   double stale_s = 0.5;               // a measurement older than this is not predicted any more
   bool has_losses = false;            // measurements can be missing: the predictor keeps commands for stale_s
+  DisturbanceOptions disturbance;     // of a quadrotor commanded by wrenches or body rates
 };
 
 struct Observation {
@@ -109,11 +115,13 @@ class Flight {
   const Nominal& nominal() const { return first_; }  // of the mission, before any filter
   std::span<const FilterRecord> records() const { return records_; }
   const ReferencePoint& target() const { return target_; }
+  const DisturbanceObserver& disturbance() const { return observer_; }
 
  private:
   bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
   bool is_rigid() const { return vehicle_.model == VehicleModel::quadrotor; }
   void predict();
+  void estimate_disturbance(const State& measured, const std::optional<double>& age_s);
   void follow(Vec3 command, double held);
   void make_nominal();
   void lower(CommandKind from, CommandKind to);
@@ -127,6 +135,10 @@ class Flight {
   Mission mission_;
   std::vector<std::unique_ptr<SafetyFilter>> filters_;
   StatePredictor predictor_;
+  DisturbanceObserver observer_;
+  Level level_out_;             // of the disturbance,
+  State true_;                  // and the predicted state with its true attitude
+  std::int64_t sent_ticks_ = 0;  // since the flight began, for the times of measurements
   FlightState seen_;
   Nominal first_, nominal_;
   std::optional<RacerCommand> sticks_;  // of the pilot in this tick
