@@ -35,6 +35,8 @@ def test_a_flight_by_rates_in_a_corridor_stays_clear_in_a_wind_that_rises_on_the
         while sim.truth[-1][1] < 3.0:
             assert fly.process.poll() is None, fly.said
         sim.set(SIM_WIND_SPD=speed_m_s)
+        fly.wait_for("plan finished: landing", 120.0)
+        sim.set(SIM_WIND_SPD=0)  # in wind the program does not notice that it has landed
         assert fly.end(150.0) == 0, fly.said
         path = np.array([(x, y, z) for _, x, y, z, _ in sim.truth if z > 0.5])
     assert path[:, 0].max() > 13.0

@@ -65,9 +65,10 @@ class Flight(Served):
     loop_words: dict[str, Any] = field(default_factory=dict)
     observe_s: float = 0.4
     noise: Any = EXACT  # of its estimate
+    seed: int = 3
 
     def __post_init__(self):
-        Served.__init__(self, self.noise, _BRISK | self.parameters)
+        Served.__init__(self, self.noise, _BRISK | self.parameters, seed=self.seed)
         x, y, _ = self.made.start
         self.frame = LocalFrame(origin_enu_m=(-x, -y, 0.0))  # it boots below the plan's start
         self.interrupts = 0

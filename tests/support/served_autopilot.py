@@ -34,14 +34,14 @@ class Served:
 
     kind, fast = Copter, FAST
 
-    def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, **channel):
+    def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, seed=3, **channel):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setblocking(False)
         self.port = self.socket.getsockname()[1]
         given = self.fast | (parameters or {})
-        copter = self.kind(FASTBRIDGE, parameters=given, options=options, seed=3)
-        self.vehicle = SimulatedVehicle(copter, seed=3, epoch_s=epoch_s, **channel)
+        copter = self.kind(FASTBRIDGE, parameters=given, options=options, seed=seed)
+        self.vehicle = SimulatedVehicle(copter, seed=seed, epoch_s=epoch_s, **channel)
         self.copter = copter
         self.begin = self.peer = None
 

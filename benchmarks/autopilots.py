@@ -1,0 +1,341 @@
+"""The same flights through the built-in room on ArduPilot's own simulation and on the simulated autopilot.
+
+Each filter flies a plan there and back at each speed. On the real program, which ALULA_ARDUCOPTER names,
+`alula fly` runs in a process of its own, in real time, several vehicles at once. On the simulated autopilot
+the same loop and link run in lock-step with it, with the default noise of its estimate. Both are judged by the
+true motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by segments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.sort(key=lambda path: path in sys.path[-2:])  # last: modules of the same names come first
+
+import numpy as np
+from fly import GOAL, START, VIA, make_world
+from measure import FloatArray
+from scipy.spatial import cKDTree
+
+from alula.cli.main import run as alula
+from alula.schemas.artifact import read_artifact
+from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.vehicle import read_vehicle
+from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.planning.adherence import PlanJudge, via_tolerance
+from alula.stages.planning.plan_samples import sample_plan
+
+ROOT = Path(__file__).resolve().parents[1]
+VEHICLE = ROOT / "examples" / "vehicles" / "arducopter.toml"
+# Filters by the set-points that carry their output, and the map that they fly in.
+FILTERS = {
+    "polytope-cbf": ("velocities", "cover"),
+    "cone-di": ("accelerations", "scene"),
+    "safer-splat": ("accelerations", "scene"),
+    "cone-ecbf": ("body rates", "scene"),
+    "cone-backup": ("body rates", "scene"),
+    "shield": ("body rates", "cover"),
+}
+REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
+HEAD = "## Both autopilots\n"
+_INDOORS = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home in an emergency
+_BATCH = 6  # flights of one vehicle before the next is started
+_SAFE_S = 150.0  # a flight ends before
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """One flight: where, behind which filter, at which speed, there (0) or back (1)."""
+
+    autopilot: str
+    name: str
+    speed_m_s: float
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name of the flight in the file of results."""
+        return f"{self.autopilot}/{self.name}/{self.speed_m_s:g}/{self.number}"
+
+    def plan(self, folder: Path) -> Path:
+        """Its plan."""
+        return folder / f"{self.speed_m_s:g}.{self.number % 2}.plan.npz"
+
+    def map(self, folder: Path) -> Path:
+        """Its map."""
+        return folder / f"{FILTERS[self.name][1]}.npz"
+
+
+def make_plans(folder: Path, speeds: list[float]) -> None:
+    """Write the plans there and back; they keep the filters' radius and margin from all hulls."""
+    for speed in speeds:
+        for back, (start, goal) in enumerate(((START, GOAL), (GOAL, START))):
+            words = ["plan", str(folder / "cover.npz"), "-o", str(folder / f"{speed:g}.{back}.plan.npz")]
+            words += ["-f", "-q", "--speed", str(speed), "--radius", "0.25"]
+            for option, point in (("--start", start), ("--via", VIA), ("--goal", goal)):
+                words += [option, "{} {} {}".format(*point)]
+            if alula(words) != 0:
+                raise SystemExit("there is no plan")
+
+
+class Judge:
+    """Judges true paths by the room's hulls and ellipsoids, and by their plan."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.hulls = hull_obstacles(Hulls.from_cover(read_artifact(folder / "cover.npz", COVER)))
+        self.scene = scene_obstacles(read_artifact(folder / "scene.npz", SCENE), 1.0)
+        self.radius_m = read_vehicle(VEHICLE).body.radius_m
+
+    def __call__(self, cell: Cell, path: FloatArray) -> dict[str, Any]:
+        """Figures of a path, shape (T, 3), world frame."""
+        path = np.ascontiguousarray(path)
+        plan = read_artifact(cell.plan(self.folder), PLAN)
+        followed = PlanJudge(plan, [self.hulls], self.radius_m, via_tolerance(None, self.radius_m)).result(
+            path
+        )
+        away = cKDTree(sample_plan(plan, 0.01).position_world).query(path)[0]
+        return {
+            "hull_clearance_m": float(path_clearance(path, self.hulls).min()) - self.radius_m,
+            "scene_clearance_m": float(path_clearance(path, self.scene).min()) - self.radius_m,
+            "via_m": max(followed.closest_m),
+            "via_missed": len(followed.missed),
+            "outside_m": followed.outside_m,
+            "away_p95_m": float(np.quantile(away, 0.95)),
+            "away_max_m": float(away.max()),
+        }
+
+
+# The simulated autopilot.
+
+
+def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
+    """Fly a cell in lock-step."""
+    from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+    from support.flights import mission
+    from support.lockstep import Flight
+
+    kind = FILTERS[cell.name][1]
+    given = {kind: read_artifact(cell.map(folder), COVER if kind == "cover" else SCENE)}
+    plan = read_artifact(cell.plan(folder), PLAN)
+    vehicle = read_vehicle(VEHICLE)
+    made = mission(cell.name, plan=plan, vehicle=vehicle, allow_tight=False, **given)
+    flight = Flight(
+        made, noise=EstimatorOptions(boot_time_s=0.5), seed=cell.number, limits={"checks_s": 60.0}
+    ).fly()
+    cause = flight.cause
+    path = flight.path(State.FLY, State.HOLD)
+    return {
+        "is_finished": cause is Event.PLAN_FINISHED,
+        "ended_by": "nothing" if cause is None else cause.value,
+        "flight_s": float(path[-1, 0] - path[0, 0]),
+    } | Judge(folder)(cell, path[:, 1:])
+
+
+# ArduPilot's own simulation.
+
+
+class Vehicles:
+    """Runs the real program several times at once; each flies there and back until its batch is over."""
+
+    def __init__(self, folder: Path, cells: list[Cell], jobs: int, keep: Path) -> None:
+        self.folder, self.keep, self.judge = folder, keep, Judge(folder)
+        self.batches: queue.Queue[list[Cell]] = queue.Queue()
+        even, odd = ([cell for cell in cells if cell.number % 2 == back] for back in (0, 1))
+        alternating = [cell for pair in zip(even, odd, strict=False) for cell in pair]
+        for first in range(0, len(alternating), _BATCH):
+            self.batches.put(alternating[first : first + _BATCH])
+        self.jobs = jobs
+        self.lock, self.starting = threading.Lock(), threading.Lock()
+
+    def run(self) -> None:
+        """Fly everything."""
+        threads = [threading.Thread(target=self._work) for _ in range(self.jobs)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _work(self) -> None:
+        while True:
+            try:
+                batch = self.batches.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                self._fly(batch)
+            except Exception as error:  # noqa: BLE001  the others go on; it is missing in the table
+                print(f"{batch[0].key}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def _vehicle(self, folder: Path) -> Iterator[Any]:
+        from support.ardupilot_sitl import sitl
+
+        self.starting.acquire()  # two programs that start at once would choose the same ports
+        threading.Timer(4.0, self.starting.release).start()
+        with sitl(folder, _INDOORS) as sim:
+            yield sim
+
+    def _fly(self, batch: list[Cell]) -> None:
+        with tempfile.TemporaryDirectory() as name, self._vehicle(Path(name)) as sim:
+            for cell in batch:
+                found = self._flight(Path(name), sim, cell)
+                with self.lock, self.keep.open("a") as lines:
+                    lines.write(json.dumps({"key": cell.key, **found}) + "\n")
+                if not found["is_finished"]:
+                    return  # the vehicle is not where the next plan begins
+
+    def _flight(self, folder: Path, sim: Any, cell: Cell) -> dict[str, Any]:
+        words = [sys.executable, "-P", "-m", "alula.cli", "fly", str(cell.plan(self.folder)), "-f"]
+        words += ["--map", str(cell.map(self.folder)), "--filter", cell.name, "--vehicle", str(VEHICLE)]
+        words += ["--link", f"udpin:127.0.0.1:{sim.port}", "--origin", f"{-START[0]} {-START[1]} 0"]
+        words += ["--stale", "0.4", "--latency", "0.05", "-o", str(folder / "f.run.mcap")]
+        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+            timer = threading.Timer(_SAFE_S, process.terminate)
+            timer.start()
+            assert process.stderr is not None
+            lines = [(time.monotonic(), line.rstrip()) for line in process.stderr]
+            code = process.wait()
+            timer.cancel()
+        begin = next((at for at, line in lines if "flying the plan" in line), None)
+        end = next(
+            (at for at, line in lines if begin is not None and at > begin and ": landing" in line), None
+        )
+        last = lines[-1][1] if lines else ""
+        ended = next((line.split("s  ")[-1] for at, line in lines if at == end), last)
+        figures: dict[str, Any] = {"is_finished": code == 0, "ended_by": ended, "code": code}
+        if code != 0:
+            figures["said"] = [line for _, line in lines][-12:]
+        if begin is None:
+            return figures
+        end = time.monotonic() if end is None else end
+        path = np.array([row[1:4] for row in list(sim.truth) if begin <= row[0] <= end])
+        path += (START[0], START[1], 0.0)
+        return figures | {"flight_s": end - begin} | self.judge(cell, path)
+
+
+def table(found: dict[str, dict[str, Any]]) -> str:
+    """Figures of both autopilots side by side, a row for each filter and speed."""
+    heads = ["filter", "set-points", "plan, m/s", "autopilot", "flights", "plan finished", "contacts"]
+    heads += ["via missed", "least clearance, m", "from the plan, m: 95 %", "max", "flight, s"]
+    lines = [heads, ["---"] * len(heads)]
+    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
+    for key, figures in found.items():
+        autopilot, name, speed, _ = key.split("/")
+        if "via_m" in figures:
+            groups.setdefault((name, float(speed), autopilot), []).append(figures)
+    order = list(FILTERS)
+    for (name, speed, autopilot), flights in sorted(
+        groups.items(), key=lambda item: (order.index(item[0][0]), item[0][1], item[0][2])
+    ):
+        clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
+        least = min(each[clear] for each in flights)
+        lines.append(
+            [
+                name,
+                FILTERS[name][0],
+                f"{speed:g}",
+                autopilot,
+                str(len(flights)),
+                str(sum(each["is_finished"] for each in flights)),
+                str(sum(each[clear] <= 0 for each in flights)),
+                str(sum(each["via_missed"] for each in flights)),
+                f"{least:.3f}",
+                f"{np.median([each['away_p95_m'] for each in flights]):.3f}",
+                f"{max(each['away_max_m'] for each in flights):.3f}",
+                f"{np.median([each['flight_s'] for each in flights]):.1f}",
+            ]
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+_PREFACE = """
+The same plans through the built-in room, there and back, with `examples/vehicles/arducopter.toml`.
+"{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
+the default noise of its estimate. Clearances are those of the true motion while set-points were sent, to the
+hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
+Made by:
+
+    ALULA_ARDUCOPTER=.../arducopter python benchmarks/autopilots.py --markdown docs/results/benchmarks-fly.md
+
+"""
+
+
+def main() -> int:
+    """Fly what is missing, and print the table; return 1 if there was a contact."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--flights", type=int, default=20, metavar="N", help="of each filter and speed: 20")
+    parser.add_argument("--speeds", type=float, nargs="+", default=[0.5, 1.0, 2.0], metavar="M_S")
+    parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=list(FILTERS))
+    parser.add_argument(
+        "--autopilots", nargs="+", default=["real", "simulated"], choices=["real", "simulated"]
+    )
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="vehicles at once: 2")
+    parser.add_argument(
+        "--keep", type=Path, default=Path("build/autopilots"), help="folder of maps and results"
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table into this page")
+    options = parser.parse_args()
+    folder: Path = options.keep
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "cover.npz").exists():
+        make_world(folder, 200_000, 0.1, 150)
+    make_plans(folder, options.speeds)
+    results = folder / "flights.jsonl"
+    lines = results.read_text().splitlines() if results.exists() else []
+    found = {row.pop("key"): row for row in map(json.loads, lines)}
+    autopilots = {"real": REAL, "simulated": SIMULATED}
+    if "ALULA_ARDUCOPTER" not in os.environ:
+        options.autopilots = [each for each in options.autopilots if each != "real"]
+    cells = [
+        Cell(autopilots[each], name, speed, number)
+        for number in range(options.flights)
+        for speed in options.speeds
+        for name in options.filters
+        for each in options.autopilots
+    ]
+    missing = [cell for cell in cells if cell.key not in found]
+    simulated = [cell for cell in missing if cell.autopilot == SIMULATED]
+    if simulated:
+        with ProcessPoolExecutor(options.jobs) as pool, results.open("a") as kept:
+            for cell, figures in zip(
+                simulated, pool.map(fly_simulated, [folder] * len(simulated), simulated), strict=True
+            ):
+                kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
+                kept.flush()
+    real = [cell for cell in missing if cell.autopilot == REAL]
+    if real:
+        Vehicles(folder, real, options.jobs, results).run()
+    rows = [json.loads(line) for line in results.read_text().splitlines()]
+    wanted = {cell.key for cell in cells}
+    found = {row.pop("key"): row for row in rows if row["key"] in wanted}
+    shown = table(found)
+    if options.markdown is not None:
+        page = options.markdown.read_text() if options.markdown.exists() else ""
+        before = page.split(HEAD)[0].rstrip("\n")
+        preface = _PREFACE.format(real=REAL, simulated=SIMULATED)
+        options.markdown.write_text(f"{before}\n\n{HEAD}{preface}{shown}")
+    print(shown, end="")
+    return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
