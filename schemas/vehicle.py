@@ -33,6 +33,13 @@
     [assumed]                     # by controller and filters; off by default
     motor_time_constant_s = 0.03
 
+    [velocities]                  # how its own controller follows velocities; `alula identify` measures it
+    horizontal_lag = [0.56, 0.18] # 63 % of a stop from the speed v take 0.56 s + 0.18 s^2/m v
+    vertical_lag = [0.22, 0.57]
+    max_up_m_s = 2.5
+    max_down_m_s = 1.5
+    deceleration_m_s2 = 2.5
+
 A quadrotor needs mass, inertia and rotors. A double integrator has `[limits] max_acceleration_m_s2`, a
 single integrator `[limits] max_speed_m_s`. A table or key that does not apply to the model is refused.
 """
@@ -57,6 +64,9 @@ Model = Literal["quadrotor", "double-integrator", "single-integrator"]
 Positive = Annotated[float, Meta(gt=0)]
 Size = Annotated[float, Meta(ge=0)]
 Sizes = tuple[Size, Size, Size]
+Lag = tuple[Size, Size]
+Interval = tuple[float, float]
+Intervals = tuple[Interval, Interval, Interval]
 Positives = tuple[Positive, Positive, Positive]
 RotorPosition = tuple[float, float]
 Spin = Literal[-1, 1]
@@ -165,6 +175,48 @@ class AssumedTable(_Table, frozen=True, kw_only=True):
     delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
 
 
+class VelocitiesTable(_Table, frozen=True, kw_only=True):
+    """How the vehicle's own controller follows velocity set-points; the defaults are ArduPilot Copter's.
+
+    63 % of a stop from the speed v take a + b v, with [a, b] = `horizontal_lag` or `vertical_lag` [s, s^2/m],
+    the latter in the slower of both directions, and up to `max_up_m_s`. `deceleration_m_s2` is the horizontal
+    deceleration that a stop sustains; the default is ArduPilot's WPNAV_ACCEL.
+    """
+
+    horizontal_lag: Lag = (0.56, 0.18)
+    vertical_lag: Lag = (0.22, 0.57)
+    max_up_m_s: Positive = 2.5
+    max_down_m_s: Positive = 1.5
+    deceleration_m_s2: Positive = 2.5
+
+
+class IdentifiedTable(_Table, frozen=True, kw_only=True):
+    """What `alula identify` measured; an interval [low, high] contains the value in 95 of 100 measurements.
+
+    `delay_s` is the time from a velocity set-point to the first response. The lag laws have the interval of
+    a and of b. Drag is linear, along x and y of the heading and z. `residual_m_s2` is the 99 % quantile of
+    the difference between the acceleration of the model and the measured one, means over 0.25 s.
+    `time_constant_interval_s` is that of `rates.axis_time_constant_s`.
+    """
+
+    autopilot: str = ""
+    date: str = ""
+    speeds_m_s: tuple[Positive, ...] = ()
+    horizontal_lag_interval: tuple[Interval, Interval] | None = None
+    vertical_lag_interval: tuple[Interval, Interval] | None = None
+    delay_s: Size | None = None
+    delay_interval_s: Interval | None = None
+    deceleration_interval_m_s2: Interval | None = None
+    hover_throttle: Positive | None = None
+    hover_throttle_interval: Interval | None = None
+    drag_per_s: tuple[float, float, float] | None = None
+    drag_interval_per_s: Intervals | None = None
+    residual_m_s2: Size | None = None
+    time_constant_interval_s: Intervals | None = None
+    thrust_time_constant_s: Size | None = None
+    thrust_time_constant_interval_s: Interval | None = None
+
+
 # Keys that do not apply to each model.
 _UNUSED = {
     "quadrotor": ("limits",),
@@ -190,6 +242,8 @@ _UNUSED = {
         "disturbance.attitude_noise_rad",
         "disturbance.rate_noise_rad_s",
         "assumed",
+        "velocities",
+        "identified",
     ),
     "single-integrator": (
         "body.mass_kg",
@@ -202,6 +256,8 @@ _UNUSED = {
         "tracking",
         "disturbance",
         "assumed",
+        "velocities",
+        "identified",
     ),
 }
 _NEEDED = {
@@ -226,6 +282,13 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     tracking: TrackingTable = TrackingTable()
     disturbance: DisturbanceTable = DisturbanceTable()
     assumed: AssumedTable = AssumedTable()
+    velocities: VelocitiesTable | None = None
+    identified: IdentifiedTable | None = None
+
+    @property
+    def following(self) -> VelocitiesTable:
+        """How the vehicle follows velocities: the file's table, or the defaults."""
+        return self.velocities or VelocitiesTable()
 
     def attitude_gains(self) -> tuple[Sequence[float], Sequence[float]]:
         """K_R [N m] and K_omega [N m s] of a quadrotor: the file's, or in proportion to the inertia."""

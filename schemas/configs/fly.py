@@ -70,12 +70,13 @@ class FlyConfig(AlongPlanConfig):
             "option": "--speed",
         },
     )
-    velocity_lag_s: float | None = field(
+    velocity_lag_s: float | tuple[float, float, float] | None = field(
         default=None,
         metadata={
-            "help": "Lag with which the vehicle follows velocity set-points [s]: 1.25 times the duration "
-            "of 63 % of a stop from --speed, in the slowest direction; default: that of ArduPilot Copter "
-            "with its default parameters, 1.34 s at 1.5 m/s. Too long is safe, too short is not.",
+            "help": "Lag with which the vehicle follows velocity set-points [s], of all axes: 1.25 times the "
+            "duration of 63 % of a stop from --speed, in the slowest direction; default: by axis, from the "
+            "vehicle's file, which alula identify writes, else that of ArduPilot Copter with its default "
+            "parameters. Too long is safe, too short is not.",
             "option": "--velocity-lag",
         },
     )
@@ -163,13 +164,15 @@ class FlyConfig(AlongPlanConfig):
             _between(option, value, low, high)
         for option, given, low, high in (
             ("--speed", self.speed_m_s, 1e-3, 100.0),
-            ("--velocity-lag", self.velocity_lag_s, 0.0, 5.0),
             ("--inflate", self.inflation_m, 0.0, 100.0),
             ("--catch-up", self.catch_up_m_s, 1e-6, 1e3),
             ("--max-time", self.max_time_s, 1.0, 1e5),
         ):
             if given is not None:
                 _between(option, given, low, high)
+        lags = self.velocity_lag_s
+        for lag in () if lags is None else lags if isinstance(lags, tuple) else (lags,):
+            _between("--velocity-lag", lag, 0.0, 5.0)
         if self.fence is not None and not all(self.fence[i] < self.fence[i + 3] for i in range(3)):
             raise UsageError("--fence needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         if self.frame_check not in ("motion", "hand", "none"):

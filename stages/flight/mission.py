@@ -38,16 +38,13 @@ from alula.stages.planning.curve_certificate import certify
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
+from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2, stop_m
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
 _ROOM_M = 2.0  # between the plan's box and the default fence
 _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
-# Maximum lag of the autopilots in docs/guide/fly.md, ArduPilot's: c_0 + c_1 * speed limit [s, s^2/m], and a
-# factor for what a first-order model leaves out. Its vertical speed is limited by WPNAV_SPEED_UP.
-_LAG_MARGIN, _MAX_LAG_S = 1.25, 5.0
-_HORIZONTAL_LAG, _VERTICAL_LAG, _MAX_UP_M_S = (0.56, 0.18), (0.22, 0.57), 2.5
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
 _MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
@@ -138,7 +135,9 @@ def resolve_fly(
     return dataclasses.replace(
         config,
         speed_m_s=limit,
-        velocity_lag_s=_default_lag_s(limit) if config.velocity_lag_s is None else config.velocity_lag_s,
+        velocity_lag_s=config.velocity_lag_s
+        if config.velocity_lag_s is not None
+        else filter_lags_s(vehicle.following, limit),
         fence=config.fence or (*low.tolist(), *high.tolist()),
         catch_up_m_s=config.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * speed,
         max_time_s=config.max_time_s or 3 * duration + _EXTRA_TIME_S,
@@ -146,12 +145,30 @@ def resolve_fly(
     )
 
 
-def _default_lag_s(limit_m_s: float) -> float:
-    """Lag that covers a stop from a speed, in any direction, of the slowest autopilot [s]."""
-    c, d = _HORIZONTAL_LAG
-    e, f = _VERTICAL_LAG
-    slowest = max(c + d * limit_m_s, e + f * min(limit_m_s, _MAX_UP_M_S))
-    return min(_LAG_MARGIN * slowest, _MAX_LAG_S)
+def _lags_s(config: FlyConfig) -> FloatArray:
+    """Lags along x, y, z of a complete configuration, shape (3,) [s]."""
+    assert config.velocity_lag_s is not None
+    return np.broadcast_to(np.array(config.velocity_lag_s, np.float64), (3,))
+
+
+def _require_deceleration(config: FlyConfig, vehicle: Vehicle, *, is_given: bool) -> None:
+    """Refuse a speed from which the vehicle cannot decelerate as the filter requires.
+
+    A lag that was given replaces the vehicle's; it is compared only with a deceleration of the file.
+    """
+    if config.filter != "polytope-cbf" or (is_given and vehicle.velocities is None):
+        return
+    assert config.speed_m_s is not None
+    following, speed = vehicle.following, config.speed_m_s
+    lag, most = float(_lags_s(config)[0]), following.deceleration_m_s2
+    needed = needed_deceleration_m_s2(speed, lag, config.beta)
+    if needed <= most:
+        return
+    fastest = most * (1 / config.beta + lag) if is_given else max_speed_m_s(following, config.beta)
+    raise UsageError(
+        f"at {speed:g} m/s the filter needs a deceleration of {needed:.2f} m/s^2, and {vehicle.name} "
+        f"sustains {most:g}; the margin can be kept up to --speed {at_least(fastest)}"
+    )
 
 
 def make_mission(
@@ -182,7 +199,10 @@ def make_mission(
         UsageError: a parameter is invalid.
         InputError, ArtifactError: the artifacts do not match each other.
     """
+    has_lag = config.velocity_lag_s is not None
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat, has_scene=scene is not None)
+    if not is_splat:
+        _require_deceleration(config, vehicle, is_given=has_lag)
     frame = plan.manifest.frame
     for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
         if other is not None:
@@ -291,14 +311,13 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
         return make_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None
     assert config.speed_m_s is not None
-    assert config.velocity_lag_s is not None
     assert config.fence is not None
     hulls = Hulls.from_cover(mission.cover)
     reach = float(np.abs(hulls.vertices_world).max(initial=0.0))
     parameters = dict(config.filter_parameters)
     if config.filter == "polytope-cbf":
         parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
-    lead = (1 + config.velocity_lag_s) * config.speed_m_s
+    lead = (1 + float(_lags_s(config).max())) * config.speed_m_s
     hull_world = FilterWorld(
         hulls=hulls,
         radius_m=keep,
@@ -342,9 +361,8 @@ def make_commander(
     if kind is None:
         names = " or ".join(kind.__name__ for kind in kinds)
         raise LinkError(f"the filter {config.filter} needs a link that accepts {names}; this link does not")
-    speed, lag, dt = config.speed_m_s, config.velocity_lag_s, 1 / config.rate_hz
+    speed, lag, dt = config.speed_m_s, _lags_s(config).tolist(), 1 / config.rate_hz
     assert speed is not None
-    assert lag is not None
     filters = [] if safety is None else [native_filter(safety)]
     if not mission.is_splat:
         filters = [_core.ChordFilter(each, lag_s=lag, max_speed_m_s=speed) for each in filters]
@@ -417,7 +435,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         fence=mission.fence,
         plan=mission.is_clear,
         speed_m_s=speed,
-        stop_m=_LAG_MARGIN * (_HORIZONTAL_LAG[0] + _HORIZONTAL_LAG[1] * speed) * speed,
+        stop_m=stop_m(mission.vehicle.following, speed),
         near_m=config.near_m,
         state_hz=min(20.0, 0.5 * config.rate_hz),
         loop_hz=config.rate_hz,

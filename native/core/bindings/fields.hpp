@@ -87,6 +87,17 @@ struct Python<geometry::Vec3> {
   static Numbers out(geometry::Vec3 v) { return {v.x, v.y, v.z}; }
 };
 
+template <>
+struct Python<geometry::PerAxis> {
+  using Numbers = std::array<double, 3>;
+  static std::string type() { return "float | " + Python<Numbers>::type(); }
+  static geometry::PerAxis from(nb::handle value) {
+    if (double all = 0; nb::try_cast(value, all)) return all;
+    return Python<geometry::Vec3>::from(value);
+  }
+  static Numbers out(const geometry::PerAxis& v) { return Python<geometry::Vec3>::out(v); }
+};
+
 template <class M>
 struct Python<std::optional<M>> {
   using Out = std::optional<std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>>;

@@ -2658,7 +2658,8 @@ class VelocityFilter(SafetyFilter):
 class ChordFilter(SafetyFilter):
     """A filter of velocities on the chord of a vehicle that lags."""
 
-    def __init__(self, filter: SafetyFilter, *, lag_s: float, max_speed_m_s: float) -> None: ...
+    def __init__(self, filter: SafetyFilter, *, lag_s: float | Sequence[float], max_speed_m_s: float) -> None:
+        """lag_s: of all axes, or of each."""
 
 class MovingSafety(SafetyFilter):
     """A filter among moving obstacles, with walls of a map."""
@@ -2681,7 +2682,7 @@ class PythonFilter(SafetyFilter):
 class VehicleSpec:
     """A vehicle, as modelled and as it truly is."""
 
-    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: Sequence[float] = [0.02, 0.02, 0.02], velocity_gain_per_s: float = 2.0, velocity_lag_s: float = 0.0, max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: Sequence[float] = [0.02, 0.02, 0.02], velocity_gain_per_s: float = 2.0, velocity_lag_s: float | Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
         """
         Args:
             model: single-integrator, double-integrator, quadrotor or racer
@@ -2692,7 +2693,7 @@ class VehicleSpec:
             max_rate_rad_s: limit of a commanded body rate [rad/s]
             rate_time_constant_s: of each axis of the vehicle's own rate loop [s]
             velocity_gain_per_s: of the velocity loop [1/s]
-            velocity_lag_s: assumed time constant with which velocities are followed [s]
+            velocity_lag_s: assumed time constant with which velocities are followed, of all axes or of each [s]
             max_speed_m_s: limit of velocity commands, and of points [m/s]
             max_acceleration_m_s2: limit of points [m/s^2]
             max_jerk_m_s3: limit of a double integrator [m/s^3]

@@ -74,6 +74,27 @@ def test_without_a_lag_it_is_the_filter_itself_bit_by_bit():
         assert filtered(chord, p, v, u) == filtered(bare, p, v, u)
 
 
+def test_three_equal_lags_are_one_lag_bit_by_bit():
+    rng = np.random.default_rng(2)
+    made = make_filter("polytope-cbf", WORLD, {})
+    one, three = chord_of(made, 0.6, 2.0), chord_of(made, [0.6, 0.6, 0.6], 2.0)
+    for _ in range(200):
+        p, v, u = rng.uniform(-0.5, 1.5, 3), rng.normal(size=3), rng.normal(size=3)
+        assert filtered(one, p, v, u) == filtered(three, p, v, u)
+
+
+def test_nearly_equal_lags_give_nearly_the_same():
+    """What the curve adds is continuous: no jump where the lags become unequal."""
+    rng = np.random.default_rng(3)
+    made = make_filter("polytope-cbf", WORLD, {})
+    one, three = chord_of(made, 0.6, 2.0), chord_of(made, [0.6, 0.6, 0.6 + 1e-9], 2.0)
+    for _ in range(200):
+        p, v, u = rng.uniform(-0.5, 1.5, 3), rng.normal(size=3), rng.normal(size=3)
+        a, b = filtered(one, p, v, u), filtered(three, p, v, u)
+        assert a["status"] == b["status"]
+        np.testing.assert_allclose(a["velocity"], b["velocity"], rtol=0, atol=1e-5)
+
+
 def test_bare_only_the_margin_is_reported():
     bare = chord_of(without_filter(WORLD, {}), 0.5, 2.0)
     found = filtered(bare, (-0.5, 0.5, 0.5), (0.4, 0, 0), (1.0, 0, 0))
@@ -100,6 +121,6 @@ def test_only_filters_of_velocities_have_a_chord():
     native = _core.PythonFilter("acceleration", object())
     with pytest.raises(ValueError, match="velocities"):
         _core.ChordFilter(native, lag_s=0.5, max_speed_m_s=1.0)
-    for lag, speed in ((-0.1, 1.0), (np.nan, 1.0), (0.5, 0.0)):
+    for lag, speed in ((-0.1, 1.0), (np.nan, 1.0), (0.5, 0.0), ([0.5, 0.5, 0.0], 1.0)):
         with pytest.raises(ValueError, match="lag"):
             chord_of(Calling(lambda state, nominal: None), lag, speed)

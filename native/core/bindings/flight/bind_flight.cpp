@@ -4,12 +4,14 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstring>
 #include <memory>
 #include <string>
 #include <utility>
+#include <variant>
 
 #include "alula/filters/adapters.hpp"
 #include "alula/filters/chord_filter.hpp"
@@ -51,7 +53,8 @@ struct Fields<flight::VehicleSpec> {
       Field{"max_rate_rad_s", &Spec::max_rate, "limit of a commanded body rate [rad/s]"},
       Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of each axis of the vehicle's own rate loop [s]"},
       Field{"velocity_gain_per_s", &Spec::velocity_gain, "of the velocity loop [1/s]"},
-      Field{"velocity_lag_s", &Spec::velocity_lag_s, "assumed time constant with which velocities are followed [s]"},
+      Field{"velocity_lag_s", &Spec::velocity_lag_s,
+            "assumed time constant with which velocities are followed, of all axes or of each [s]"},
       Field{"max_speed_m_s", &Spec::max_speed, "limit of velocity commands, and of points [m/s]"},
       Field{"max_acceleration_m_s2", &Spec::max_acceleration, "limit of points [m/s^2]"},
       Field{"max_jerk_m_s3", &Spec::max_jerk, "limit of a double integrator [m/s^3]"},
@@ -302,7 +305,16 @@ void bind_adapters(nb::module_& m) {
            "is_bare: only report the margin, and pass the nominal velocity.");
   nb::class_<ChordFilter, SafetyFilter>(m, "ChordFilter",
                                         "A filter of velocities on the chord of a vehicle that lags.")
-      .def(nb::init<const SafetyFilter&, double, double>(), "filter"_a, nb::kw_only(), "lag_s"_a, "max_speed_m_s"_a);
+      .def(
+          "__init__",
+          [](ChordFilter* self, const SafetyFilter& filter, const std::variant<double, std::array<double, 3>>& lag,
+             double max_speed) {
+            const auto* each = std::get_if<std::array<double, 3>>(&lag);
+            new (self) ChordFilter(
+                filter, each ? geometry::PerAxis(geometry::from_rows(each->data())) : std::get<double>(lag),
+                max_speed);
+          },
+          "filter"_a, nb::kw_only(), "lag_s"_a, "max_speed_m_s"_a, "lag_s: of all axes, or of each.");
   nb::class_<MovingSafety, SafetyFilter>(m, "MovingSafety", "A filter among moving obstacles, with walls of a map.")
       .def(
           "__init__",

@@ -7,6 +7,7 @@
 namespace alula::flight {
 namespace {
 
+using geometry::by_axis;
 using geometry::dot;
 using geometry::norm;
 
@@ -18,7 +19,8 @@ constexpr double kFractions[] = {1, 0.5};             // of the velocity, if the
 constexpr double kTolerance = 1e-3;                   // times the speed limit: a smaller change is rounding
 constexpr int kHalvings = 4;                          // of the bisection for where the chord enters a hull
 constexpr double kReturnGain = 2;                     // times 1 / lag: gain that drives q out of a hull
-constexpr double kLongest = 1e3;                      // of a lag [s]
+constexpr Vec3 kWhole{1, 1, 1};
+constexpr double kLongest = 1e3;  // of a lag [s]
 
 bool is_inside(const FilterReport& report) { return report.status == SafetyStatus::recovering; }
 
@@ -30,18 +32,22 @@ FilterReport with(FilterReport report, Vec3 u, SafetyStatus status) {
 
 }  // namespace
 
-ChordFilter::ChordFilter(const SafetyFilter& filter, double lag_s, double max_speed)
+ChordFilter::ChordFilter(const SafetyFilter& filter, geometry::PerAxis lag_s, double max_speed)
     : filter_(filter.clone()), lag_(lag_s), max_speed_(max_speed) {
   if (filter.kind() != CommandKind::velocity)
     throw std::invalid_argument("the chord of a vehicle is for a filter of velocities");
-  if (!(lag_s >= 0 && lag_s <= kLongest && max_speed > 0))
-    throw std::invalid_argument("the lag of a vehicle must be from 0 to 1000 s, and its speed limit positive");
-  points_.reserve(static_cast<std::size_t>(2 * kPoints + std::min(1e3, lag_ * max_speed_ / kMostStep)));
+  for (int i = 0; i < 3; ++i)
+    if (!(lag_s[i] >= 0 && lag_s[i] <= kLongest && max_speed > 0))
+      throw std::invalid_argument("the lag of a vehicle must be from 0 to 1000 s, and its speed limit positive");
+  if (lag_s.most() > 0 && !(lag_s.least() > 0))
+    throw std::invalid_argument("either all axes of a vehicle lag or none does");
+  points_.reserve(static_cast<std::size_t>(2 * kPoints + std::min(1e3, lag_.most() * max_speed_ / kMostStep)));
 }
 
-// The filter at a point, validated.
-FilterReport ChordFilter::evaluate(Vec3 x, Vec3 u) {
-  at_.x.p = x, wanted_.velocity = u;
+// The filter at a point, validated; for the velocity M u, and its answer divided by M.
+FilterReport ChordFilter::evaluate(Vec3 x, Vec3 share, Vec3 u) {
+  const bool is_whole = lag_.is_even();
+  at_.x.p = x, wanted_.velocity = is_whole ? u : by_axis(share, u);
   FilterReport report = filter_->filter(at_, wanted_);
   if (!geometry::is_finite(report.velocity))
     throw std::invalid_argument("the filter returned a velocity that is not finite");
@@ -49,23 +55,47 @@ FilterReport ChordFilter::evaluate(Vec3 x, Vec3 u) {
     throw std::invalid_argument("the filter returned a velocity above the speed limit");
   if (std::isnan(report.margin) && report.status != SafetyStatus::refused)  // the margin determines the next point
     throw std::invalid_argument("the filter returned a margin that is not a number");
+  if (is_whole || report.status == SafetyStatus::refused) return report;
+  if (report.status == SafetyStatus::ok) {
+    report.velocity = u;
+    return report;
+  }
+  for (int i = 0; i < 3; ++i) report.velocity[i] /= share[i];
+  const double speed = norm(report.velocity);
+  if (speed > max_speed_) report.velocity = max_speed_ / speed * report.velocity;
   return report;
+}
+
+// The point of the chord at a fraction of it; with lags that differ, of the curve, at the time at which the axis with
+// the longest lag has covered that fraction.
+ChordFilter::Evaluated ChordFilter::point_at(double theta, Vec3 p, Vec3 chord, Vec3 u) {
+  Vec3 x = p + theta * chord, share = kWhole;
+  if (!lag_.is_even()) {
+    const double most = lag_.most(), least = lag_.least();
+    for (int i = 0; i < 3; ++i) {  // 1 - E_i, and at theta = 0 its derivative
+      share[i] = theta > 0 ? 1 - std::pow(1 - theta, most / lag_[i]) : most / lag_[i];
+      x[i] = p[i] + (theta > 0 ? share[i] : 0) * chord[i];
+    }
+    const double whole = theta > 0 ? 1 - std::pow(1 - theta, most / least) : most / least;
+    share = 1 / whole * share;
+  }
+  return {x, share, evaluate(x, share, u)};
 }
 
 // Points of the chord from p to q, or to the first inside a hull after a clear one.
 void ChordFilter::go_along(Vec3 p, Vec3 chord, Vec3 u) {
   points_.clear();
-  const double length = norm(chord);
+  // With lags that differ, a bound of the curve's speed by theta: |d c_i / d theta| <= most |v_i|.
+  const double length = lag_.is_even() ? norm(chord) : lag_.most() * norm(at_.x.v);
   if (!(length > kLeastStep)) {
-    points_.push_back({p + chord, evaluate(p + chord, u)});
+    points_.push_back({p + chord, kWhole, evaluate(p + chord, kWhole, u)});
     return;
   }
   const double least = std::max(std::min(length / kPoints, kMostStep), kLeastStep);
   bool was_clear = false;
   for (double theta = 0;;) {
-    const Vec3 x = p + theta * chord;
-    const FilterReport report = evaluate(x, u);
-    points_.push_back({x, report});
+    points_.push_back(point_at(theta, p, chord, u));
+    const FilterReport& report = points_.back().report;
     const bool inside = is_inside(report);
     if (theta >= 1 || (inside && was_clear) || report.status == SafetyStatus::refused) return;
     was_clear = was_clear || !inside;
@@ -78,9 +108,10 @@ void ChordFilter::go_along(Vec3 p, Vec3 chord, Vec3 u) {
 // towards q, they are left out, because no u moves p out faster.
 FilterReport ChordFilter::filter(const FlightState& state, const Nominal& nominal) {
   at_ = state, wanted_ = nominal;
-  const Vec3 p = state.x.p, chord = lag_ * state.x.v, u = nominal.velocity;
-  if (lag_ > 0 && !(geometry::is_finite(chord) && geometry::is_finite(p))) return {};
-  go_along(p, lag_ > 0 ? chord : Vec3{}, u);
+  const bool lags = lag_.most() > 0;
+  const Vec3 p = state.x.p, chord = by_axis(lag_, state.x.v), u = nominal.velocity;
+  if (lags && !(geometry::is_finite(chord) && geometry::is_finite(p))) return {};
+  go_along(p, lags ? chord : Vec3{}, u);
   if (points_.back().report.status == SafetyStatus::refused) return points_.back().report;
   const auto is_blocked = [](const Evaluated& point) { return is_inside(point.report); };
   const auto first_clear = std::find_if_not(points_.begin(), points_.end(), is_blocked);
@@ -115,7 +146,7 @@ FilterReport ChordFilter::agreed(const FilterReport& worst, Vec3 u) {
   for (int sweep = 0; sweep < kSweeps; ++sweep) {
     bool is_settled = true;
     for (const Evaluated& point : points_) {
-      const FilterReport report = evaluate(point.x, u);
+      const FilterReport report = evaluate(point.x, point.share, u);
       if (report.status == SafetyStatus::refused) return report;
       if (report.status == SafetyStatus::ok) continue;
       is_settled = false;
@@ -127,7 +158,7 @@ FilterReport ChordFilter::agreed(const FilterReport& worst, Vec3 u) {
   for (const double fraction : kFractions) {
     double change = 0;
     for (const Evaluated& point : points_) {
-      const FilterReport report = evaluate(point.x, fraction * u);
+      const FilterReport report = evaluate(point.x, point.share, fraction * u);
       if (report.status == SafetyStatus::refused) return report;
       for (int i = 0; i < 3; ++i) change = std::max(change, std::abs(report.velocity[i] - fraction * u[i]));
     }
@@ -141,10 +172,10 @@ FilterReport ChordFilter::agreed(const FilterReport& worst, Vec3 u) {
 FilterReport ChordFilter::driven_out(Vec3 clear, Evaluated blocked, Vec3 p, Vec3 chord, Vec3 u) {
   for (int i = 0; i < kHalvings; ++i) {
     const Vec3 middle = 0.5 * (clear + blocked.x);
-    const FilterReport found = evaluate(middle, u);
+    const FilterReport found = evaluate(middle, kWhole, u);
     if (found.status == SafetyStatus::refused) return found;
     if (is_inside(found))
-      blocked = {middle, found};
+      blocked = {middle, kWhole, found};
     else
       clear = middle;
   }
@@ -153,7 +184,7 @@ FilterReport ChordFilter::driven_out(Vec3 clear, Evaluated blocked, Vec3 p, Vec3
   Vec3 normal = speed > 0 ? 1 / speed * blocked.report.velocity : back;
   if (dot(normal, back) < 0) normal = back;
   const double depth = dot(normal, blocked.x - p - chord);
-  const double size = std::min(std::max(speed, kReturnGain / lag_ * depth), max_speed_);
+  const double size = std::min(std::max(speed, kReturnGain / lag_.most() * depth), max_speed_);
   return with(blocked.report, size * normal, SafetyStatus::recovering);
 }
 

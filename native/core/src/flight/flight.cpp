@@ -188,10 +188,12 @@ void Flight::follow(Vec3 command, double held) {
   if (vehicle_.model == VehicleModel::single_integrator) {
     x.p = x.p + held * command;
   } else if (is_velocity && is_rigid()) {
-    const double lag = vehicle_.velocity_lag_s;
-    const Vec3 v = lag > 0 ? command + std::exp(-held / lag) * (x.v - command) : x.v;
-    x.p = x.p + held * (lag > 0 ? command : v) + lag * (x.v - v);
-    x.v = v;
+    for (int i = 0; i < 3; ++i) {
+      const double lag = vehicle_.velocity_lag_s[i];
+      const double v = lag > 0 ? command[i] + std::exp(-held / lag) * (x.v[i] - command[i]) : x.v[i];
+      x.p[i] = x.p[i] + held * (lag > 0 ? command[i] : v) + lag * (x.v[i] - v);
+      x.v[i] = v;
+    }
   } else {
     const Vec3 a = is_velocity ? velocity_loop(vehicle_, command, x.v) : command;
     x.p = x.p + held * x.v + held * held / 2 * a;

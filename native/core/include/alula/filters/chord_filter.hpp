@@ -37,6 +37,13 @@
 // h_p / (1 / beta + tau), and the deceleration at most the speed divided by that time. A vehicle that cannot
 // decelerate as fast requires a larger tau or a lower speed.
 //
+// With a lag of its own for each axis, T = diag(tau_i), q = p + T v still moves with u, but p comes to rest along the
+// curve c(t) = p + T (1 - E) v, E = diag(exp(-t / tau_i)). Its points move with dc/dt = E v + (1 - E) u, and E v is
+// the tangent of the curve. So the condition at the point nearest to a hull is n . (1 - E) u >= -beta (D_k - r). With
+// M = (1 - E) / max_i (1 - E_i), the filter is evaluated there for the velocity M u, and what it returns is divided
+// by M: n . M u >= -beta (D_k - r) is sufficient, because the maximum is at most 1. With equal lags the curve is the
+// chord and M is 1.
+//
 // Source: the chord and its condition are new here; input-to-state safety: Kolathaya and Ames 2019.
 #pragma once
 
@@ -47,15 +54,16 @@
 
 namespace alula::flight {
 
-// A filter of velocities, evaluated on the chord from p to p + lag_s v. Its answer must depend on its arguments
-// alone; it is evaluated several times a tick. With a lag of 0 it is evaluated at p alone.
+// A filter of velocities, evaluated on the chord from p to p + lag_s v, or on the curve to it. Its answer must depend
+// on its arguments alone; it is evaluated several times a tick. With a lag of 0 it is evaluated at p alone.
 //
 // A velocity above `max_speed` would reach the vehicle before anything can react to it, so it counts as a failure of
 // the filter, like a number that is not finite: `filter` throws std::invalid_argument.
 class ChordFilter final : public SafetyFilter {
  public:
-  // Throws std::invalid_argument for another kind of filter, and for a lag or speed [m/s] out of range.
-  ChordFilter(const SafetyFilter& filter, double lag_s, double max_speed);
+  // Throws std::invalid_argument for another kind of filter, and for a lag or speed [m/s] out of range. Either all
+  // axes lag or none does.
+  ChordFilter(const SafetyFilter& filter, geometry::PerAxis lag_s, double max_speed);
   ChordFilter(const ChordFilter& other) : ChordFilter(*other.filter_, other.lag_, other.max_speed_) {}
   ChordFilter& operator=(const ChordFilter&) = delete;
 
@@ -69,16 +77,19 @@ class ChordFilter final : public SafetyFilter {
  private:
   struct Evaluated {
     Vec3 x;
+    Vec3 share;  // diagonal of M
     FilterReport report;
   };
 
-  FilterReport evaluate(Vec3 x, Vec3 u);
+  FilterReport evaluate(Vec3 x, Vec3 share, Vec3 u);
+  Evaluated point_at(double theta, Vec3 p, Vec3 chord, Vec3 u);
   void go_along(Vec3 p, Vec3 chord, Vec3 u);
   FilterReport agreed(const FilterReport& worst, Vec3 u);
   FilterReport driven_out(Vec3 clear, Evaluated blocked, Vec3 p, Vec3 chord, Vec3 u);
 
   std::unique_ptr<SafetyFilter> filter_;
-  double lag_, max_speed_;
+  geometry::PerAxis lag_;
+  double max_speed_;
   FlightState at_;  // of this tick, with the position of a point
   Nominal wanted_;  // of this tick, with the velocity to evaluate
   std::vector<Evaluated> points_;

@@ -51,9 +51,9 @@ struct VehicleSpec {
   ActuatorModel assumed;     // by controller and filters
   Vec3 max_rate{10, 10, 4};  // limit of a commanded body rate [rad/s]
   Vec3 rate_time_constant_s{0.02, 0.02,
-                            0.02};  // of the rate loop, a first-order lag of each axis within the rotors' limits
-  double velocity_gain = 2;         // of the velocity loop, a = gain (u - v) [1/s]
-  double velocity_lag_s = 0;        // assumed time constant of a vehicle that follows velocities; 0: at once
+                            0.02};   // of the rate loop, a first-order lag of each axis within the rotors' limits
+  double velocity_gain = 2;          // of the velocity loop, a = gain (u - v) [1/s]
+  geometry::PerAxis velocity_lag_s;  // assumed time constants of a vehicle that follows velocities; 0: at once
   double max_speed = std::numeric_limits<double>::infinity();         // of velocity commands, and of points [m/s]
   double max_acceleration = std::numeric_limits<double>::infinity();  // of points [m/s^2]
   double max_jerk = std::numeric_limits<double>::infinity();          // of a double integrator [m/s^3]

@@ -19,7 +19,18 @@ inline Vec3 operator-(Vec3 a, Vec3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}
 inline Vec3 operator*(double s, Vec3 a) { return {s * a.x, s * a.y, s * a.z}; }
 inline double dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline double norm(Vec3 a) { return std::sqrt(dot(a, a)); }
+inline Vec3 by_axis(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
 inline Vec3 from_rows(const double* row) { return {row[0], row[1], row[2]}; }
+
+// A number for each axis; one number stands for three equal ones.
+struct PerAxis : Vec3 {
+  PerAxis(double all = 0) : Vec3{all, all, all} {}
+  PerAxis(Vec3 each) : Vec3(each) {}
+
+  bool is_even() const { return x == y && y == z; }
+  double most() const { return std::max(x, std::max(y, z)); }
+  double least() const { return std::min(x, std::min(y, z)); }
+};
 
 struct Box {
   Vec3 lower{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity(),
