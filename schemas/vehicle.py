@@ -56,7 +56,7 @@ from msgspec import UNSET, Meta, UnsetType
 
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import VERSION
-from alula.schemas.toml_file import read_toml
+from alula.schemas.toml_file import read_toml, toml_value
 
 VEHICLE_SCHEMA: Literal["alula/vehicle"] = "alula/vehicle"
 
@@ -333,6 +333,24 @@ def contents(table: msgspec.Struct) -> dict[str, Any]:
         if value is not UNSET
     }
     return msgspec.json.decode(msgspec.json.encode(values), type=dict[str, Any])
+
+
+def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
+    """Write a vehicle as the text of its file; `read_vehicle` reads the same vehicle from it.
+
+    Args:
+        vehicle: the vehicle.
+        comments: lines at the beginning.
+    """
+    values = msgspec.to_builtins(vehicle)
+    values = {"schema": vehicle.schema, "version": vehicle.version} | values
+    lines = [f"# {line}" for line in comments]
+    lines += [f"{key} = {toml_value(value)}" for key, value in values.items() if not isinstance(value, dict)]
+    for table, entries in values.items():
+        if isinstance(entries, dict):
+            given = [f"{key} = {toml_value(value)}" for key, value in entries.items() if value is not None]
+            lines += ["", f"[{table}]", *given]
+    return "\n".join(lines) + "\n"
 
 
 def read_vehicle(path: Path) -> Vehicle:

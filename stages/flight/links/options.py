@@ -40,6 +40,7 @@ class LinkOptions:
         limits: limits of set-points; None for the vehicle's body rates and otherwise the defaults.
         flies_rates: set-points are body rates. A link then sets further parameters: the vehicle follows rates
             at once, and lands soon after this program ended. It also estimates the hover throttle in flight.
+        watches_throttle: request the throttle that the vehicle commands, whatever set-points are.
         key: 32 bytes that sign packets; unsigned packets are then refused.
         signing_file: file that stores the newest signature time stamp between runs; required with a key.
         mocap: `udp:HOST:PORT` to receive motion capture on, which is forwarded to the vehicle.
@@ -55,6 +56,7 @@ class LinkOptions:
     state_rate_hz: float = 100.0
     limits: Limits | None = None
     flies_rates: bool = False
+    watches_throttle: bool = False
     key: bytes | None = None
     signing_file: Path | None = None
     mocap: str | None = None

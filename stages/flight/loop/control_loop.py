@@ -25,7 +25,7 @@ from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.loop.frame_check import MotionCheck
-from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
+from alula.stages.flight.loop.plan_clock import Reference, heading_of
 from alula.stages.flight.loop.supervisor import (
     Action,
     Event,
@@ -134,7 +134,7 @@ class ControlLoop:
         link: Link,
         commander: Commander,
         guard: FenceGuard,
-        plan: PlanClock,
+        plan: Reference,
         checks: FlightChecks,
         height_m: float,
         recorder: Recorder,

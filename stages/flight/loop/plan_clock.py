@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,6 +26,37 @@ def heading_of(quat_wxyz: FloatArray) -> float:
     """
     w, x, y, z = quat_wxyz.tolist()
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+class Reference(Protocol):
+    """Reference over time that the control loop follows, as `PlanClock` is one."""
+
+    @property
+    def time_s(self) -> float:
+        """Time along it [s]."""
+        ...
+
+    @property
+    def rate(self) -> float:
+        """Rate of this time, from 0 to 1."""
+        ...
+
+    @property
+    def is_over(self) -> bool:
+        """True at its end."""
+        ...
+
+    def pause(self, heading_rad: float) -> None:
+        """Stop the time; see `PlanClock.pause`."""
+        ...
+
+    def advance(self, dt_s: float, error_m: float) -> None:
+        """Advance by a time step; see `PlanClock.advance`."""
+        ...
+
+    def target(self) -> FloatArray:
+        """Reference now, a row of `ReferenceCurve.at`, shape (1, 18), world frame."""
+        ...
 
 
 class PlanClock:

@@ -16,7 +16,7 @@ from alula.stages.flight.links.protocol import (
     VehicleStatus,
 )
 from alula.stages.flight.loop.fence_guard import Guarded
-from alula.stages.flight.loop.plan_clock import PlanClock
+from alula.stages.flight.loop.plan_clock import Reference
 from alula.stages.flight.loop.supervisor import Event, State, Taken
 
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
@@ -206,7 +206,7 @@ def tick_sample(
     )
 
 
-def filter_sample(decision: Decision, guarded: Guarded, plan: PlanClock, filter_s: float) -> FilterSample:
+def filter_sample(decision: Decision, guarded: Guarded, plan: Reference, filter_s: float) -> FilterSample:
     """Build the sample of a decision and of the set-point that was sent after the geofence.
 
     Args:

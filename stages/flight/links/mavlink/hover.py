@@ -97,6 +97,11 @@ class HoverThrottle:
         self._start: VehicleState | None = None
         self._is_used = False
 
+    @property
+    def newest(self) -> float:
+        """Throttle that the vehicle commanded last; NaN if it was not reported."""
+        return self._throttles[-1][1] if self._throttles else math.nan
+
     def throttle(self, thrust_m_s2: float) -> float:
         """Throttle of a thrust per mass [m/s^2], by `throttle_of` with the present estimate."""
         self._is_used = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -165,6 +165,17 @@ class MavlinkLink:
                 self._telemetry.say(f"parameters could not be put back: {error}")
             raise
 
+    def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
+        """Values of parameters of a vehicle that was opened; those that it does not report are left out.
+
+        Args:
+            names: of the parameters.
+        """
+        if self._parameters is None:
+            return {}
+        found = {name: self._parameters.read(name, _OPTIONAL_S) for name in names}
+        return {name: value for name, value in found.items() if value is not None}
+
     def poll(self, now_s: float) -> None:
         """Receive all that has arrived, and send periodic messages."""
         self._forward_mocap(now_s)
@@ -261,7 +272,8 @@ class MavlinkLink:
                     self._telemetry.say(*self._parameters.leave())
                 else:
                     self._telemetry.say(*self._parameters.restore(_RESTORE_S))
-                for number in self._autopilot.intervals(1.0, flies_rates=self._options.flies_rates):
+                throttles = self._options.flies_rates or self._options.watches_throttle
+                for number in self._autopilot.intervals(1.0, flies_rates=throttles):
                     is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always sent once a second
                     self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
@@ -439,6 +451,7 @@ class MavlinkLink:
     def _request_intervals(self, now_s: float) -> None:
         self._requested_s = now_s
         options = self._options
-        intervals = self._autopilot.intervals(options.state_rate_hz, flies_rates=options.flies_rates)
+        throttles = options.flies_rates or options.watches_throttle
+        intervals = self._autopilot.intervals(options.state_rate_hz, flies_rates=throttles)
         for number, rate_hz in intervals.items():
             self._session.send(self._interval(number, rate_hz))

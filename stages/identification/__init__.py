@@ -1,0 +1,1 @@
+"""Identification of a vehicle: flown steps, and the fit of their responses."""

@@ -1,0 +1,209 @@
+"""Parts of a flight of steps, built from its configuration: steps, fence, checks and options."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.configs.identify import IdentifyConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import Vehicle
+from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop.control_loop import LoopOptions
+from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.preflight import Needs
+from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.identification.step_flight import StepFlight
+from alula.stages.identification.steps import Steps, plan_steps
+from alula.stages.vehicles.fence import fence
+from alula.stages.vehicles.velocity_lag import LAG_MARGIN, stop_time_s
+
+# Parameters that give a first guess, and those of the rate loop, for people.
+GUESSES = ("WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER")
+_BETWEEN_S = 20.0  # maximum time from the end of a step to the start of the next
+_FENCE_RESERVE_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """A flight of steps.
+
+    Attributes:
+        config: of the command.
+        vehicle: first guess, with the limits that the vehicle's parameters give.
+        steps: to fly, and those left out.
+        fence: the box.
+    """
+
+    config: IdentifyConfig
+    vehicle: Vehicle
+    steps: Steps
+    fence: _core.Fence
+
+    @property
+    def centre(self) -> FloatArray:
+        """Centre of the box, shape (3,), world frame [m]."""
+        box = np.array(self.config.box)
+        centre: FloatArray = (box[:3] + box[3:]) / 2
+        return centre
+
+    @property
+    def setpoints(self) -> tuple[type[Setpoint], ...]:
+        """Kinds of set-points that the link must accept."""
+        return (VelocitySetpoint, RatesSetpoint) if self.config.rates else (VelocitySetpoint,)
+
+
+def make_survey(
+    config: IdentifyConfig, vehicle: Vehicle, parameters: Mapping[str, float] | None = None
+) -> Survey:
+    """Plan the steps of a flight.
+
+    Args:
+        config: of the command.
+        vehicle: first guess.
+        parameters: of the vehicle, by name, which take precedence over the first guess.
+
+    Raises:
+        UsageError: the vehicle has no rotors, or the box holds steps of fewer than two speeds along x or y.
+    """
+    if vehicle.model != "quadrotor":
+        raise UsageError(f"{vehicle.name} is a {vehicle.model}; only a quadrotor is identified")
+    guess = first_guess(vehicle, parameters or {})
+    steps = plan_steps(
+        guess.following,
+        config.speeds_m_s,
+        config.box,
+        radius_m=vehicle.body.radius_m,
+        reserve_m=config.reserve_m,
+        rates=config.rates,
+    )
+    if len({abs(step.size) for step in steps.flown if step.kind == "velocity" and step.axis != 2}) < 2:
+        raise UsageError(
+            f"--box is too small for horizontal steps of two speeds; {steps.skipped[0]}; "
+            "a larger box, lower --speeds or a smaller --reserve help"
+        )
+    low, high = config.box[:3], config.box[3:]
+    return Survey(config, guess, steps, fence(box=(low, high), cover=None))
+
+
+def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
+    """The vehicle's file with the limits of velocities that its parameters give.
+
+    Args:
+        vehicle: contents of the file.
+        parameters: of the vehicle, by name.
+    """
+    following = vehicle.following
+    names = {
+        "max_up_m_s": "WPNAV_SPEED_UP",
+        "max_down_m_s": "WPNAV_SPEED_DN",
+        "deceleration_m_s2": "WPNAV_ACCEL",
+    }
+    given = {key: parameters[name] / 100 for key, name in names.items() if parameters.get(name, 0.0) > 0}
+    return msgspec.structs.replace(vehicle, velocities=msgspec.structs.replace(following, **given))
+
+
+def make_step_flight(
+    survey: Survey,
+    *,
+    throttle: Callable[[], float] = lambda: math.nan,
+    say: Callable[[str], None] = lambda _: None,
+) -> StepFlight:
+    """Build the commander and clock.
+
+    Args:
+        survey: to fly.
+        throttle: throttle that the vehicle commands, a fraction; NaN if unknown.
+        say: receives the name of each step.
+    """
+    vehicle, config = survey.vehicle, survey.config
+    following, box = vehicle.following, np.array(config.box)
+    fastest = max(config.speeds_m_s)
+
+    def stop_m(speed_m_s: float, axis: int) -> float:
+        law = following.vertical_lag if axis == 2 else following.horizontal_lag
+        return LAG_MARGIN * stop_time_s(law, speed_m_s) * speed_m_s
+
+    return StepFlight(
+        survey.steps.flown,
+        survey.centre,
+        (box[3:] - box[:3]) / 2 - vehicle.body.radius_m,
+        lag_s=max(
+            stop_time_s(law, min(fastest, 1.0)) for law in (following.horizontal_lag, following.vertical_lag)
+        ),
+        stop_m=stop_m,
+        gravity_m_s2=vehicle.body.gravity_m_s2,
+        throttle=throttle,
+        say=say,
+    )
+
+
+def make_step_guard(survey: Survey, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
+    """Build the geofence, which is the box.
+
+    Args:
+        survey: to fly.
+        accepts: kinds of set-points that the link accepts.
+    """
+    return FenceGuard(
+        survey.fence,
+        survey.vehicle,
+        dt_s=1 / survey.config.rate_hz,
+        takes_rates=RatesSetpoint in accepts,
+        reserve_m=_FENCE_RESERVE_M,
+        latency_s=survey.config.latency_s,
+    )
+
+
+def make_step_needs(survey: Survey) -> Needs:
+    """Requirements for the pre-flight checks; the corners of the box stand for the path.
+
+    Args:
+        survey: to fly.
+    """
+    config, model = survey.config, rates_model(survey.vehicle)
+    low, high = config.box[:3], config.box[3:]
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    fastest = max(config.speeds_m_s)
+    return Needs(
+        setpoints=frozenset(survey.setpoints),
+        start=survey.centre,
+        goal=survey.centre,
+        path=corners,
+        obstacles=[],
+        radius_m=survey.vehicle.body.radius_m,
+        margin_m=0.0,
+        fence=survey.fence,
+        plan=(True, f"{len(survey.steps.flown)} steps in a box that is free, as the user says"),
+        speed_m_s=fastest,
+        stop_m=LAG_MARGIN * stop_time_s(survey.vehicle.following.horizontal_lag, fastest) * fastest,
+        near_m=config.near_m,
+        state_hz=min(20.0, 0.5 * config.rate_hz),
+        loop_hz=config.rate_hz,
+        stale_s=config.stale_s,
+        latency_s=config.latency_s,
+        battery_share=config.battery,
+        max_thrust_m_s2=sum(model.thrust),
+        gravity_m_s2=model.gravity,
+    )
+
+
+def make_step_options(survey: Survey, *, dry_run: bool) -> LoopOptions:
+    """Parameters of the control loop.
+
+    Args:
+        survey: to fly.
+        dry_run: end after the pre-flight checks.
+    """
+    longest_s = sum(step.duration_s + _BETWEEN_S for step in survey.steps.flown)
+    limits = SupervisorLimits(
+        stale_s=survey.config.stale_s, battery_share=survey.config.battery * 2 / 3, flight_s=longest_s
+    )
+    return LoopOptions(rate_hz=survey.config.rate_hz, limits=limits, dry_run=dry_run, margin_m=0.3)
