@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("plan", "Find a smooth collision-free trajectory through a cover."),
     "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
+    "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),
     "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
     "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
     "report": ("report", "Turn runs into tables, figures and one HTML page."),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
+from alula.cli.fly.conduct import link_options, of_link
 from alula.cli.present import echo
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
@@ -42,33 +43,7 @@ Examples:
     help="Link to the vehicle: udpin:HOST:PORT, udpout:…, tcp:…, serial:DEVICE:BAUD, or sim: for a simulated "
     "one.",
 )
-@click.option("--allow-remote", is_flag=True, help="Allow links to other machines than this one.")
-@click.option(
-    "--mocap",
-    metavar="ADDRESS",
-    help="Address at which motion capture is received, udp:HOST:PORT; it is forwarded to the vehicle.",
-)
-@click.option(
-    "--signing-key",
-    "key_path",
-    type=options.input_path(),
-    help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
-)
-@click.option(
-    "--yaw",
-    type=options.FINITE_FLOAT,
-    default=0.0,
-    show_default=True,
-    help="Angle from east to the map's x axis, counter-clockwise [degrees].",
-)
-@click.option(
-    "--origin",
-    type=options.POINT,
-    cls=options.NumbersOption,
-    default="0 0 0",
-    show_default=True,
-    help="Origin of the map in the vehicle's local frame, east north up [m].",
-)
+@of_link
 @options.settings("Parameter of a filter among ellipsoids; may be repeated.")
 @click.option(
     "--live",
@@ -111,8 +86,6 @@ def command(
     check does not hold, the plan was not finished, or the flight came closer to the map than the vehicle's
     radius; 6: the link or the vehicle failed.
     """
-    import math
-
     from alula.cli.fly.flight import fly
     from alula.cli.fly.inputs import inputs_of, is_among_ellipsoids
     from alula.cli.run_files import check_log_name
@@ -122,12 +95,9 @@ def command(
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
-    from alula.stages.flight.links.mavlink.signing import read_key
     from alula.stages.flight.links.open_link import open_link
-    from alula.stages.flight.links.options import LinkOptions
     from alula.stages.flight.mission import make_mission
     from alula.stages.flight.recorder.live_view import require_viser
-    from alula.stages.vehicles.frames import LocalFrame
 
     if live is not None:
         require_viser()
@@ -144,15 +114,15 @@ def command(
     vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
     link = open_link(
         address,
-        LinkOptions(
-            frame=LocalFrame(math.radians(yaw), origin),
-            vehicle=vehicle,
-            state_rate_hz=config.rate_hz,
-            key=None if key_path is None else read_key(key_path),
-            signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
-            mocap=mocap,
-            flies_rates=is_splat,
+        link_options(
+            vehicle,
             allow_remote=allow_remote,
+            mocap=mocap,
+            key_path=key_path,
+            yaw=yaw,
+            origin=origin,
+            state_rate_hz=config.rate_hz,
+            flies_rates=is_splat,
         ),
     )
     check_output(common.output, paths)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from alula.cli.fly.conduct import OPEN_S, failed_checks, is_of_vehicle, priority, signals, stop
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.cli.present import echo
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.flight.recorder.pipe import FlightPipe
 
-_OPEN_S = 15.0  # maximum time until the first message of the vehicle
 _CLOSE_S = 2.0  # maximum time until the live view ends
 _SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
 
@@ -95,11 +92,11 @@ def fly(
     )
     # From here on messages are sent to the vehicle; everything that takes long has been done.
     try:
-        with _signals(_stop):
+        with signals(stop):
             address = str(provenance.parameters.get("link", ""))
             if address and not common.quiet and not address.startswith("sim:"):  # sim: needs no wait
-                echo(f"link: waiting for the vehicle at {address}, at most {_OPEN_S:g} s", err=True)
-            vehicle = link.open(_OPEN_S)
+                echo(f"link: waiting for the vehicle at {address}, at most {OPEN_S:g} s", err=True)
+            vehicle = link.open(OPEN_S)
             if not common.quiet:
                 echo(f"link: {vehicle}", err=True)
             trouble, changed = "", list[str]()
@@ -124,14 +121,14 @@ def fly(
                 make_options(mission.config, dry_run=common.dry_run),
                 interrupts=count_interrupts,
             )
-            with _signals(count):
-                with _priority():
+            with signals(count):
+                with priority():
                     loop.run()
                 link.close()
                 _report_texts(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
                 flown = _finish(mission, loop, recorder, provenance, common)
     except BaseException:
-        with _signals(count):  # an interrupt here would leave the vehicle's parameters changed
+        with signals(count):  # an interrupt here would leave the vehicle's parameters changed
             link.close()
         _report_texts(link, recorder, 0.0)
         recorder.finish(None)
@@ -175,36 +172,6 @@ def _points(mission: Mission) -> Any:
     from alula.stages.planning.plan_samples import sample_plan
 
     return sample_plan(mission.plan, 0.1).position_world
-
-
-def _stop(number: int, frame: object) -> None:
-    """Interrupt the program before the loop runs: parameters are restored, and nothing has to land."""
-    raise KeyboardInterrupt
-
-
-@contextmanager
-def _signals(handler: Any) -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and a closed terminal by a function."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, handler) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
-@contextmanager
-def _priority() -> Iterator[None]:
-    """Give this thread real-time priority if the system allows it; otherwise wake-ups are late."""
-    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            os.sched_setscheduler(0, before & ~os.SCHED_RESET_ON_FORK, parameter)
 
 
 def _finish(
@@ -300,28 +267,12 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
     if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):
         raise InterruptedWithAdvice("the flight ended early")
     if loop.checks.result is not True:
-        words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
-        raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
+        raise failed_checks(loop)
     if loop.has_finished and cause is Event.LANDED_AWAY:
         raise CheckError(f"{common.output}: the plan was flown, but the vehicle {loop.ending}")
     if loop.has_finished and cause is not Event.PLAN_FINISHED:
         raise LinkError(f"the plan was flown, but not landed as planned: {loop.ending}")
-    of_vehicle = (
-        *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
-        *(
-            Event.DISARMED,
-            Event.BATTERY_LOW,
-            Event.FAILSAFE_IDLE,
-            Event.OFF_CLIMB,
-            Event.DRIFTS,
-            Event.HEALTH_UNKNOWN,
-            Event.PARAMETER_CHANGED,
-            Event.CRASHED,
-            Event.TURNED_OVER,
-            Event.FALLEN,
-        ),
-    )
-    if cause in of_vehicle or not loop.counters.filter_s:
+    if is_of_vehicle(loop):
         raise LinkError(f"the flight ended early: {loop.ending}")
     if cause is not Event.PLAN_FINISHED:
         raise CheckError(f"{common.output}: the plan was not finished: {loop.ending}")

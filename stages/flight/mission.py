@@ -171,6 +171,17 @@ def _require_deceleration(config: FlyConfig, vehicle: Vehicle, *, is_given: bool
     )
 
 
+def _beyond_identified(config: FlyConfig, vehicle: Vehicle) -> list[str]:
+    """A note if the speed is above all at which the vehicle's lag was measured."""
+    measured = () if vehicle.identified is None else vehicle.identified.speeds_m_s
+    assert config.speed_m_s is not None
+    if not measured or config.speed_m_s <= max(measured):
+        return []
+    return [
+        f"the lag at {config.speed_m_s:g} m/s is extrapolated: it was measured up to {max(measured):g} m/s"
+    ]
+
+
 def make_mission(
     config: FlyConfig,
     plan: Artifact,
@@ -253,6 +264,8 @@ def make_mission(
         config.filter,
         allow_tight=config.allow_tight,
     )
+    if not is_splat and not has_lag:
+        notes += _beyond_identified(config, vehicle)
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]
     keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None

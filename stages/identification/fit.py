@@ -21,7 +21,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _FALLEN = 1 - math.exp(-1)  # 63 %
 _RESPONDS = 0.05  # part of a step that counts as the first response
-_SMOOTHED_S = 0.04  # centred mean of velocities: shorter than any response to them
+_SMOOTHED_S = 0.1  # centred mean of velocities: shorter than any response to them
 _BEFORE_S, _STEADY_S = 0.15, 0.4  # means before a stop, and at the end of a step
 _WINDOW_S = 0.25  # of means of accelerations
 _QUANTILE = 0.99
@@ -302,7 +302,7 @@ def crossing(times: FloatArray, values: FloatArray, level: float) -> float | Non
 
 
 def smoothed(times: FloatArray, values: FloatArray) -> FloatArray:
-    """Centred means over 0.04 s, over fewer values at both ends.
+    """Centred means over 0.1 s, over fewer values at both ends.
 
     Args:
         times: increasing, shape (T,) [s].
@@ -362,7 +362,7 @@ def _windows(recording: Recording) -> _Windows:
             index = recording.rows(number, phase)
             if len(index) < 3:
                 continue
-            rotation = np.array([matrix_from_quat_wxyz(quat) for quat in recording.attitude_wxyz[index]])
+            rotation = matrix_from_quat_wxyz(recording.attitude_wxyz[index])
             heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
             velocity, lean = recording.velocity[index], rotation[:, :, 2]
             times, last_s = recording.time_s[index], recording.time_s[index[-1]]
@@ -376,11 +376,17 @@ def _windows(recording: Recording) -> _Windows:
                 is_steady = phase is Phase.REST or (
                     phase is Phase.OUT and last_s - begin_s <= _STEADY_S + _WINDOW_S
                 )
-                vectors = (change, velocity[inside].mean(axis=0), lean[inside].mean(axis=0))
+                vectors = (change, _level_mean(velocity[inside]), _level_mean(lean[inside]))
                 flat = [value for vector in vectors for value in _turned(vector, turn)]
                 rows.append((number, is_steady, *flat, _mean_known(recording.throttle[index[inside]])))
     table = np.array(rows, np.float64).reshape(-1, 12)
     return _Windows(table[:, 0], table[:, 1], table[:, 2:5], table[:, 5:8], table[:, 8:11], table[:, 11])
+
+
+def _level_mean(vectors: FloatArray) -> FloatArray:
+    """Mean over time of samples at equal intervals, by trapezoids, shape (3,)."""
+    result: FloatArray = (vectors.sum(axis=0) - 0.5 * (vectors[0] + vectors[-1])) / (len(vectors) - 1)
+    return result
 
 
 def _turned(vector: FloatArray, angle_rad: float) -> tuple[float, float, float]:
@@ -431,8 +437,7 @@ def _by_step(seen: _Windows, missing: FloatArray, axis: int) -> tuple[list[float
         for moves in (False, True):
             rows = (seen.step == number) & (seen.is_steady > 0) & np.isfinite(missing)
             fast = np.abs(seen.velocity[:, axis]) > 0.2
-            others = np.delete(seen.velocity, axis, axis=1)
-            rows &= (fast if moves else ~fast) & (np.abs(others).max(axis=1) < 0.2)
+            rows &= fast if moves else ~fast
             if rows.any():
                 x.append(float(seen.velocity[rows, axis].mean()))
                 y.append(float(missing[rows].mean()))

@@ -37,7 +37,7 @@ class StepFlight:
         stop_m: distance of a stop from a speed along an axis [m].
         gravity_m_s2: g [m/s^2].
         throttle: throttle that the vehicle commands, a fraction; NaN if unknown.
-        say: receives the name of each step.
+        say: receives the time, monotonic clock [s], and the name of each step that begins.
 
     Attributes:
         tape: what was flown.
@@ -57,7 +57,7 @@ class StepFlight:
         stop_m: Callable[[float, int], float],
         gravity_m_s2: float,
         throttle: Callable[[], float] = lambda: math.nan,
-        say: Callable[[str], None] = lambda words: None,
+        say: Callable[[float, str], None] = lambda now_s, words: None,
     ) -> None:
         self.tape = Tape()
         self._steps, self._centre, self._half_m, self._stop_m = list(steps), centre, half_m, stop_m
@@ -158,7 +158,7 @@ class StepFlight:
         step = self._steps[self._next]
         if self._phase is Phase.GO and self._has_settled(state, now_s, step, yaw):
             self.tape.begin(step)
-            self._say(step.name)
+            self._say(now_s, step.name)
             self._enter(Phase.REST, now_s)
         passed_s = now_s - self._since_s
         if self._phase is Phase.REST and passed_s >= _REST_S - 1e-6:

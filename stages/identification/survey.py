@@ -114,14 +114,14 @@ def make_step_flight(
     survey: Survey,
     *,
     throttle: Callable[[], float] = lambda: math.nan,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[float, str], None] = lambda now_s, words: None,
 ) -> StepFlight:
     """Build the commander and clock.
 
     Args:
         survey: to fly.
         throttle: throttle that the vehicle commands, a fraction; NaN if unknown.
-        say: receives the name of each step.
+        say: receives the time, monotonic clock [s], and the name of each step that begins.
     """
     vehicle, config = survey.vehicle, survey.config
     following, box = vehicle.following, np.array(config.box)

@@ -54,7 +54,9 @@ class SurveyFlight(Served):
             self.parameters = link.read_parameters(GUESSES)
             self.survey = survey = make_survey(self.config, self.guess, self.parameters)
             self.steps = make_step_flight(
-                survey, throttle=lambda: link.hover.newest, say=lambda words: self.recorder.say(0.0, 2, words)
+                survey,
+                throttle=lambda: link.hover.newest,
+                say=lambda now_s, words: self.loop.say(now_s, 2, words),
             )
             self.loop = ControlLoop(
                 link,

@@ -1,0 +1,152 @@
+"""Flights of steps on the simulated autopilot in lock-step, and a flight of a plan with what they found."""
+
+import math
+
+import numpy as np
+import pytest
+
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import FASTBRIDGE, read_vehicle, vehicle_text
+from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.identification.fit import fit
+from alula.stages.identification.result import disagreements, identified_vehicle
+from alula.stages.identification.survey import make_survey
+from alula.stages.vehicles.velocity_lag import stop_time_s
+from support.flights import mission
+from support.lockstep import Flight, fault
+from support.responses import MEASURED
+from support.survey_flights import BOX, SurveyFlight
+
+
+def written(flight):
+    """Fit and file of a flight."""
+    found = fit(flight.steps.tape.recording(), FASTBRIDGE.body.gravity_m_s2)
+    return found, identified_vehicle(
+        flight.survey.vehicle,
+        found,
+        flight.config.speeds_m_s,
+        name="mine",
+        autopilot=flight.said,
+        date="today",
+    )
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return SurveyFlight().fly()
+
+
+@pytest.fixture(scope="module")
+def identified(flown):
+    return written(flown)
+
+
+def test_all_steps_are_flown_within_the_box_and_it_lands(flown):
+    assert flown.loop.supervision.cause is Event.PLAN_FINISHED, flown.recorder.lines[-5:]
+    assert flown.steps.is_over
+    assert not flown.survey.steps.skipped
+    assert not flown.copter.is_armed
+    north, east, down = np.array(flown.truth)[:, 1:].T
+    assert np.abs([north, east]).max() < BOX[3] - FASTBRIDGE.body.radius_m - flown.config.reserve_m + 0.3
+    assert (-down).max() < BOX[5] - FASTBRIDGE.body.radius_m - flown.config.reserve_m + 0.3
+    assert flown.copter.parameters["GUID_TIMEOUT"] == 3.0  # restored
+
+
+def test_the_law_has_the_times_that_were_measured_apart_from_it(identified):
+    _, vehicle = identified
+    for speed in (1.0, 2.0, 3.0):
+        level = stop_time_s(vehicle.velocities.horizontal_lag, speed)
+        assert level == pytest.approx(MEASURED[f"stop_{speed:g}_s"], rel=0.1)
+    for speed in (1.0, 2.0):
+        climb = stop_time_s(vehicle.velocities.vertical_lag, speed)
+        assert climb == pytest.approx(MEASURED[f"stop_up_{speed:g}_s"], rel=0.1)
+
+
+def test_drag_and_hover_are_those_of_the_simulated_vehicle(flown, identified):
+    found, vehicle = identified
+    hover = flown.copter.parameters["MOT_THST_HOVER"]  # it learns
+    assert found.hover_throttle.value == pytest.approx(hover, rel=0.05)
+    for drag in found.drag_per_s:  # 0.242 and 0.034 or 0.051 times the speed
+        assert 0.242 < drag.value < 0.242 + 0.051 * 2.0 + 0.05
+    assert 0 < found.residual_m_s2 < 0.5
+    assert vehicle.velocities.max_up_m_s == 2.5  # by WPNAV_SPEED_UP
+    assert 1.5 < vehicle.velocities.deceleration_m_s2 < 2.5
+
+
+def test_a_wrong_first_guess_is_named(flown, identified):
+    found, _ = identified
+    assert [line.split(":")[0] for line in disagreements(found, flown.survey.vehicle, flown.parameters)] == [
+        "fastest descent, by WPNAV_SPEED_DN"
+    ]
+    wrong = flown.parameters | {"MOT_THST_HOVER": 0.5, "WPNAV_ACCEL": 100.0}
+    lines = disagreements(found, flown.survey.vehicle, wrong)
+    assert any("hover throttle, by MOT_THST_HOVER" in line and "expected 0.5" in line for line in lines)
+    assert any("WPNAV_ACCEL" in line for line in lines)
+
+
+def test_the_file_reads_as_it_was_written(identified, tmp_path):
+    _, vehicle = identified
+    path = tmp_path / "mine.toml"
+    path.write_text(vehicle_text(vehicle, ["a comment"]))
+    assert read_vehicle(path) == vehicle
+    assert vehicle.identified.date == "today"
+    low, high = vehicle.identified.horizontal_lag_interval[0]
+    assert low < vehicle.velocities.horizontal_lag[0] < high
+
+
+def test_a_plan_flown_with_the_file_keeps_its_margin(identified):
+    _, vehicle = identified
+    made = mission(vehicle=vehicle, speed_m_s=1.5)
+    level, _, climb = made.config.velocity_lag_s
+    assert level == pytest.approx(1.25 * stop_time_s(vehicle.velocities.horizontal_lag, 1.5))
+    assert climb == pytest.approx(1.25 * stop_time_s(vehicle.velocities.vertical_lag, 1.5))
+    flight = Flight(made).fly()
+    flight.judge()
+    assert flight.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    assert flight.clearance(State.FLY) > 0.8 * made.config.margin_m
+
+
+@pytest.mark.slow
+def test_rates_are_found_in_spite_of_noise():
+    from support.autopilot_client import QUICK
+
+    flight = SurveyFlight(noise=QUICK, rates=True, speeds_m_s=(0.5, 1.0)).fly()
+    assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    _, vehicle = written(flight)
+    for name, time_s in zip(("roll", "pitch", "yaw"), vehicle.rates.axis_time_constant_s, strict=True):
+        assert time_s == pytest.approx(MEASURED[f"{name}_s"], rel=0.1, abs=0.008)
+    assert vehicle.identified.thrust_time_constant_s < 0.1
+
+
+@pytest.mark.slow
+def test_a_gap_in_flight_repeats_the_step():
+    """A hold of the supervisor ends the step; it begins again, and the fit takes both."""
+    flight = SurveyFlight(speeds_m_s=(0.5, 1.0), box=(-4, -4, 0, 4, 4, 8))
+
+    def each(flight):
+        begun, freeze = [], fault("freeze", duration=0.4)
+        decide = flight.steps.decide
+
+        def watched(state, age_s, target):
+            if len(flight.steps.tape.steps) == 3 and not begun:
+                begun.append(True)
+                freeze(flight)
+            return decide(state, age_s, target)
+
+        flight.steps.decide = watched
+
+    flight.fly(each)
+    assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    assert "hold" in flight.recorder.states
+    flown = [step.name for step in flight.steps.tape.steps]
+    assert len(flown) == len(flight.survey.steps.flown) + 1
+    found, _ = written(flight)
+    assert math.isfinite(found.horizontal_lag.a.value)
+
+
+def test_a_box_that_is_too_small_is_refused():
+    from alula.schemas.configs.identify import IdentifyConfig
+
+    config = IdentifyConfig(box=(-1, -1, 0, 1, 1, 4), speeds_m_s=(1.0, 2.0))
+    with pytest.raises(UsageError, match=r"too small.*it needs .* m, and the box has 0.7 m"):
+        make_survey(config, FASTBRIDGE)
