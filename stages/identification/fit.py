@@ -76,7 +76,7 @@ class Identification:
 
     Attributes:
         responses: of all velocity steps.
-        horizontal_lag, vertical_lag: laws of stops, the vertical one of the slower direction at each speed.
+        horizontal_lag, vertical_lag: laws of stops, at each speed of the slower axis or direction.
         delay_s: from a set-point to 5 % of the response [s].
         deceleration_m_s2: horizontal, of the fastest stops [m/s^2].
         max_up_m_s, max_down_m_s: speed reached where a higher one was asked; None where it was reached.
@@ -122,13 +122,14 @@ def fit(recording: Recording, gravity_m_s2: float) -> Identification:
                 left_out.append(step.name)
     stops = [each for each in responses if each.kind == "stop"]
     level = [each for each in stops if each.axis != 2]
-    if len({each.asked_m_s for each in level}) < 2:
+    horizontal_lag = _slower_law(level, lambda each: each.axis)
+    if horizontal_lag is None:
         raise CheckError("fewer than two speeds have a usable stop: the horizontal lag cannot be determined")
     drag, residual = _drag_and_residual(recording, gravity_m_s2)
     return Identification(
         responses=responses,
-        horizontal_lag=_law([(each.speed_m_s, each.time_s) for each in level]),
-        vertical_lag=_vertical_law([each for each in stops if each.axis == 2]),
+        horizontal_lag=horizontal_lag,
+        vertical_lag=_slower_law([each for each in stops if each.axis == 2], lambda each: each.sign),
         delay_s=mean_of([each.delay_s for each in responses]),
         deceleration_m_s2=_deceleration(level),
         max_up_m_s=_limit(responses, 1.0),
@@ -191,17 +192,23 @@ def _law(points: Sequence[tuple[float, float]]) -> Law:
     return Law(a, b)
 
 
-def _vertical_law(stops: Sequence[Response]) -> Law | None:
-    """Law of the slower direction at each speed; None with fewer than two speeds."""
-    slower: dict[float, list[Response]] = {}
-    for asked in {each.asked_m_s for each in stops}:
-        ways = [
-            [each for each in stops if (each.asked_m_s, each.sign) == (asked, sign)] for sign in (1.0, -1.0)
-        ]
-        slower[asked] = max(filter(None, ways), key=lambda way: float(np.mean([each.time_s for each in way])))
-    if len(slower) < 2:
-        return None
-    return _law([(each.speed_m_s, each.time_s) for way in slower.values() for each in way])
+def _slower_law(stops: Sequence[Response], way_of: Callable[[Response], float]) -> Law | None:
+    """Law of the slower way at each speed; None with fewer than two speeds.
+
+    Args:
+        stops: stops.
+        way_of: the way of a stop: its axis, or its direction.
+    """
+    points = list[tuple[float, float]]()
+    speeds = {each.asked_m_s for each in stops}
+    for asked in speeds:
+        ways: dict[float, list[Response]] = {}
+        for each in stops:
+            if each.asked_m_s == asked:
+                ways.setdefault(way_of(each), []).append(each)
+        slower = max(ways.values(), key=lambda way: float(np.mean([each.time_s for each in way])))
+        points += [(each.speed_m_s, each.time_s) for each in slower]
+    return _law(points) if len(speeds) > 1 else None
 
 
 def _deceleration(level: Sequence[Response]) -> Estimate:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
-from alula.schemas.vehicle import IdentifiedTable, Vehicle, VelocitiesTable
+from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, Vehicle, VelocitiesTable
 from alula.stages.identification.fit import Estimate, Identification
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
@@ -76,7 +76,24 @@ def identified_vehicle(
         roll, pitch, yaw = (_short(max(each.value, 1e-3)) for each in rates)
         table = msgspec.structs.replace(table, axis_time_constant_s=(roll, pitch, yaw))
     return msgspec.structs.replace(
-        vehicle, name=name or vehicle.name, velocities=velocities, rates=table, identified=identified
+        vehicle,
+        name=name or vehicle.name,
+        velocities=velocities,
+        rates=table,
+        disturbance=_with_drag(vehicle, drags),
+        identified=identified,
+    )
+
+
+def _with_drag(vehicle: Vehicle, drag_per_s: Sequence[float] | None) -> DisturbanceTable:
+    """Disturbances of the simulated plant with the measured drag, if it is one."""
+    mass = vehicle.body.mass_kg
+    if drag_per_s is None or mass is None or min(drag_per_s) <= 0:
+        return vehicle.disturbance
+    x, y, z = (_short(mass * each) for each in drag_per_s)
+    none = (0.0, 0.0, 0.0)
+    return msgspec.structs.replace(
+        vehicle.disturbance, linear_drag_n_s_m=(x, y, z), quadratic_drag_n_s2_m2=none
     )
 
 

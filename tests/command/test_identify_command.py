@@ -1,5 +1,9 @@
 """`alula identify` from the command line: what it refuses, a dry run, and a box where the vehicle is not."""
 
+import signal
+import subprocess
+import sys
+
 import pytest
 
 from alula.cli import identify
@@ -106,3 +110,21 @@ def test_a_file_for_the_simulated_link(output, capfd):
     assert output.read_text().startswith("# alula-provenance: ")
     assert run(["info", str(output), "-q"]) == 0
     assert "by the first guess: measured" in capfd.readouterr().err  # that of ArduPilot
+
+
+@pytest.mark.realtime
+def test_an_interrupted_flight_lands_and_leaves_no_file(output):
+    words = ["identify", *SIM, "--box", "-4 -4 0 4 4 3", "--speeds", "0.5,1", "-o", str(output)]
+    command = [sys.executable, "-P", "-m", "alula.cli", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "step: +x" in line:
+                process.send_signal(signal.SIGINT)
+                break
+        lines += process.stderr
+        assert process.wait(60) == 130, "".join(lines)
+    assert "no file was written" in lines[-1]
+    assert any("disarmed" in line for line in lines)
+    assert list(output.parent.iterdir()) == []

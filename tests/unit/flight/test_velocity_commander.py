@@ -9,7 +9,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, VelocitiesTable
+from alula.schemas.vehicle import FASTBRIDGE, IdentifiedTable, VelocitiesTable
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body
@@ -391,6 +391,15 @@ def test_a_speed_that_the_vehicle_cannot_shed_is_refused_with_the_one_that_it_ca
     with pytest.raises(UsageError, match=r"--speed 0\.9$"):
         mission(vehicle=slow, speed_m_s=3.0, velocity_lag_s=0.4)
     assert mission(speed_m_s=3.0, velocity_lag_s=0.0).config.velocity_lag_s == 0
+
+
+def test_a_speed_beyond_those_measured_is_noted():
+    measured = msgspec.structs.replace(FASTBRIDGE, identified=IdentifiedTable(speeds_m_s=(0.5, 1.0)))
+    assert any(
+        "extrapolated: it was measured up to 1 m/s" in note
+        for note in mission(vehicle=measured, speed_m_s=1.5).notes
+    )
+    assert not any("extrapolated" in note for note in mission(vehicle=measured, speed_m_s=1.0).notes)
 
 
 @pytest.mark.parametrize("beta", [0.5, 2.0, 8.0])

@@ -164,6 +164,18 @@ def test_a_jerk_limited_vehicle_is_found():
     assert 0.9 * 2.0 < found.deceleration_m_s2.value <= 2.0 + 1e-6
 
 
+def test_the_slower_axis_and_the_slower_direction_count():
+    steps = steps_of((0.5, 1.0, 2.0))
+    slow = Truth(first_order(lambda speed: 0.5 + 0.2 * speed, 0.0)).record(steps)
+    found = Truth(first_order(lambda speed: 0.3 + 0.1 * speed, 0.0)).record(steps)
+    for number, step in enumerate(steps):
+        if step.axis == 1 or step.name.startswith("-z"):
+            found.velocity[found.step == number] = slow.velocity[slow.step == number]
+    law = fit(found, G)
+    for each in (law.horizontal_lag, law.vertical_lag):
+        assert (each.a.value, each.b.value) == pytest.approx((0.5, 0.2), abs=0.02)
+
+
 def test_a_wind_is_no_drag():
     truth = Truth(first_order(lag_of, DEAD_S), drag=(0.3, 0.3, 0.3), wind=(2.0, -1.0, 0.0))
     found = fit(truth.record(steps_of((0.5, 1.0, 2.0))), G)

@@ -70,6 +70,9 @@ def test_drag_and_hover_are_those_of_the_simulated_vehicle(flown, identified):
         assert 0.242 < drag.value < 0.242 + 0.051 * 2.0 + 0.05
     assert 0 < found.residual_m_s2 < 0.5
     assert vehicle.velocities.max_up_m_s == 2.5  # by WPNAV_SPEED_UP
+    assert vehicle.disturbance.linear_drag_n_s_m == pytest.approx(
+        [vehicle.body.mass_kg * each for each in vehicle.identified.drag_per_s], rel=1e-3
+    )
     assert 1.5 < vehicle.velocities.deceleration_m_s2 < 2.5
 
 
