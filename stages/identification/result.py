@@ -12,7 +12,9 @@ from alula.stages.identification.fit import Estimate, Identification
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _DISAGREES = 1.25  # factor between a measurement and the first guess that is worth a warning
-_SHAPED = 0.85  # mean between 80 % and 20 % of a stop by the highest deceleration of a jerk-limited one
+# ArduPilot decelerates by PSC_JERK_XY / WPNAV_ACCEL times the speed, at most by WPNAV_ACCEL; the mean of a stop
+# between 80 % and 20 % is 0.6 / log(4) of the former.
+_SHAPED = 0.6 / math.log(4)
 _DIGITS = 4
 
 
@@ -163,14 +165,11 @@ def _compared(
         reached = measured or _fastest(found, sign)
         if expected_m_s > 0 and (measured is not None or reached > expected_m_s):
             yield f"fastest {name}, by {parameter}", reached, expected_m_s, "m/s"
-    limit, jerk = parameters.get("WPNAV_ACCEL", 0.0) / 100, parameters.get("PSC_JERK_XY", math.inf)
-    if limit > 0 and jerk > 0:
-        level = max(each.speed_m_s for each in found.responses if each.axis != 2)
-        yield (
-            f"deceleration of a stop from {level:.2g} m/s, by WPNAV_ACCEL and PSC_JERK_XY",
-            *(found.deceleration_m_s2.value, _SHAPED * min(limit, math.sqrt(jerk * level))),
-            "m/s^2",
-        )
+    limit, jerk = parameters.get("WPNAV_ACCEL", 0.0) / 100, parameters.get("PSC_JERK_XY", 0.0)
+    level = max(each.speed_m_s for each in found.responses if each.axis != 2)
+    measured_m_s2 = found.deceleration_m_s2.value
+    if limit > 0 and jerk > 0 and (measured_m_s2 > limit or _SHAPED * level * jerk / limit >= limit):
+        yield f"deceleration of a stop from {level:.2g} m/s, by WPNAV_ACCEL", measured_m_s2, limit, "m/s^2"
     if found.hover_throttle is not None and parameters.get("MOT_THST_HOVER", 0.0) > 0:
         yield (
             "hover throttle, by MOT_THST_HOVER",

@@ -16,6 +16,7 @@ from alula.stages.identification.survey import (
     make_step_options,
     make_survey,
 )
+from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.frames import LocalFrame
 from support.autopilot_client import EXACT
 from support.fake_vehicle import Kept
@@ -76,3 +77,9 @@ class SurveyFlight(Served):
             link.close()
             self.socket.close()
         return self
+
+
+class Px4Survey(SurveyFlight):
+    """The same on the simulated PX4."""
+
+    kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}

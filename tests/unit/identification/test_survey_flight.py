@@ -5,17 +5,19 @@ import math
 import numpy as np
 import pytest
 
+from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, read_vehicle, vehicle_text
+from alula.schemas.vehicle import FASTBRIDGE, VelocitiesTable, read_vehicle, vehicle_text
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.identification.fit import fit
 from alula.stages.identification.result import disagreements, identified_vehicle
 from alula.stages.identification.survey import make_survey
 from alula.stages.vehicles.velocity_lag import stop_time_s
+from support.autopilot_client import QUICK
 from support.flights import mission
 from support.lockstep import Flight, fault
 from support.responses import MEASURED
-from support.survey_flights import BOX, SurveyFlight
+from support.survey_flights import BOX, Px4Survey, SurveyFlight
 
 
 def written(flight):
@@ -31,6 +33,19 @@ def written(flight):
     )
 
 
+def test_steps_that_fit_are_flown_and_found():
+    flight = SurveyFlight(speeds_m_s=(0.5, 1.0), box=(-2.7, -2.7, 0, 2.7, 2.7, 2.4)).fly()
+    assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    assert [words.split(":")[0] for words in flight.survey.steps.skipped] == ["+z at 1 m/s", "-z at 1 m/s"]
+    assert not flight.copter.is_armed
+    found, vehicle = written(flight)
+    assert found.vertical_lag is None
+    assert vehicle.velocities.vertical_lag == VelocitiesTable().vertical_lag
+    level = stop_time_s(vehicle.velocities.horizontal_lag, 1.0)
+    assert level == pytest.approx(MEASURED["stop_1_s"], rel=0.1)
+    assert disagreements(found, flight.survey.vehicle, flight.parameters) == []
+
+
 @pytest.fixture(scope="module")
 def flown():
     return SurveyFlight().fly()
@@ -41,6 +56,7 @@ def identified(flown):
     return written(flown)
 
 
+@pytest.mark.slow
 def test_all_steps_are_flown_within_the_box_and_it_lands(flown):
     assert flown.loop.supervision.cause is Event.PLAN_FINISHED, flown.recorder.lines[-5:]
     assert flown.steps.is_over
@@ -52,6 +68,7 @@ def test_all_steps_are_flown_within_the_box_and_it_lands(flown):
     assert flown.copter.parameters["GUID_TIMEOUT"] == 3.0  # restored
 
 
+@pytest.mark.slow
 def test_the_law_has_the_times_that_were_measured_apart_from_it(identified):
     _, vehicle = identified
     for speed in (1.0, 2.0, 3.0):
@@ -62,6 +79,7 @@ def test_the_law_has_the_times_that_were_measured_apart_from_it(identified):
         assert climb == pytest.approx(MEASURED[f"stop_up_{speed:g}_s"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_drag_and_hover_are_those_of_the_simulated_vehicle(flown, identified):
     found, vehicle = identified
     hover = flown.copter.parameters["MOT_THST_HOVER"]  # it learns
@@ -76,6 +94,7 @@ def test_drag_and_hover_are_those_of_the_simulated_vehicle(flown, identified):
     assert 1.5 < vehicle.velocities.deceleration_m_s2 < 2.5
 
 
+@pytest.mark.slow
 def test_a_wrong_first_guess_is_named(flown, identified):
     found, _ = identified
     assert [line.split(":")[0] for line in disagreements(found, flown.survey.vehicle, flown.parameters)] == [
@@ -87,6 +106,7 @@ def test_a_wrong_first_guess_is_named(flown, identified):
     assert any("WPNAV_ACCEL" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_the_file_reads_as_it_was_written(identified, tmp_path):
     _, vehicle = identified
     path = tmp_path / "mine.toml"
@@ -97,6 +117,7 @@ def test_the_file_reads_as_it_was_written(identified, tmp_path):
     assert low < vehicle.velocities.horizontal_lag[0] < high
 
 
+@pytest.mark.slow
 def test_a_plan_flown_with_the_file_keeps_its_margin(identified):
     _, vehicle = identified
     made = mission(vehicle=vehicle, speed_m_s=1.5)
@@ -111,14 +132,22 @@ def test_a_plan_flown_with_the_file_keeps_its_margin(identified):
 
 @pytest.mark.slow
 def test_rates_are_found_in_spite_of_noise():
-    from support.autopilot_client import QUICK
-
     flight = SurveyFlight(noise=QUICK, rates=True, speeds_m_s=(0.5, 1.0)).fly()
     assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
     _, vehicle = written(flight)
     for name, time_s in zip(("roll", "pitch", "yaw"), vehicle.rates.axis_time_constant_s, strict=True):
         assert time_s == pytest.approx(MEASURED[f"{name}_s"], rel=0.1, abs=0.008)
     assert vehicle.identified.thrust_time_constant_s < 0.1
+
+
+@pytest.mark.slow
+def test_px4_is_identified_too():
+    flight = Px4Survey(speeds_m_s=(0.5, 1.0), box=(-3, -3, 0, 3, 3, 5)).fly()
+    assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    found, vehicle = written(flight)
+    assert flight.parameters == {}
+    assert 0.2 < stop_time_s(vehicle.velocities.horizontal_lag, 1.0) < 0.6
+    assert any("by the first guess" in line for line in disagreements(found, flight.survey.vehicle, {}))
 
 
 @pytest.mark.slow
@@ -148,8 +177,6 @@ def test_a_gap_in_flight_repeats_the_step():
 
 
 def test_a_box_that_is_too_small_is_refused():
-    from alula.schemas.configs.identify import IdentifyConfig
-
     config = IdentifyConfig(box=(-1, -1, 0, 1, 1, 4), speeds_m_s=(1.0, 2.0))
     with pytest.raises(UsageError, match=r"too small.*it needs .* m, and the box has 0.7 m"):
         make_survey(config, FASTBRIDGE)
