@@ -12,8 +12,8 @@ from alula.stages.identification.fit import Estimate, Identification
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _DISAGREES = 1.25  # factor between a measurement and the first guess that is worth a warning
-# ArduPilot decelerates by PSC_JERK_XY / WPNAV_ACCEL times the speed, at most by WPNAV_ACCEL; the mean of a stop
-# between 80 % and 20 % is 0.6 / log(4) of the former.
+# ArduPilot decelerates by PSC_JERK_XY / WPNAV_ACCEL times the speed, at most by WPNAV_ACCEL. The mean of a
+# stop between 80 % and 20 % is 0.6 / log(4) of the former.
 _SHAPED = 0.6 / math.log(4)
 _DIGITS = 4
 

@@ -17,6 +17,7 @@ from support.autopilot_client import QUICK
 from support.flights import mission
 from support.lockstep import Flight, fault
 from support.responses import MEASURED
+from support.small_scenes import box_cover, line_plan
 from support.survey_flights import BOX, Px4Survey, SurveyFlight
 
 
@@ -128,6 +129,21 @@ def test_a_plan_flown_with_the_file_keeps_its_margin(identified):
     flight.judge()
     assert flight.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
     assert flight.clearance(State.FLY) > 0.8 * made.config.margin_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [1.5, 3.0])
+def test_a_plan_through_a_wall_ends_in_front_of_it_with_the_margin(identified, speed):
+    _, vehicle = identified
+    wall = box_cover([((80, -20, 0), (84, 40, 40))])
+    through = line_plan((0.3, 1.0, 1.0), (12.0, 1.0, 1.0), 11.7 * 2.1875 / speed)  # top speed of a septic
+    made = mission(cover=wall, plan=through, is_clear=True, vehicle=vehicle, speed_m_s=speed, max_time_s=14.0)
+    flight = Flight(made).fly()
+    assert flight.clearance(State.FLY, State.HOLD) > made.config.margin_m
+    assert flight.path(State.FLY)[:, 1].max() > 7.5
+    path = flight.path(State.FLY)
+    speeds = np.linalg.norm(np.diff(path[:, 1:], axis=0), axis=1) / np.diff(path[:, 0])
+    assert speeds.max() > 0.75 * speed
 
 
 @pytest.mark.slow
