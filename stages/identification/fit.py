@@ -113,13 +113,15 @@ def fit(recording: Recording, gravity_m_s2: float) -> Identification:
     Raises:
         CheckError: the horizontal steps do not determine a lag: fewer than two speeds have a stop.
     """
-    responses, left_out = list[Response](), list[str]()
+    responses, usable = list[Response](), dict[str, bool]()
     for number, step in enumerate(recording.steps):
         if step.kind == "velocity":
             found = step_responses(recording, number, step)
             responses += found
-            if not any(each.kind == "stop" for each in found):
-                left_out.append(step.name)
+            has_stop = any(each.kind == "stop" for each in found)
+            usable[step.name] = (
+                usable.get(step.name, False) or has_stop
+            )  # one that was interrupted is flown again
     stops = [each for each in responses if each.kind == "stop"]
     level = [each for each in stops if each.axis != 2]
     horizontal_lag = _slower_law(level, lambda each: each.axis)
@@ -139,7 +141,7 @@ def fit(recording: Recording, gravity_m_s2: float) -> Identification:
         residual_m_s2=residual,
         rate_s=_rates(recording),
         thrust_s=_thrust(recording, gravity_m_s2),
-        left_out=left_out,
+        left_out=[name for name, has_stop in usable.items() if not has_stop],
     )
 
 

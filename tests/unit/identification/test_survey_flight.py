@@ -190,6 +190,7 @@ def test_a_gap_in_flight_repeats_the_step():
     assert len(flown) == len(flight.survey.steps.flown) + 1
     found, _ = written(flight)
     assert math.isfinite(found.horizontal_lag.a.value)
+    assert not found.left_out
 
 
 def test_a_box_that_is_too_small_is_refused():
