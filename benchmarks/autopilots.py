@@ -2,8 +2,9 @@
 
 Each filter flies a plan there and back at each speed. On the real program, which ALULA_ARDUCOPTER names,
 `alula fly` runs in a process of its own, in real time, several vehicles at once. On the simulated autopilot
-the same loop and link run in lock-step with it, with the default noise of its estimate. Both are judged by the
-true motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by segments.
+the same loop and link run in lock-step with it, with the default noise of its estimate. Both are judged by
+the true motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by
+segments.
 """
 
 from __future__ import annotations

@@ -481,7 +481,7 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         dry_run=dry_run,
         watch_frame=config.frame_check != "none",
         margin_m=config.margin_m,
-        velocity_lag_s=config.velocity_lag_s or 0.0,
+        velocity_lag_s=float(_lags_s(config).max()),
         max_speed_m_s=config.speed_m_s or 0.0,
         max_disturbance_m_s2=_MAX_DISTURBANCE_M_S2,
     )
