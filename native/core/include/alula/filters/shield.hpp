@@ -38,7 +38,7 @@
 // comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
 //
 // The margin grows by what a disturbance that the state does not account for can move the vehicle before it is
-// estimated (`FlightState::disturbance_bound`), for new inputs only: the manoeuvre that is being flown stays accepted.
+// estimated (`FlightState::disturbance_bound`, less that of noise), for new inputs only: the manoeuvre that is being flown stays accepted.
 //
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
@@ -47,6 +47,7 @@
 // Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <limits>
@@ -120,7 +121,7 @@ class Shield {
   // The same, and the tracks from now on; initially and after `reset` there are none.
   void see(const FlightState& state) {
     see(state.rotors);
-    margin_ = options_.margin_m + kReaction * kReaction / 2 * state.disturbance_bound;
+    margin_ = options_.margin_m + kReaction * kReaction / 2 * std::max(0.0, state.disturbance_bound - kNoise);
     tubes_.set(state.tracks, state.position_variance);
   }
 
@@ -149,6 +150,7 @@ class Shield {
 
  private:
   static constexpr double kReaction = 0.5;  // time until a disturbance is estimated and countered [s]
+  static constexpr double kNoise = 0.3;     // bound that noise of the velocity makes in calm air [m/s^2]
 
   struct Tick {
     Vec3 p;
