@@ -14,6 +14,7 @@ import dataclasses
 import json
 import os
 import queue
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -231,7 +232,12 @@ class Vehicles:
         end = time.monotonic() if end is None else end
         path = np.array([row[1:4] for row in list(sim.truth) if begin <= row[0] <= end])
         path += (START[0], START[1], 0.0)
-        return figures | {"flight_s": end - begin} | self.judge(cell, path)
+        figures |= {"flight_s": end - begin} | self.judge(cell, path)
+        if not is_finished or figures["hull_clearance_m"] <= 0:
+            kept = self.keep.parent / cell.key.replace("/", " ")
+            shutil.copy(folder / "f.run.mcap", f"{kept}.run.mcap")
+            np.save(f"{kept}.npy", path)
+        return figures
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
