@@ -123,18 +123,20 @@ class SimulatedVehicle:
         Returns:
             The packets to send, each in a datagram of its own.
         """
-        while self.time_s < to_s - 1e-9:
+        copter, line, schedule = self.copter, self._line, self._schedule
+        while copter.time_s < to_s - 1e-9:
             self._fail()
-            self.copter.tick()
-            if self.copter.is_armed:
-                self._schedule.mark("arm", self.time_s)
-            if not self.copter.is_landed:
-                self._schedule.mark("airborne", self.time_s)
-            for message in self._line.late_messages(self.time_s):
+            copter.tick()
+            now_s = copter.time_s
+            if copter.is_armed:
+                schedule.mark("arm", now_s)
+            if not copter.is_landed:
+                schedule.mark("airborne", now_s)
+            for message in line.late_messages(now_s):
                 self._answer(message)
             for message in self._dialogue.due():
                 self._send(message)
-            self._outbox += self._line.late_packets(self.time_s)
+            self._outbox += line.late_packets(now_s)
         packets, self._outbox = self._outbox, []
         return packets
 

@@ -11,12 +11,11 @@ from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
-    conjugate,
     cos_tilt,
     from_vector,
     multiply,
+    relative,
     rotate,
-    scaled,
     to_vector,
     unit,
 )
@@ -29,7 +28,6 @@ _LEAST_RAD_S2 = tuple(map(math.radians, (40.0, 40.0, 10.0)))  # angular accelera
 _MOST_RAD_S2 = tuple(map(math.radians, (720.0, 720.0, 120.0)))
 _MAX_YAW_ERROR_RAD = math.radians(45.0)  # larger errors are clipped
 _AXES = (("RLL", "R"), ("PIT", "P"), ("YAW", "Y"))
-_YAW = 2
 
 
 class AttitudeControl:
@@ -60,7 +58,7 @@ class AttitudeControl:
         self.rates: Vector = (0.0, 0.0, 0.0)
         self.throttle = 0.0
         self.throttle_command = 0.0
-        self._cutoff_hz = 0.0
+        self._throttle_pull = 1.0  # of the low-pass on the throttle
         self._loops = [Pid(parameters, f"ATC_RAT_{name}") for name, _ in _AXES]
         self._gyro = [[0.0, 0.0] for _ in _AXES]  # of the second-order low-pass
         self._tune()
@@ -71,12 +69,16 @@ class AttitudeControl:
         self._gains = [p[f"ATC_ANG_{name}_P"] for name, _ in _AXES]
         # Largest angular accelerations of the target; 0 for no limit.
         self._limits = [math.radians(p[f"ATC_ACCEL_{letter}_MAX"] / 100) for _, letter in _AXES]
+        self._changes = [limit * TICK_S for limit in self._limits]  # of the target's rates in a tick
         bounds = zip(_LEAST_RAD_S2, _MOST_RAD_S2, self._limits, strict=True)
         self._removal = [max(least, min(most, limit / 2)) for least, most, limit in bounds]
         cutoff = 2 * math.pi * p.get("INS_GYRO_FILTER", 0.0)
         slope = cutoff * TICK_S
         self._gyro_pull = slope * cutoff
         self._gyro_scale = 1 / (1 + math.sqrt(2) * slope + slope * slope)
+        self._input_gain = 1 / max(p["ATC_INPUT_TC"], 0.01)
+        self._slew_rad_s = math.radians(max(p["ATC_SLEW_YAW"], 500.0) / 100)
+        self._is_boosted = p.whole("ATC_ANGLE_BOOST") != 0
 
     def reset(self, attitude: Quat) -> None:
         """Set the target to the present attitude, at rest."""
@@ -96,15 +98,14 @@ class AttitudeControl:
             omega: commanded body rates on top, FRD [rad/s].
             slews: bound the yaw rate by ATC_SLEW_YAW.
         """
-        gain = 1 / max(self._parameters["ATC_INPUT_TC"], 0.01)
-        error = to_vector(multiply(conjugate(self.target), attitude))
-        x, y, z = (
-            o + square_root(e, gain, limit) for o, e, limit in zip(omega, error, self._limits, strict=True)
-        )
+        if self._revision != self._parameters.revision:
+            self._tune()
+        gain, (p, q, r), (x, y, z) = self._input_gain, omega, to_vector(relative(self.target, attitude))
+        along_x, along_y, along_z = self._limits
+        r += square_root(z, gain, along_z)
         if slews:
-            most = math.radians(max(self._parameters["ATC_SLEW_YAW"], 500.0) / 100)
-            z = max(-most, min(most, z))
-        self._turn((x, y, z))
+            r = max(-self._slew_rad_s, min(self._slew_rad_s, r))
+        self._turn((p + square_root(x, gain, along_x), q + square_root(y, gain, along_y), r))
 
     def set_throttle(self, throttle: float, *, boosted: bool = True, cutoff_hz: float = 0.0) -> None:
         """Set the throttle.
@@ -114,11 +115,13 @@ class AttitudeControl:
             boosted: divide it by the cosine of the target's tilt, unless ATC_ANGLE_BOOST is 0.
             cutoff_hz: cutoff of the low-pass on the way to the rotors [Hz]; 0 for none.
         """
-        if boosted and self._parameters.whole("ATC_ANGLE_BOOST"):
+        if self._revision != self._parameters.revision:
+            self._tune()
+        if boosted and self._is_boosted:
             cosine = cos_tilt(self.target)
             throttle *= max(0.0, min(1.0, 10 * cosine)) / max(0.1, min(1.0, cosine))
         self.throttle_command = max(0.0, min(1.0, throttle))
-        self._cutoff_hz = cutoff_hz
+        self._throttle_pull = low_pass_weight(cutoff_hz)
 
     def run(self, attitude: Quat, omega: Vector) -> tuple[float, Vector]:
         """Compute thrust [N] and torque, FRD [N m], of this tick.
@@ -129,36 +132,41 @@ class AttitudeControl:
         """
         if self._revision != self._parameters.revision:
             self._tune()
-        between = multiply(conjugate(attitude), self.target)
-        error, ahead = to_vector(between), rotate(between, self.rates)
-        i, (p, q, r) = self._inertia, omega
-        gyroscopic = (q * r * (i[2] - i[1]), r * p * (i[0] - i[2]), p * q * (i[1] - i[0]))
+        between = relative(attitude, self.target)
+        (roll, pitch, yaw), ahead = to_vector(between), rotate(between, self.rates)
+        errors = (roll, pitch, max(-_MAX_YAW_ERROR_RAD, min(_MAX_YAW_ERROR_RAD, yaw)))
+        (i, j, k), (p, q, r) = self._inertia, omega
+        gyroscopic = (q * r * (k - j), r * p * (i - k), p * q * (j - i))
+        gains, removal, pull, scale = self._gains, self._removal, self._gyro_pull, self._gyro_scale
         torque = []
-        for axis, loop in enumerate(self._loops):
-            off = error[axis]
-            if axis == _YAW:
-                off = max(-_MAX_YAW_ERROR_RAD, min(_MAX_YAW_ERROR_RAD, off))
-            wanted = ahead[axis] + square_root(off, self._gains[axis], self._removal[axis])
-            command = max(-1.0, min(1.0, loop.run(wanted, self._filtered(axis, omega[axis]))))
-            turns = _EFFECT[axis] * command - _DAMPING_PER_S * omega[axis]
-            torque.append(i[axis] * turns + gyroscopic[axis])
-        self.throttle += low_pass_weight(self._cutoff_hz) * (self.throttle_command - self.throttle)
+        for axis, rate in enumerate(omega):
+            wanted = ahead[axis] + square_root(errors[axis], gains[axis], removal[axis])
+            measured = rate
+            if pull:
+                # Second order, damping 0.71. Implicit steps of y'' = w^2 (u - y) - sqrt(2) w y' are stable
+                # for every cutoff.
+                state = self._gyro[axis]
+                measured, slope = state
+                state[1] = slope = (slope + pull * (rate - measured)) * scale
+                state[0] = measured = measured + slope * TICK_S
+            command = self._loops[axis].run(wanted, measured)
+            command = command if command < 1.0 else 1.0
+            command = command if command > -1.0 else -1.0
+            turns = _EFFECT[axis] * command - _DAMPING_PER_S * rate
+            torque.append(self._inertia[axis] * turns + gyroscopic[axis])
+        self.throttle += self._throttle_pull * (self.throttle_command - self.throttle)
         return self.throttle * self._max_thrust_n, (torque[0], torque[1], torque[2])
 
-    def _filtered(self, axis: int, rate: float) -> float:
-        """Rate after the low-pass of the gyroscopes: second order, damping 0.71."""
-        if not self._gyro_pull:
-            return rate
-        state = self._gyro[axis]
-        # Implicit steps of y'' = w^2 (u - y) - sqrt(2) w y' are stable for every cutoff.
-        state[1] = (state[1] + self._gyro_pull * (rate - state[0])) * self._gyro_scale
-        state[0] += state[1] * TICK_S
-        return state[0]
-
     def _turn(self, omega: Vector) -> None:
-        changed = []
-        for old, new, limit in zip(self.rates, omega, self._limits, strict=True):
-            most = limit * TICK_S
-            changed.append(new if most <= 0 else old + max(-most, min(most, new - old)))
-        self.rates = (changed[0], changed[1], changed[2])
-        self.target = unit(multiply(self.target, from_vector(scaled(self.rates, TICK_S))))
+        (p, q, r), (x, y, z), (u, v, w) = self.rates, omega, self._changes
+        self.rates = p, q, r = _towards(p, x, u), _towards(q, y, v), _towards(r, z, w)
+        self.target = unit(multiply(self.target, from_vector((p * TICK_S, q * TICK_S, r * TICK_S))))
+
+
+def _towards(old: float, new: float, most: float) -> float:
+    """Change a rate by at most so much; without limit if that is not positive."""
+    if most <= 0:
+        return new
+    change = new - old
+    change = change if change < most else most
+    return old + (change if change > -most else -most)

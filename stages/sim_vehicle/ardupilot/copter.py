@@ -58,6 +58,7 @@ class Copter:
         is_landed: whether it has detected a landing.
         failsafe: name of the last failsafe that triggered, whether it acts or not; empty without one.
         texts: STATUSTEXTs to send, severity and text.
+        time_s: time since boot [s].
 
     Raises:
         UsageError: the vehicle is not a quadrotor, or a parameter is unknown.
@@ -103,6 +104,7 @@ class Copter:
         self.is_landed = True
         self.failsafe = ""
         self._ticks = 0
+        self.time_s = 0.0
         self._armed_s = 0.0
         self._resting_s = 0.0
         self._idle_s = 0.0
@@ -132,11 +134,6 @@ class Copter:
     def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
         return AttitudeControl(self.airframe, self.parameters)
 
-    @property
-    def time_s(self) -> float:
-        """Time since boot [s]."""
-        return self._ticks * TICK_S
-
     def say(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT.
 
@@ -154,6 +151,7 @@ class Copter:
     def tick(self) -> None:
         """Simulate `TICK_S`."""
         self._ticks += 1
+        self.time_s = self._ticks * TICK_S
         if self._hand is not None:
             self._hand.attend(self.time_s, self._client_s, is_ready=self.estimator.has_position)
             self.airframe.carry(None if self.is_armed else self._hand.motion(self.time_s))

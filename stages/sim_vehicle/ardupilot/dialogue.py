@@ -86,8 +86,9 @@ class Dialogue:
             found += self._one("GPS_GLOBAL_ORIGIN") + self._one("HOME_POSITION")
         while self._copter.texts:
             found += self._text(*self._copter.texts.popleft())
-        for _ in range(min(_PARAMETERS_AT_ONCE, len(self._listing))):
-            found.append(self._parameter(self._listing.popleft()))
+        if self._listing:
+            for _ in range(min(_PARAMETERS_AT_ONCE, len(self._listing))):
+                found.append(self._parameter(self._listing.popleft()))
         return found
 
     def _one(self, name: str) -> list[Message]:

@@ -14,9 +14,10 @@ from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
     added,
-    from_euler,
+    from_heading,
     from_vector,
     multiply,
+    rotate,
     to_euler,
 )
 
@@ -34,6 +35,7 @@ _FIXED = 0.5  # fraction of the boot time until satellites are available
 _GATE_M = 1.0  # external positions with a larger error are rejected
 _REFUSED_S = 5.0  # after rejecting them for this long the estimate is reset to them
 _GAIN = (4.0, 4.0, 2.0)  # position to position and velocity, velocity to velocity [1/s, 1/s^2, 1/s]
+_POSITION_PULL, _VELOCITY_PULL, _STEP_PULL = _GAIN[1], 4 * _GAIN[2], TICK_S * _GAIN[0]
 _BLOCK = 512  # ticks in one draw of noise
 
 LatLonAlt = tuple[float, float, float]
@@ -130,19 +132,30 @@ class Estimator:
         self.origin: LatLonAlt | None = None
         self.motion = start
         self.is_settled = False
+        self._tune()
+
+    def _tune(self) -> None:
+        p = self._parameters
+        self._revision = p.revision
+        self._uses_mocap = p.whole("EK3_SRC1_POSXY") == EXTERNAL and p.whole("VISO_TYPE") != 0
+        self._takes_mocap_height = self._uses_mocap and p.whole("EK3_SRC1_POSZ") == EXTERNAL
+        self._has_receiver = p.whole("GPS1_TYPE") != 0
 
     @property
     def uses_mocap(self) -> bool:
         """Return whether the horizontal position comes from external navigation."""
-        p = self._parameters
-        return p.whole("EK3_SRC1_POSXY") == EXTERNAL and p.whole("VISO_TYPE") != 0
+        if self._revision != self._parameters.revision:
+            self._tune()
+        return self._uses_mocap
 
     @property
     def has_fix(self) -> bool:
         """Return whether satellites are available."""
-        boot = self._options.boot_time_s
-        is_there = self._parameters.whole("GPS1_TYPE") != 0 and self._time_s >= _FIXED * boot
-        return is_there and not self.are_satellites_lost
+        if self.are_satellites_lost or self._time_s < _FIXED * self._options.boot_time_s:
+            return False
+        if self._revision != self._parameters.revision:
+            self._tune()
+        return self._has_receiver
 
     @property
     def is_started(self) -> bool:
@@ -237,24 +250,25 @@ class Estimator:
         """
         self._time_s += TICK_S
         noise = self._next_noise()
-        turn = from_euler(0.0, 0.0, self._yaw_error)
+        turn = from_heading(self._yaw_error)
         acceleration = self._integrate(truth, turn, noise, is_still)
         self._settle()
         sigma, rate = self._options.attitude_noise_rad, self._options.rate_noise_rad_s
-        lean = from_vector((sigma * noise[6], sigma * noise[7], sigma * noise[8]))
-        attitude: Quat = multiply(turn, multiply(truth.attitude, lean))
-        o, (x, y, z) = truth.omega, self._position
+        roll, pitch, yaw, along_x, along_y, along_z = noise[6:]
+        lean = from_vector((sigma * roll, sigma * pitch, sigma * yaw))
+        (x, y, z), (u, v, w), (p, q, r) = self._position, self._velocity, truth.omega
         self.motion = Motion(
             added((x, y, z), self.offset),
-            (self._velocity[0], self._velocity[1], self._velocity[2]),
-            attitude,
-            (o[0] + rate * noise[9], o[1] + rate * noise[10], o[2] + rate * noise[11]),
+            (u, v, w),
+            multiply(turn, multiply(truth.attitude, lean)),
+            (p + rate * along_x, q + rate * along_y, r + rate * along_z),
             acceleration,
         )
-        self._history.append((self._time_s, self.motion))
+        history = self._history
+        history.append((self._time_s, self.motion))
         shown_s = self._time_s - self._options.delay_s + 1e-9
-        while len(self._history) > 1 and self._history[1][0] <= shown_s:
-            self._history.popleft()
+        while len(history) > 1 and history[1][0] <= shown_s:
+            history.popleft()
 
     def global_position(self, position: Vector) -> LatLonAlt:
         """Latitude, longitude [deg] and altitude [m] of a local position, NED [m], on a sphere."""
@@ -276,26 +290,27 @@ class Estimator:
 
     def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> Vector:
         """Advance position and velocity; return the measured acceleration, NED [m/s^2]."""
-        mocap = self.uses_mocap
-        follows_level = not mocap and self.has_fix
-        follows_height = not (mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL)
+        follows_level = not self.uses_mocap and self.has_fix
+        follows_height = not self._takes_mocap_height
         stands = is_still and not self.has_position
-        _, x, y, z = multiply(multiply(turn, (0.0, *truth.acceleration)), (turn[0], 0.0, 0.0, -turn[3]))
-        measured = added((x, y, z), self._bias)
+        measured = added(rotate(turn, truth.acceleration), self._bias)
+        positions, velocities = self._position, self._velocity
+        true_position, true_velocity = truth.position, truth.velocity
         for i, follows in enumerate((follows_level, follows_level, follows_height)):
-            velocity, position = self._velocity[i] + measured[i] * TICK_S, self._position[i]
+            velocity, position = velocities[i] + measured[i] * TICK_S, positions[i]
             if stands:
                 velocity = 0.0  # standstill is detected
             if follows:
-                error = truth.position[i] + noise[i] - position
-                slip = truth.velocity[i] + noise[3 + i] - velocity
-                velocity += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
-                position += TICK_S * _GAIN[0] * error
-            self._velocity[i], self._position[i] = velocity, position + velocity * TICK_S
+                error = true_position[i] + noise[i] - position
+                slip = true_velocity[i] + noise[3 + i] - velocity
+                velocity += TICK_S * (_POSITION_PULL * error + _VELOCITY_PULL * slip)
+                position += _STEP_PULL * error
+            velocities[i], positions[i] = velocity, position + velocity * TICK_S
         return measured
 
     def _settle(self) -> None:
-        self.fix_s = self._time_s if self.has_fix else self.fix_s
+        if self.has_fix:
+            self.fix_s = self._time_s
         if self.uses_mocap:
             alive = self._vision_s is not None and self._time_s - self._vision_s <= MOCAP_LOST_S
             usable = alive and self.origin is not None

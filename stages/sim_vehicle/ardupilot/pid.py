@@ -58,6 +58,10 @@ class Pid:
             error = last + of_error * (target - measured - last)
             derivative = slope + of_derivative * ((error - last) / TICK_S - slope)
         self._last = (target, error, derivative)
-        if not held or self.integral * error < 0:
-            self.integral = max(-most, min(most, self.integral + i * error * TICK_S))
-        return p * error + self.integral + d * derivative
+        integral = self.integral
+        if not held or integral * error < 0:
+            integral += i * error * TICK_S
+            # Comparisons, as everywhere in a tick, because calls of min and max take longer.
+            integral = integral if integral < most else most
+            self.integral = integral = integral if integral > -most else -most
+        return p * error + integral + d * derivative

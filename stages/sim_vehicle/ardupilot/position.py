@@ -7,14 +7,18 @@ import math
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pid import Pid
-from alula.stages.sim_vehicle.ardupilot.shaping import Profile, largest_error, square_root
+from alula.stages.sim_vehicle.ardupilot.shaping import (
+    LevelProfile,
+    VerticalProfile,
+    largest_error,
+    square_root,
+)
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
     added,
-    from_euler,
-    multiply,
+    from_heading,
     rotate,
     scaled,
     to_euler,
@@ -47,13 +51,40 @@ class PositionControl:
         self._attitude = attitude
         self._parameters = parameters
         self._gravity = gravity
-        self._level, self._vertical = Profile(2), Profile(1)  # north and east; down
+        self._level, self._vertical = LevelProfile(), VerticalProfile()
         self._speed = (Pid(parameters, "PSC_VELXY", 1 / _CM), Pid(parameters, "PSC_VELXY", 1 / _CM))
         self._climb = Pid(parameters, "PSC_VELZ", 1 / _CM)
         self._lift = Pid(parameters, "PSC_ACCZ")
         self._leans_most = False
         self.yaw = 0.0
         self.yaw_rate = 0.0
+        self._tune()
+
+    def _tune(self) -> None:
+        p = self._parameters
+        self._revision = p.revision
+        self._hover = p["MOT_THST_HOVER"]
+        self._top_level, self._top_up, self._top_down = (
+            p[f"WPNAV_SPEED{way}"] / _CM for way in ("", "_UP", "_DN")
+        )
+        self._level_gain, self._vertical_gain = p["PSC_POSXY_P"], p["PSC_POSZ_P"]
+        self._level_limit = max(p["WPNAV_ACCEL"], 10.0) / _CM
+        self._level_jerk = max(p["PSC_JERK_XY"], 0.1)
+        self._vertical_limit = max(p["WPNAV_ACCEL_Z"], 1.0) / _CM
+        self._vertical_jerk = max(p["PSC_JERK_Z"], 0.1)
+        self._level_error = largest_error(self._top_level, self._level_gain, self._level_limit)
+        self._vertical_error = largest_error(self._top_up, self._vertical_gain, self._vertical_limit)
+        self._most_level = self._gravity * math.tan(math.radians(p["ANGLE_MAX"] / 100))
+
+    def _advance_level(self) -> None:
+        if self._revision != self._parameters.revision:
+            self._tune()
+        self._level.advance()
+
+    def _advance_vertical(self) -> None:
+        if self._revision != self._parameters.revision:
+            self._tune()
+        self._vertical.advance()
 
     def rest(self, motion: Motion) -> None:
         """Start all loops from rest on the ground."""
@@ -72,11 +103,13 @@ class PositionControl:
 
     def reset_vertical(self, motion: Motion) -> None:
         """Start the vertical loop from the present climb rate and throttle."""
-        limit = self._vertical_limit()
-        self._vertical.start(motion.position[2:], motion.velocity[2:])
-        self._vertical.acceleration = [max(-limit, min(limit, motion.acceleration[2]))]
+        if self._revision != self._parameters.revision:
+            self._tune()
+        limit = self._vertical_limit
+        self._vertical.start(motion.position[2], motion.velocity[2])
+        self._vertical.acceleration = max(-limit, min(limit, motion.acceleration[2]))
         self._climb.reset()
-        extra = self._attitude.throttle_command - self._parameters["MOT_THST_HOVER"]
+        extra = self._attitude.throttle_command - self._hover
         self._lift.reset(1000 * extra)
 
     def climb(self, motion: Motion, climb_m_s: float) -> None:
@@ -91,18 +124,18 @@ class PositionControl:
             down_m_s: velocity, downward [m/s].
             down_m_s2: acceleration, downward [m/s^2].
         """
-        self._vertical.advance()
+        self._advance_vertical()
         limit, jerk = self._vertical_limits()
-        self._vertical.to_velocity([down_m_s], (down_m_s2,), limit, jerk)
+        self._vertical.to_velocity(down_m_s, down_m_s2, limit, jerk)
         self._throttle(motion)
 
     def height(self, motion: Motion, down_m: float) -> None:
         """Command the throttle for a height, given as the NED coordinate [m]."""
-        way = "UP" if down_m < self._vertical.position[0] else "DN"
-        speed = self._parameters[f"WPNAV_SPEED_{way}"] / _CM
-        self._vertical.advance()
+        goes_up = down_m < self._vertical.position
+        self._advance_vertical()
         limit, jerk = self._vertical_limits()
-        self._vertical.to_position((down_m,), (0.0,), (0.0,), speed, limit, jerk)
+        speed = self._top_up if goes_up else self._top_down
+        self._vertical.to_position(down_m, 0.0, 0.0, speed, limit, jerk)
         self._throttle(motion)
 
     def stay(self, motion: Motion) -> None:
@@ -119,8 +152,8 @@ class PositionControl:
             velocity: north and east [m/s].
             ahead: acceleration added to it, north and east [m/s^2].
         """
-        self._level.advance()
-        self._level.to_velocity(list(velocity), ahead, self._level_limit(), self._level_jerk())
+        self._advance_level()
+        self._level.to_velocity(velocity, ahead, self._level_limit, self._level_jerk)
         self._lean(motion)
 
     def point(self, motion: Motion, position: tuple[float, float], max_m_s: float) -> None:
@@ -132,8 +165,8 @@ class PositionControl:
             max_m_s: maximum speed [m/s].
         """
         zero = (0.0, 0.0)
-        self._level.advance()
-        self._level.to_position(position, zero, zero, max_m_s, self._level_limit(), self._level_jerk())
+        self._advance_level()
+        self._level.to_position(position, zero, zero, max_m_s, self._level_limit, self._level_jerk)
         self._lean(motion)
 
     def track(
@@ -155,82 +188,67 @@ class PositionControl:
             self.velocity(motion, velocity[:2], ahead[:2])
             self.follow_vertical(motion, velocity[2], ahead[2])
             return None, gained
-        self._level.advance()
-        self._vertical.advance()
-        top = self._parameters["WPNAV_SPEED"] / _CM
-        limit, jerk = self._level_limit(), self._level_jerk()
+        self._advance_level()
+        self._advance_vertical()
+        top, limit, jerk = self._top_level, self._level_limit, self._level_jerk
         self._level.to_position(position[:2], velocity[:2], ahead[:2], top, limit, jerk)
-        way = "UP" if position[2] < self._vertical.position[0] else "DN"
-        speed = self._parameters[f"WPNAV_SPEED_{way}"] / _CM
+        speed = self._top_up if position[2] < self._vertical.position else self._top_down
         limit, jerk = self._vertical_limits()
-        self._vertical.to_position(position[2:], velocity[2:], ahead[2:], speed, limit, jerk)
+        self._vertical.to_position(position[2], velocity[2], ahead[2], speed, limit, jerk)
         self._lean(motion)
         self._throttle(motion)
         return added(position, scaled(velocity, TICK_S)), gained
 
     def accelerate(self, motion: Motion, acceleration: Vector) -> None:
         """Follow a stream of accelerations, NED [m/s^2]."""
-        self._level.advance()
-        self._vertical.advance()
-        self._level.to_acceleration(list(acceleration[:2]), self._level_jerk())
-        self._vertical.to_acceleration(list(acceleration[2:]), self._vertical_limits()[1])
+        self._advance_level()
+        self._advance_vertical()
+        self._level.to_acceleration(acceleration[:2], self._level_jerk)
+        self._vertical.to_acceleration(acceleration[2], self._vertical_limits()[1])
         self._lean(motion)
         self._throttle(motion)
 
     def _lean(self, motion: Motion) -> None:
         """Follow the shaped horizontal motion by lean angles of at most ANGLE_MAX."""
-        gain, limit = self._parameters["PSC_POSXY_P"], self._level_limit()
-        most = largest_error(self._parameters["WPNAV_SPEED"] / _CM, gain, limit)
-        error = self._level.keep_near(motion.position[:2], most)
-        size = math.hypot(*error)
-        scale = square_root(size, gain, limit) / size if size > 0 else 0.0
-        command = []
-        for axis, loop in enumerate(self._speed):
-            target = self._level.velocity[axis] + scale * error[axis]
-            accelerates = loop.run(target, motion.velocity[axis], held=self._leans_most)
-            command.append(self._level.acceleration[axis] + accelerates)
-        most = self._gravity * math.tan(math.radians(self._parameters["ANGLE_MAX"] / 100))
-        size = math.hypot(*command)
+        level, (north, east, _) = self._level, motion.velocity
+        x, y = level.keep_near(motion.position[:2], self._level_error)
+        size = math.hypot(x, y)
+        scale = square_root(size, self._level_gain, self._level_limit) / size if size > 0 else 0.0
+        (u, v), (a, b), (along_north, along_east) = level.velocity, level.acceleration, self._speed
+        a += along_north.run(u + scale * x, north, held=self._leans_most)
+        b += along_east.run(v + scale * y, east, held=self._leans_most)
+        size, most = math.hypot(a, b), self._most_level
         self._leans_most = size > most
         share = most / size if self._leans_most else 1.0
         self.yaw += self.yaw_rate * TICK_S
-        attitude = _leaning(share * command[0], share * command[1], self._gravity, self.yaw)
+        attitude = _leaning(share * a, share * b, self._gravity, self.yaw)
         self._attitude.input_attitude(attitude, (0.0, 0.0, self.yaw_rate), slews=True)
 
     def _throttle(self, motion: Motion) -> None:
         """Follow the shaped vertical motion by the throttle."""
-        gain, limit = self._parameters["PSC_POSZ_P"], self._vertical_limit()
-        speed = self._parameters["WPNAV_SPEED_UP"] / _CM
-        error = self._vertical.keep_near(motion.position[2:], largest_error(speed, gain, limit))[0]
-        target = self._vertical.velocity[0] + square_root(error, gain, limit)
+        vertical = self._vertical
+        error = vertical.keep_near(motion.position[2], self._vertical_error)
+        target = vertical.velocity + square_root(error, self._vertical_gain, self._vertical_limit)
         held = not 0 < self._attitude.throttle_command < 1
-        down = self._vertical.acceleration[0] + self._climb.run(target, motion.velocity[2], held=held)
+        down = vertical.acceleration + self._climb.run(target, motion.velocity[2], held=held)
         lift = self._lift.run(-_CM * down, -_CM * motion.acceleration[2], held=held)
-        hover = self._parameters["MOT_THST_HOVER"]
-        self._attitude.set_throttle(hover + lift / 1000, cutoff_hz=_THROTTLE_HZ)
-
-    def _level_limit(self) -> float:
-        return max(self._parameters["WPNAV_ACCEL"], 10.0) / _CM
-
-    def _level_jerk(self) -> float:
-        return max(self._parameters["PSC_JERK_XY"], 0.1)
-
-    def _vertical_limit(self) -> float:
-        return max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / _CM
+        self._attitude.set_throttle(self._hover + lift / 1000, cutoff_hz=_THROTTLE_HZ)
 
     def _vertical_limits(self) -> tuple[float, float]:
         """Acceleration and jerk; both are higher while the shaped speed is beyond WPNAV_SPEED_UP or _DN."""
-        down = self._vertical.velocity[0]
-        top = self._parameters["WPNAV_SPEED_DN" if down > 0 else "WPNAV_SPEED_UP"] / _CM
+        down = self._vertical.velocity
+        top = self._top_down if down > 0 else self._top_up
         gain = _OVERSPEED_GAIN * abs(down) / top if abs(down) > top > 0 else 1.0
-        return min(gain * self._vertical_limit(), 7.5), gain * max(self._parameters["PSC_JERK_Z"], 0.1)
+        return min(gain * self._vertical_limit, 7.5), gain * self._vertical_jerk
 
 
 def _leaning(north_m_s2: float, east_m_s2: float, gravity: float, yaw: float) -> Quat:
     """Attitude with a heading whose thrust gives a horizontal acceleration at constant height."""
     size = math.hypot(north_m_s2, east_m_s2)
     if size < 1e-9:
-        return from_euler(0.0, 0.0, yaw)
+        return from_heading(yaw)
     half = math.atan2(size, gravity) / 2
     sine = math.sin(half) / size
-    return multiply((math.cos(half), sine * east_m_s2, -sine * north_m_s2, 0.0), from_euler(0.0, 0.0, yaw))
+    w, x, y = math.cos(half), sine * east_m_s2, -sine * north_m_s2
+    turn, _, _, about_z = from_heading(yaw)
+    return w * turn, x * turn + y * about_z, y * turn - x * about_z, w * about_z

@@ -8,6 +8,8 @@ from alula.stages.sim_vehicle.common.airframe import TICK_S
 
 _CROSS_SHARE = 1 / math.sqrt(2)  # of the acceleration, at most this much is across the wanted velocity
 
+Pair = tuple[float, float]
+
 
 def square_root(error: float, gain: float, limit: float) -> float:
     """Rate that removes an error and can still be slowed down with a bounded derivative.
@@ -43,14 +45,11 @@ def low_pass_weight(cutoff_hz: float) -> float:
     return TICK_S / (TICK_S + 1 / (2 * math.pi * cutoff_hz))
 
 
-class Profile:
-    """Shaped motion along some axes; all lists have one number for each.
+class LevelProfile:
+    """Shaped horizontal motion: north and east.
 
     In each tick it first moves on with its acceleration. Then the acceleration turns towards the command, its
     change bounded by the jerk.
-
-    Args:
-        axes: number of axes.
 
     Attributes:
         position: [m].
@@ -58,33 +57,41 @@ class Profile:
         acceleration: [m/s^2].
     """
 
-    def __init__(self, axes: int) -> None:
-        self.position = [0.0] * axes
-        self.velocity = [0.0] * axes
-        self.acceleration = [0.0] * axes
+    def __init__(self) -> None:
+        self.position: Pair = (0.0, 0.0)
+        self.velocity: Pair = (0.0, 0.0)
+        self.acceleration: Pair = (0.0, 0.0)
 
-    def start(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+    def start(self, position: Pair, velocity: Pair) -> None:
         """Start from a motion without acceleration."""
-        self.position, self.velocity = list(position), list(velocity)
-        self.acceleration = [0.0] * len(position)
+        self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0)
 
     def advance(self) -> None:
         """Move on by one tick."""
-        for i, (v, a) in enumerate(zip(self.velocity, self.acceleration, strict=True)):
-            self.position[i] += v * TICK_S + a * TICK_S * TICK_S / 2
-            self.velocity[i] += a * TICK_S
+        (x, y), (u, v), (a, b) = self.position, self.velocity, self.acceleration
+        self.position = (
+            x + (u * TICK_S + a * TICK_S * TICK_S / 2),
+            y + (v * TICK_S + b * TICK_S * TICK_S / 2),
+        )
+        self.velocity = (u + a * TICK_S, v + b * TICK_S)
 
-    def to_acceleration(self, command: list[float], jerk: float) -> None:
+    def to_acceleration(self, command: Pair, jerk: float) -> None:
         """Change the acceleration towards a command.
 
         Args:
             command: acceleration [m/s^2].
             jerk: its largest change [m/s^3].
         """
-        change = _limited([c - a for c, a in zip(command, self.acceleration, strict=True)], jerk * TICK_S)
-        self.acceleration = [a + d for a, d in zip(self.acceleration, change, strict=True)]
+        a, b = self.acceleration
+        x, y = command[0] - a, command[1] - b
+        size, most = math.hypot(x, y), jerk * TICK_S
+        if size <= most:
+            self.acceleration = (a + x, b + y)
+        else:
+            share = most / size
+            self.acceleration = (a + x * share, b + y * share)
 
-    def to_velocity(self, command: list[float], ahead: tuple[float, ...], limit: float, jerk: float) -> None:
+    def to_velocity(self, command: Pair, ahead: Pair, limit: float, jerk: float) -> None:
         """Change the acceleration towards that which reaches a velocity.
 
         Args:
@@ -93,21 +100,17 @@ class Profile:
             limit: largest acceleration [m/s^2].
             jerk: its largest change [m/s^3].
         """
-        error = [c - v for c, v in zip(command, self.velocity, strict=True)]
-        size = math.hypot(*error)
-        rate = min(square_root(size, jerk / limit, jerk), size / TICK_S)
-        wanted = [e * (rate / size) if size > 0 else 0.0 for e in error]
-        wanted = _within(wanted, command, limit)
-        self.to_acceleration([w + a for w, a in zip(wanted, ahead, strict=True)], jerk)
+        x, y = command[0] - self.velocity[0], command[1] - self.velocity[1]
+        size = math.hypot(x, y)
+        if size > 0:
+            share = min(square_root(size, jerk / limit, jerk), size / TICK_S) / size
+            x, y = _within((x * share, y * share), command, limit)
+        else:
+            x = y = 0.0
+        self.to_acceleration((x + ahead[0], y + ahead[1]), jerk)
 
     def to_position(
-        self,
-        point: tuple[float, ...],
-        velocity: tuple[float, ...],
-        ahead: tuple[float, ...],
-        speed: float,
-        limit: float,
-        jerk: float,
+        self, point: Pair, velocity: Pair, ahead: Pair, speed: float, limit: float, jerk: float
     ) -> None:
         """Change the acceleration towards that which reaches a position.
 
@@ -119,37 +122,109 @@ class Profile:
             limit: largest acceleration [m/s^2].
             jerk: its largest change [m/s^3].
         """
-        error = [p - q for p, q in zip(point, self.position, strict=True)]
-        size = math.hypot(*error)
-        rate = min(square_root(size, jerk / (2 * limit), limit / 2), size / TICK_S, speed)
-        command = [v + (e * (rate / size) if size > 0 else 0.0) for v, e in zip(velocity, error, strict=True)]
-        self.to_velocity(command, ahead, limit, jerk)
+        x, y = point[0] - self.position[0], point[1] - self.position[1]
+        size = math.hypot(x, y)
+        if size > 0:
+            share = min(square_root(size, jerk / (2 * limit), limit / 2), size / TICK_S, speed) / size
+            velocity = (velocity[0] + x * share, velocity[1] + y * share)
+        self.to_velocity(velocity, ahead, limit, jerk)
 
-    def keep_near(self, position: tuple[float, ...], limit: float) -> list[float]:
+    def keep_near(self, position: Pair, limit: float) -> Pair:
         """Error to an actual position [m]; move the profile if that is beyond a limit [m]."""
-        error = [p - q for p, q in zip(self.position, position, strict=True)]
+        x, y = error = (self.position[0] - position[0], self.position[1] - position[1])
         kept = _limited(error, limit)
         if kept != error:
-            self.position = [q + e for q, e in zip(position, kept, strict=True)]
+            x, y = kept
+            self.position = (position[0] + x, position[1] + y)
         return kept
 
 
-def _limited(vector: list[float], length: float) -> list[float]:
+class VerticalProfile:
+    """Shaped vertical motion, as the `LevelProfile` along one axis: down.
+
+    Attributes:
+        position: [m].
+        velocity: [m/s].
+        acceleration: [m/s^2].
+    """
+
+    def __init__(self) -> None:
+        self.position = 0.0
+        self.velocity = 0.0
+        self.acceleration = 0.0
+
+    def start(self, position: float, velocity: float) -> None:
+        """Start from a motion without acceleration."""
+        self.position, self.velocity, self.acceleration = position, velocity, 0.0
+
+    def advance(self) -> None:
+        """Move on by one tick."""
+        v, a = self.velocity, self.acceleration
+        self.position += v * TICK_S + a * TICK_S * TICK_S / 2
+        self.velocity = v + a * TICK_S
+
+    def to_acceleration(self, command: float, jerk: float) -> None:
+        """Change the acceleration towards a command; see `LevelProfile.to_acceleration`."""
+        change = command - self.acceleration
+        size, most = abs(change), jerk * TICK_S
+        self.acceleration += change if size <= most else change * (most / size)
+
+    def to_velocity(self, command: float, ahead: float, limit: float, jerk: float) -> None:
+        """Change the acceleration towards that which reaches a velocity; see `LevelProfile.to_velocity`."""
+        wanted = command - self.velocity
+        size = abs(wanted)
+        if size > 0:
+            wanted *= min(square_root(size, jerk / limit, jerk), size / TICK_S) / size
+            if abs(wanted) > limit:
+                wanted = math.copysign(limit, wanted) if command else wanted * (limit / abs(wanted))
+        else:
+            wanted = 0.0
+        self.to_acceleration(wanted + ahead, jerk)
+
+    def to_position(
+        self, point: float, velocity: float, ahead: float, speed: float, limit: float, jerk: float
+    ) -> None:
+        """Change the acceleration towards that which reaches a position; see `LevelProfile.to_position`."""
+        error = point - self.position
+        size = abs(error)
+        if size > 0:
+            rate = min(square_root(size, jerk / (2 * limit), limit / 2), size / TICK_S, speed)
+            velocity += error * (rate / size)
+        self.to_velocity(velocity, ahead, limit, jerk)
+
+    def keep_near(self, position: float, limit: float) -> float:
+        """Error to an actual position [m]; move the profile if that is beyond a limit [m]."""
+        error = self.position - position
+        size = abs(error)
+        if size <= limit:
+            return error
+        kept = error * (limit / size)
+        if kept != error:
+            self.position = position + kept
+        return kept
+
+
+def _limited(vector: Pair, length: float) -> Pair:
     size = math.hypot(*vector)
-    return vector if size <= length else [v * (length / size) for v in vector]
+    if size <= length:
+        return vector
+    share = length / size
+    return vector[0] * share, vector[1] * share
 
 
-def _within(wanted: list[float], velocity: list[float], limit: float) -> list[float]:
+def _within(wanted: Pair, velocity: Pair, limit: float) -> Pair:
     """Limit an acceleration; along the wanted velocity it yields to that across."""
+    if math.hypot(*wanted) <= limit:
+        return wanted
     speed = math.hypot(*velocity)
-    if speed == 0 or math.hypot(*wanted) <= limit:
+    if speed == 0:
         return _limited(wanted, limit)
-    unit = [v / speed for v in velocity]
-    along = sum(u * w for u, w in zip(unit, wanted, strict=True))
-    across = [w - along * u for u, w in zip(unit, wanted, strict=True)]
+    (x, y), u, v = wanted, velocity[0] / speed, velocity[1] / speed
+    along = u * x + v * y
+    across = (x - along * u, y - along * v)
     if abs(along) <= math.hypot(*across):
         return _limited(wanted, limit)
-    across = _limited(across, _CROSS_SHARE * limit)
-    most = math.sqrt(limit * limit - sum(a * a for a in across))
+    x, y = _limited(across, _CROSS_SHARE * limit)
+    most = math.sqrt(limit * limit - (x * x + y * y))
     along = max(-most, min(most, along))
-    return [a + along * u for a, u in zip(across, unit, strict=True)]
+    return x + along * u, y + along * v

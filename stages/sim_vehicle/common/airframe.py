@@ -80,6 +80,7 @@ class Airframe:
             raise UsageError(f"{vehicle.name} is a {vehicle.model}; a quadrotor is needed")
         self._plant = flown
         self._commands = np.zeros((_STEPS, 4))
+        self._wrench = np.zeros((1, 4))
         self._noisy = bool(
             vehicle.disturbance.delay_s
             or vehicle.disturbance.position_noise_m
@@ -144,17 +145,20 @@ class Airframe:
         """
         if self.on_ground and not (thrust_n or any(torque)):
             return
-        wrench = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
-        limited = np.zeros(4) if self.are_rotors_dead else self.body.limited(wrench)[0]
+        x, y, z = torque
+        self._wrench[0] = (max(thrust_n, 0.0), x, -y, -z)
+        limited = np.zeros((1, 4)) if self.are_rotors_dead else self.body.limited(self._wrench)
         if self.on_ground:
-            if self.is_lying or limited[0] <= self.weight_n:
+            if self.is_lying or limited[0, 0] <= self.weight_n:
                 return
             self.on_ground = False
         self._commands[:] = limited
-        self._plant.fly(TICK_S / _STEPS, self._commands)
-        self._plant.switch_shadow()
-        self.truth = _motion(self._plant.state, self._plant.acceleration)
-        self.sensed = _motion(self._plant.measured, self._plant.acceleration) if self._noisy else self.truth
+        flown = self._plant
+        flown.fly(TICK_S / _STEPS, self._commands)
+        flown.switch_shadow()
+        acceleration = flown.acceleration
+        self.truth = _motion(flown.state, acceleration)
+        self.sensed = _motion(flown.measured, acceleration) if self._noisy else self.truth
         if self.truth.position[2] > 0 and self.truth.velocity[2] > 0:
             self.touchdown_m_s = max(self.touchdown_m_s, self.truth.velocity[2])
             self._park()
@@ -177,9 +181,10 @@ def _up(attitude: Quat) -> float:
 
 
 def _motion(state: np.ndarray, acceleration: list[float]) -> Motion:
-    px, py, pz, sx, sy, sz, vx, vy, vz, wx, wy, wz = (state * _FLIP).tolist()
+    px, py, pz, sx, sy, sz, vx, vy, vz, wx, wy, wz = state.tolist()
     ax, ay, az = acceleration
-    return Motion((px, py, pz), (vx, vy, vz), from_mrp((sx, sy, sz)), (wx, wy, wz), (ax, -ay, -az))
+    attitude = from_mrp((sx, -sy, -sz))
+    return Motion((px, -py, -pz), (vx, -vy, -vz), attitude, (wx, -wy, -wz), (ax, -ay, -az))
 
 
 def _turned(vehicle: Vehicle) -> Vehicle:

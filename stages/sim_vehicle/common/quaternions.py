@@ -40,6 +40,18 @@ def conjugate(q: Quat) -> Quat:
     return q[0], -q[1], -q[2], -q[3]
 
 
+def relative(start: Quat, end: Quat) -> Quat:
+    """The rotation from one attitude to another: the inverse of `start`, multiplied by `end`."""
+    a, b, c, d = start
+    e, f, g, h = end
+    return (
+        a * e + b * f + c * g + d * h,
+        a * f - b * e - c * h + d * g,
+        a * g + b * h - c * e - d * f,
+        a * h - b * g + c * f - d * e,
+    )
+
+
 def unit(q: Quat) -> Quat:
     """The quaternion scaled to length 1, with w >= 0."""
     w, x, y, z = q
@@ -49,23 +61,36 @@ def unit(q: Quat) -> Quat:
 
 def rotate(q: Quat, v: Vector) -> Vector:
     """Rotate a vector from body to world components."""
-    _, x, y, z = multiply(multiply(q, (0.0, *v)), conjugate(q))
-    return x, y, z
+    a, b, c, d = q
+    e, f, g = v
+    w = -b * e - c * f - d * g
+    x = a * e + c * g - d * f
+    y = a * f - b * g + d * e
+    z = a * g + b * f - c * e
+    return x * a - w * b - y * d + z * c, x * d - w * c + y * a - z * b, -w * d - x * c + y * b + z * a
 
 
 def from_vector(v: Vector) -> Quat:
     """Quaternion of the rotation by |v| [rad] about v."""
-    angle = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    x, y, z = v
+    angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
-    return math.cos(angle / 2), v[0] * scale, v[1] * scale, v[2] * scale
+    return math.cos(angle / 2), x * scale, y * scale, z * scale
 
 
 def to_vector(q: Quat) -> Vector:
     """The shortest rotation vector of a unit quaternion [rad]."""
-    w, x, y, z = unit(q)
+    w, x, y, z = q
+    scale = math.copysign(1 / math.sqrt(w * w + x * x + y * y + z * z), w)
+    w, x, y, z = w * scale, x * scale, y * scale, z * scale
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 if sine < 1e-9 else 2 * math.atan2(sine, w) / sine
     return x * scale, y * scale, z * scale
+
+
+def from_heading(yaw: float) -> Quat:
+    """Quaternion of a rotation about z [rad]."""
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> Quat:
@@ -91,9 +116,10 @@ def to_euler(q: Quat) -> Vector:
 
 def from_mrp(sigma: Vector) -> Quat:
     """Quaternion of modified Rodrigues parameters, tan(angle / 4) times the axis."""
-    square = sigma[0] * sigma[0] + sigma[1] * sigma[1] + sigma[2] * sigma[2]
+    x, y, z = sigma
+    square = x * x + y * y + z * z
     scale = 2 / (1 + square)
-    return (1 - square) / (1 + square), sigma[0] * scale, sigma[1] * scale, sigma[2] * scale
+    return (1 - square) / (1 + square), x * scale, y * scale, z * scale
 
 
 def to_mrp(q: Quat) -> Vector:

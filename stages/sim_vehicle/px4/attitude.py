@@ -9,10 +9,10 @@ from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
     added,
-    conjugate,
     cos_tilt,
     from_vector,
     multiply,
+    relative,
     rotate,
     scaled,
     to_vector,
@@ -68,7 +68,7 @@ class Px4AttitudeControl(AttitudeControl):
             slews: not used.
         """
         time_s = max(self._parameters["ATC_INPUT_TC"], 2 * TICK_S) / 2
-        error = to_vector(multiply(conjugate(self.target), attitude))
+        error = to_vector(relative(self.target, attitude))
         self._turn_with_lag(added(omega, scaled(error, 1 / time_s)), TICK_S / (time_s / 2 + TICK_S))
 
     def set_throttle(self, throttle: float, *, boosted: bool = True, cutoff_hz: float = 0.0) -> None:
@@ -91,8 +91,9 @@ class Px4AttitudeControl(AttitudeControl):
             attitude: estimated attitude, unit quaternion w, x, y, z, NED from FRD.
             omega: estimated body rates, FRD [rad/s].
         """
-        error = to_vector(multiply(conjugate(attitude), self.target))
-        ahead = rotate(multiply(conjugate(attitude), self.target), self.rates)
+        between = relative(attitude, self.target)
+        error = to_vector(between)
+        ahead = rotate(between, self.rates)
         gains = (self._parameters[f"ATC_ANG_{axis}_P"] for axis in ("RLL", "PIT", "YAW"))
         target_rates = tuple(
             rate + gain * max(-_MAX_ERROR_RAD, min(_MAX_ERROR_RAD, e))
