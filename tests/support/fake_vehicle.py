@@ -18,6 +18,7 @@ from alula.stages.flight.links.protocol import (
 from alula.stages.vehicles.bodies import quadrotor
 
 STEP_S = 2.5e-3
+_GAINS = _core.TrackingGains(max_tilt_rad=0.6)
 
 
 class FakeClock:
@@ -48,6 +49,8 @@ class FakeVehicle:
         self.state = None
         self.accepts = accepts or frozenset({RatesSetpoint, AccelerationSetpoint, VelocitySetpoint})
         self.body = quadrotor(FASTBRIDGE)
+        self._inertia, self._hover = list(self.body.inertia), self.body.hover_thrust
+        self._command, self._row = np.zeros((1, 4)), np.zeros((1, 18))
         self.x = np.array([*position, 0, 0, 0, 0, 0, 0, 0, 0, 0.0])
         self.ground_m = position[2]
         self.frame = np.eye(3) if frame is None else np.asarray(frame, float)  # seen positions, velocities
@@ -119,35 +122,48 @@ class FakeVehicle:
         self.time_s += STEP_S
         if not self.status.armed:
             return
-        self.x = self.body.step(self.x[None], self.wrench()[None], dt_s=STEP_S)[0]
+        self.x = self.body.step(self.x[None], self.wrench(), dt_s=STEP_S)[0]
         self.x[3:6] = _core.shadowed(self.x[None, 3:6])[0]
-        if self.x[2] <= self.ground_m:
+        height_m = float(self.x[2])
+        if height_m <= self.ground_m:
             self.x[2], self.x[3:] = self.ground_m, 0.0
-        self.status.landed = bool(self.x[2] < self.ground_m + 0.02)
+            height_m = self.ground_m
+        self.status.landed = height_m < self.ground_m + 0.02
         if self.status.landed and self.status.mode == "LAND":
             self.status.armed = False
 
     def wrench(self):
-        """Of the autopilot's own loops."""
-        hover, inertia = self.body.hover_thrust, np.array(self.body.inertia)
+        """Of the autopilot's own loops, shape (1, 4)."""
+        position, velocity = self.x[:3].tolist(), self.x[6:9].tolist()
         if isinstance(self.setpoint, RatesSetpoint):
-            omega = self.x[9:]
-            torque = np.cross(omega, inertia * omega) + inertia * (self.setpoint.omega - omega) / 0.02
-            return self.body.limited(np.array([[self.setpoint.thrust_m_s2 * self.body.mass, *torque]]))[0]
-        target = self.hold_at
+            self._command[0] = (self.setpoint.thrust_m_s2 * self.body.mass, *self._torque())
+            return self.body.limited(self._command)
         if isinstance(self.setpoint, AccelerationSetpoint):
             acceleration = self.setpoint.acceleration
         elif isinstance(self.setpoint, VelocitySetpoint):
-            acceleration = 4.0 * (self.setpoint.velocity - self.x[6:9])
-        elif target is None:
-            return np.array([hover if self.x[2] > self.ground_m else 0.0, 0, 0, 0])
+            acceleration = [4.0 * (u - v) for u, v in zip(self.setpoint.velocity, velocity, strict=True)]
+        elif self.hold_at is None:
+            self._command[0] = (self._hover if position[2] > self.ground_m else 0.0, 0.0, 0.0, 0.0)
+            return self._command
         else:
-            desired = np.clip(1.5 * (target - self.x[:3]), -0.8, 0.8)
-            acceleration = 4.0 * (desired - self.x[6:9])
-        row = np.zeros((1, 18))
-        row[0, :3], row[0, 3:6], row[0, 6:9] = self.x[:3], self.x[6:9], np.clip(acceleration, -4, 4)
-        gains = _core.TrackingGains(max_tilt_rad=0.6)
-        return self.body.limited(_core.track(self.body, gains, self.x[None], row)["wrench"])[0]
+            desired = [_within(1.5 * (q - p), 0.8) for p, q in zip(position, self.hold_at, strict=True)]
+            acceleration = [4.0 * (u - v) for u, v in zip(desired, velocity, strict=True)]
+        self._row[0, :9] = (*position, *velocity, *(_within(each, 4.0) for each in acceleration))
+        return self.body.limited(_core.track(self.body, _GAINS, self.x[None], self._row)["wrench"])
+
+    def _torque(self):
+        """Of the rate loop."""
+        (a, b, c), (i, j, k) = self.x[9:].tolist(), self._inertia
+        u, v, w = self.setpoint.omega
+        return (
+            b * (k * c) - c * (j * b) + i * (u - a) / 0.02,
+            c * (i * a) - a * (k * c) + j * (v - b) / 0.02,
+            a * (j * b) - b * (i * a) + k * (w - c) / 0.02,
+        )
+
+
+def _within(value, limit):
+    return max(-limit, min(limit, float(value)))
 
 
 class Kept:
