@@ -30,8 +30,9 @@ def data() -> Path:
     return Path(folder)
 
 
-# `make test` draws the same examples every time; what a run with ALULA_TESTS=all finds becomes an @example.
-hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, database=None)
+# `make test` draws the same examples every time, and fewer than by default; what a run with ALULA_TESTS=all
+# finds becomes an @example.
+hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=25)
 hypothesis.settings.register_profile("all", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("all" if ALL else "quick")
 

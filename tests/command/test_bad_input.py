@@ -251,7 +251,7 @@ def small_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(6)
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_leaves_nothing(name, here, tmp_path_factory):
     before = names(here)
@@ -285,7 +285,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(7)
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_command_leaves_nothing(name, number, here):

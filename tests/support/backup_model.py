@@ -36,7 +36,7 @@ class Hover:
 
 class HeadingInvariant(Hover):
     def attitude_torque(self, sigma):
-        return self.k_sigma / 4 * np.cross(E3, body.body_to_inertial(sigma).T @ E3)
+        return self.k_sigma / 4 * body.cross(E3, body.body_to_inertial(sigma).T @ E3)
 
 
 class Brake:
@@ -57,7 +57,7 @@ class Brake:
         flat = u[:2] / np.sqrt(self.full_speed**2 + u[0] ** 2 + u[1] ** 2)
         target = np.concatenate([-np.tan(self.tilt) * flat, [1]])
         k_omega = INERTIA * np.array([2 * self.zeta * self.w, 2 * self.zeta * self.w, self.yaw])
-        torque = INERTIA * self.w**2 * np.cross(E3, inertial.T @ target) - k_omega * omega
+        torque = INERTIA * self.w**2 * body.cross(E3, inertial.T @ target) - k_omega * omega
         cosine = inertial[2, 2]
         lift = 1.02 * cosine / (cosine**2 + 0.02)
         return np.concatenate([[MASS * (GRAVITY - self.climb_rate * u[2]) * lift], torque])

@@ -84,12 +84,11 @@ def planes(cover: Artifact, hull: int) -> list[tuple[tuple[int, ...], int]]:
 
 
 def holds_voxel(half_spaces, voxel) -> bool:
-    """Whether all eight corners of a voxel satisfy all half-spaces."""
+    """Whether all eight corners of a voxel satisfy all half-spaces: of each the corner farthest along it."""
+    x, y, z = voxel
     return all(
-        sum(n * (v + (corner >> axis & 1)) for axis, (n, v) in enumerate(zip(normal, voxel, strict=True)))
-        <= offset
-        for normal, offset in half_spaces
-        for corner in range(8)
+        a * (x + (a > 0)) + b * (y + (b > 0)) + c * (z + (c > 0)) <= offset
+        for (a, b, c), offset in half_spaces
     )
 
 

@@ -212,6 +212,7 @@ def ellipsoid_reference(z, e):
     return math.sqrt(sum((zi * high / (high + ei * ei)) ** 2 for ei, zi in zip(e, z, strict=True)))
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("flat", [0.3, 1e-3, 1e-6, 1e-9])
 def test_points_outside_an_ellipsoid_agree_with_bisection(flat):
     rng = np.random.default_rng(7)

@@ -44,6 +44,7 @@ def test_a_stage_and_its_command(follow, pipeline, tmp_path):
     assert "## alula thin" in page.read_text()
 
 
+@pytest.mark.slow
 def test_a_filter(follow, pipeline, tmp_path):
     scratch = follow("A filter")
     out = tmp_path / "crawl.run.mcap"
@@ -70,6 +71,7 @@ def test_a_splat_format(follow, tmp_path):
     assert "dots: truncated" in cut.stderr
 
 
+@pytest.mark.slow
 def test_a_vehicle(follow, pipeline, tmp_path):
     scratch = follow("A vehicle")
     vehicle = scratch.root / "examples/vehicles/pebble.toml"

@@ -135,6 +135,7 @@ def tilt_and_height(level, points, up, floor):
     return np.degrees(np.arccos(np.clip(up @ level.facts["up"], -1, 1))), np.median(height)
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("seed", range(5))
 def test_a_floor_that_holds_a_seventh_of_a_cluttered_apartment_is_found(seed):
     points, floor = floor_scenes.apartment(seed)
@@ -146,6 +147,7 @@ def test_a_floor_that_holds_a_seventh_of_a_cluttered_apartment_is_found(seed):
     assert not level.warnings
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("upper", [0.6, 1.0, 1.5])
 def test_of_two_floors_the_lower_one_is_taken_and_the_other_reported(upper):
     points, floor = floor_scenes.terraces(3, upper=upper)

@@ -80,7 +80,7 @@ def onboard_bytes(cover, per_plane=5):
     return 64 + 14 * len(count) + per_plane * int((count - 6).sum())
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(7)
 @pytest.mark.parametrize(
     ("method", "cap"),
     [

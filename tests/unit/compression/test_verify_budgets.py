@@ -32,7 +32,7 @@ def balls(count, radius_m, spread_m=0.0):
     return make_artifact(SCENE, arrays, frame="world", unit="m", parameters={}, summary={}, source={})
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(3)
 @pytest.mark.parametrize("crop", [None, (-40.0, -40.0, -40.0, 40.0, 40.0, 40.0)])
 @pytest.mark.parametrize(("count", "radius_m"), [(1, 100.0), (250, 20.0), (250, 10.0)])
 def test_what_voxelize_refuses_verify_refuses_too(count, radius_m, crop):

@@ -117,7 +117,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(4)
 @pytest.mark.parametrize("offset", [0.0, 1e4])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_marked_voxels_are_exactly_those_touched(shape, offset):
@@ -184,7 +184,7 @@ def test_no_point_of_a_grown_ellipsoid_is_free(seed, inflation):
     assert {tuple(c) for c in np.floor(touched / g).astype(int).tolist()} <= marked
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(4)
 @pytest.mark.parametrize(
     "semi", [(0.2, 0.05, 0.01), (0.3, 0.3, 0.002), (0.4, 0.01, 0.01), (0.02, 0.03, 0.04)]
 )

@@ -120,6 +120,7 @@ CORRIDOR = np.array(
 )
 
 
+@pytest.mark.every(5)
 @pytest.mark.parametrize(("delay", "jerk"), [(0, np.inf), (2, np.inf), (0, 60.0), (2, 60.0)])
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0.6, -0.6, 0.5)])
 def test_walls_are_never_entered_at_full_thrust(direction, delay, jerk):

@@ -94,6 +94,7 @@ def nearest_input(rows, x, wrench, thrust, rate, cascade):
     return np.array([total.value, *torque.value])
 
 
+@pytest.mark.every(2)
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
 @pytest.mark.parametrize("cascade", ["extension", "difference"])
 def test_the_nearest_input_agrees_with_another_solver(cascade):

@@ -34,7 +34,7 @@ def singles(rng, scale=6.0):
 def test_the_exact_projection_is_the_nearest_point_and_never_says_feasible_wrongly(kind):
     rng = np.random.default_rng(KINDS.index(kind))
     verdicts = set()
-    for _ in range(250):
+    for _ in range(examples(500)):
         rows, a0 = half_spaces(rng, kind, int(rng.integers(1, 13))), singles(rng)
         a, feasible, missed, *_ = project(rows, a0)
         truth = nearest(rows, a0)

@@ -43,6 +43,7 @@ def one(hessian, gradient, rows, bounds):
     return Stack(*parts, truth=np.zeros(1, int))
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("mode", ["plain", "exact", "decimal"])
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_verdict_is_proved_and_none_contradicts_what_is_known(name, mode):

@@ -187,6 +187,7 @@ def test_rollouts_need_not_end_early():
     assert not _core.Shield(policy, empty_scene().index, _core.ShieldOptions(early_end=False)).ends_early
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("early_end", [True, False])
 def test_certified_flights_keep_half_the_margin_and_not_all_of_it(early_end):
     """A new manoeuvre keeps the margin, but at rest it drifts, and one that is flown keeps half."""
@@ -338,6 +339,7 @@ def wild(rng):
     return lambda tick, x: attitude_controlled(VEHICLE, x, direction)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(("name", "kind"), LOOPS)
 def test_no_nominal_input_makes_the_vehicle_touch_an_obstacle(name, kind):
     backups = 0

@@ -54,7 +54,7 @@ def commanded(x, u, rotors, lag, constant):
 
 
 def loop_torque(omega, rates, constant):
-    return np.cross(omega, INERTIA * omega) + INERTIA * (rates - omega) / constant
+    return model.cross(omega, INERTIA * omega) + INERTIA * (rates - omega) / constant
 
 
 def at_random(rng, lag, fast=3.0):
@@ -63,6 +63,7 @@ def at_random(rng, lag, fast=3.0):
     return x, rng.uniform(0.03, 0.1, 4) if lag else np.full(4, BODY.hover_thrust / 4)
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("lag", [0.0, 0.03, 0.05])
 @pytest.mark.parametrize("constant", [0.02, 0.05, COPTER])
 def test_a_tick_is_that_of_the_model_integrated_by_another_solver(lag, constant):
@@ -76,7 +77,7 @@ def test_a_tick_is_that_of_the_model_integrated_by_another_solver(lag, constant)
         def derivative(_, y, rates=rates, thrust=thrust):
             state, f = y[:12], y[12:]
             made = BODY.allocation @ f
-            spin = (made[1:] - np.cross(state[9:], INERTIA * state[9:])) / INERTIA
+            spin = (made[1:] - model.cross(state[9:], INERTIA * state[9:])) / INERTIA
             sensed = state[9:] - PERIOD / 2 * spin if lag else state[9:]
             own = np.array(constant) - (0 if lag else PERIOD / 2)
             goal = BODY.limited(np.array([[thrust, *loop_torque(sensed, rates, own)]]))[0]
@@ -186,7 +187,7 @@ def test_what_counts_as_rest_stays_within_half_the_margin(lag, kind):
             predictor.fly(np.array([thrust, 0, 0, 0]), rates.tolist(), x)
             for _ in range(10):
                 omega = np.array(plant.state)[9:]
-                torque = np.cross(omega, inertia * omega) + inertia * (rates - omega) / 0.02
+                torque = model.cross(omega, inertia * omega) + inertia * (rates - omega) / 0.02
                 plant.step(PERIOD, np.array([thrust, *torque]))
             plant.switch_shadow()
             assert np.linalg.norm(np.array(plant.state)[:3]) < 0.01
@@ -216,7 +217,7 @@ def world_of(scene, lag, constant=0.02):
     )
 
 
-@pytest.mark.every(3)
+@pytest.mark.every(5)
 @pytest.mark.parametrize("name", ["cone-backup", "cone-ecbf", "shield"])
 @pytest.mark.parametrize(
     ("lag", "delay", "constant"),

@@ -153,6 +153,7 @@ def test_heights_of_the_way_home(way, above, away, height):
     assert way.heights(np.array([above]), np.array([away])) == pytest.approx([height])
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     "parameters",
     [

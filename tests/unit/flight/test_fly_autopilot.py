@@ -30,6 +30,7 @@ def among_hulls():
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(("kind", "vehicle"), [(Watched, COPTER), (WatchedPx4, FASTBRIDGE)])
 def test_cone_backup_flies_around_an_ellipsoid_and_lands(kind, vehicle):
     made = mission("cone-backup", scene=BALL, is_clear=True, vehicle=vehicle)
@@ -46,8 +47,9 @@ def test_cone_backup_flies_around_an_ellipsoid_and_lands(kind, vehicle):
     assert np.ptp(heading) < np.radians(5)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
-    ("kind", "flown", "land"), [(Watched, "mode", Mode.LAND), (WatchedPx4, "flown", Px4Mode.LAND)]
+    ("kind", "flown", "land"), [(WatchedPx4, "flown", Px4Mode.LAND), (Watched, "mode", Mode.LAND)]
 )
 def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, land):
     loop, served = fly(among_hulls, kind=kind)
@@ -63,7 +65,8 @@ class AsShipped(Watched):
     kind, fast = Copter, dict[str, float]()
 
 
-@pytest.mark.parametrize("speed", [1.5, 2.0])
+@pytest.mark.every(2)
+@pytest.mark.parametrize("speed", [2.0, 1.5])
 def test_a_climb_that_ends_below_a_ceiling_leaves_all_of_the_margin(speed):
     """With an assumed lag of 0.5 s the vehicle stops 7 cm from the ceiling, 3 cm inside the margin."""
     ceiling = box_cover([((-40, -40, 30), (80, 80, 34))])

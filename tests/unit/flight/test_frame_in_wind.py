@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -46,6 +46,7 @@ def onset(at_s, ramp_s, size):
     return lambda t: np.array([size * min(1.0, max(0.0, (t - at_s) / ramp_s)), 0.3 * size * (t > at_s)])
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("ramp_s", [0.01, 0.2, 0.5, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("size", [0.5, 1.7, 4.0])
 @pytest.mark.parametrize("at_s", [0.5, 3.05])
@@ -56,6 +57,7 @@ def test_wind_that_begins_is_no_wrong_frame(ramp_s, size, at_s):
 @given(
     st.floats(0, 2 * np.pi), st.floats(0.2, 3.0), st.floats(0.2, 6.0), st.floats(0, 6.0), st.integers(0, 99)
 )
+@settings(max_examples=100)
 def test_gusts_are_no_wrong_frame(direction, size, rate, phase, seed):
     along = np.array([np.cos(direction), np.sin(direction)])
     push = lambda t: size * along * (1 + np.sin(rate * t + phase))  # noqa: E731
@@ -78,6 +80,7 @@ def test_a_mirrored_frame_is_found_in_wind(axis):
     assert "accelerate" in held(onset(1.0, 1.0, 1.0), frame=frame, plan=plan).wrong
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("wind", [(6.0, 0.0, 0.0), (-4.0, -4.5, 0.0)])
 def test_the_simulated_autopilot_flies_in_wind(monkeypatch, wind):
     disturbance = msgspec.structs.replace(

@@ -51,6 +51,7 @@ WALL_WITH_HOLE = [
 CORRIDOR = [[0, 0, 0, 30, 30, 1], [0, 0, 29, 30, 30, 30], [0, 0, 1, 30, 1, 29], [0, 29, 1, 30, 30, 29]]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_in_random_worlds_plans_keep_the_radius_and_the_limits(seed):
     boxes = random_boxes(seed)

@@ -144,7 +144,8 @@ def test_the_closest_of_the_logged_flights_is_drawn():
     assert closest_flights([run_of([1.0], flights={})]) == []
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.every(2)
+@pytest.mark.parametrize("version", [2, 1])
 def test_figures_show_fence_flight_and_modes(version):
     material = Material("t", runs=(run_of([1.0, -1.0, 2.0], version=version),))
     figures = {figure.name: figure for figure in all_figures(material)}

@@ -91,6 +91,7 @@ def fits(vehicle, interface, mission, filters):
     return all(level <= most for level in levels)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_every_combination_is_flown_or_refused_in_a_sentence_that_helps(vehicle):
     flown = 0
@@ -112,6 +113,7 @@ def test_every_combination_is_flown_or_refused_in_a_sentence_that_helps(vehicle)
     assert flown > 0
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_what_a_sentence_suggests_removes_its_reason(vehicle):
     for interface, mission, world, filters in itertools.product(

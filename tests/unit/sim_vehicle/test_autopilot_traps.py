@@ -38,6 +38,7 @@ def test_thrust_is_a_climb_rate_unless_the_option_is_set():
     assert falling.climb == pytest.approx(-0.25 * 9.81 * 0.87, rel=0.05)  # the rest is drag
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("share", "climb"), [(0.8, -1.714), (0.9, -0.845), (1.1, 0.876), (1.25, 2.078), (1.5, 3.980)]
 )

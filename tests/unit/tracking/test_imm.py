@@ -83,6 +83,7 @@ def test_the_models_interact_as_in_the_reference(mixes, doppler, turn):
     assert reference.mu[0] < 0.9  # there was something to tell apart
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("turn", [False, True])
 @pytest.mark.parametrize("jamming", [False, True])
 def test_safe_imm_is_as_in_the_reference(turn, jamming):

@@ -18,7 +18,7 @@ def made():
 @pytest.mark.parametrize(("vehicle", "interface"), _COMMANDED)
 def test_every_combination_flies_or_is_refused_in_one_sentence_with_an_alternative(vehicle, interface, made):
     count, faulty = collections.Counter(), []
-    tried_cases = some(cases(vehicle, interface), 11)
+    tried_cases = some(cases(vehicle, interface), 23)
     for case in tried_cases:
         verdict = tried(case.tree, made)
         count["refused" if verdict.trial is None else "flown"] += 1

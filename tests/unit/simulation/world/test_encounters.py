@@ -364,6 +364,7 @@ def test_nothing_is_promised_of_a_filter_that_goes_by_tracks():
 STORED = json.loads((Path(__file__).parents[3] / "support" / "vectors_encounters.json").read_text())
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("example", sorted(STORED))
 def test_verdicts_are_those_that_the_loop_of_version_1_gave(example):
     """Of scenarios of version 1, upgraded; its loop was another one, with another judge."""

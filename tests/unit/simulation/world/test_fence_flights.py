@@ -182,6 +182,7 @@ def test_the_latency_that_is_known_is_made_up_for():
     assert least[1] >= 0 > least[0]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("options", "reserve"),
     [

@@ -69,7 +69,7 @@ def against(which):
     return {"shield_map": which}
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(4)
 @pytest.mark.parametrize(
     ("name", "with_scene", "which"),
     [
