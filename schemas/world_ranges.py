@@ -64,6 +64,9 @@ def require(good: bool, where: str, words: str) -> None:
         raise UsageError(f"`$.{where}` {words}")
 
 
+_PLAIN = (str, int)
+
+
 @cache
 def _fields(table: type[msgspec.Struct]) -> tuple[Any, ...]:
     """Fields of a table; msgspec evaluates all annotations for each call."""
@@ -88,9 +91,7 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
             for i, row in enumerate(value):
                 check_finite(row, f"{where}[{i}].")
         elif (
-            value is None
-            or isinstance(value, str | int)
-            or (isinstance(value, float) and math.isfinite(value))
+            value is None or isinstance(value, _PLAIN) or (isinstance(value, float) and math.isfinite(value))
         ):
             continue
         elif value != math.inf or not (where in _UNLIMITED or item.default == math.inf):

@@ -60,12 +60,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.process)
 
 
+_THRESHOLD = gc.get_threshold()
+
+
 def pytest_collection_finish() -> None:
     """Flights collect garbage before they begin: what the collection of tests left is no part of that."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(100_000, 50, 100)  # flights make many small objects, and nearly no circles of them
 
 
 def pytest_sessionfinish() -> None:
     """Undo `gc.freeze`."""
     gc.unfreeze()
+    gc.set_threshold(*_THRESHOLD)

@@ -177,6 +177,7 @@ def test_a_good_command_line_of_the_table_succeeds(name, here):
     assert (here / WRITERS[name].out).stat().st_size > 0
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(("name", "file", "how"), DAMAGED, ids=lambda v: getattr(v, "__name__", v))
 def test_a_damaged_input_is_refused(name, file, how, here, capsys):
     how(here / file)

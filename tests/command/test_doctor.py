@@ -48,6 +48,7 @@ def test_what_runs_this_test_is_found(found):
     assert {check.status for check in found.values()} <= {"ok", "missing", "optional"}
 
 
+@pytest.mark.slow
 def test_the_command_agrees_with_its_code(done, found):
     ok = json.loads(done.stdout)["ok"]
     assert done.returncode == (0 if ok else 4)

@@ -46,6 +46,7 @@ def test_a_stream_is_read_like_the_file(tmp_path):
     assert b"-f replaces it" in other_content.stderr
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("stdin", "options", "code", "words"),
     [

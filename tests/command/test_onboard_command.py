@@ -225,6 +225,7 @@ def test_a_real_tile_keeps_its_size_and_costs_less_than_five_bytes_a_plane(tile,
     assert found["growth"] < 1.005
 
 
+@pytest.mark.slow
 def test_the_room_keeps_its_size_too(tmp_path):
     f = lambda name: str(tmp_path / name)  # noqa: E731
     assert run(["demo-scene", "-o", f("r.ply"), "--gaussians", "30000", "-q"]) == 0

@@ -60,15 +60,15 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+def made_from(folder, words, out, code=0):
+    known = {p.name: str(p) for p in folder.iterdir()}
+    assert run(["report", *(known.get(word, word) for word in words), "-o", str(out)]) == code
+    return out
+
+
 @pytest.fixture
 def report(folder, tmp_path):
-    def make(*words, code=0, out="r.html"):
-        known = {p.name: str(p) for p in folder.iterdir()}
-        line = ["report", *(known.get(word, word) for word in words), "-o", str(tmp_path / out)]
-        assert run(line) == code
-        return tmp_path / out
-
-    return make
+    return lambda *words, code=0, out="r.html": made_from(folder, words, tmp_path / out, code)
 
 
 EVERYTHING = (
@@ -77,8 +77,14 @@ EVERYTHING = (
 )
 
 
-def test_a_page_loads_nothing_from_anywhere(report):
-    page = report(*EVERYTHING).read_text()
+@pytest.fixture(scope="module")
+def everything(folder, tmp_path_factory) -> Path:
+    """The page of all inputs."""
+    return made_from(folder, EVERYTHING, tmp_path_factory.mktemp("everything") / "1.html")
+
+
+def test_a_page_loads_nothing_from_anywhere(everything):
+    page = everything.read_text()
     links = Links()
     links.feed(page)
     assert links.tags.count("img") == 5
@@ -89,8 +95,8 @@ def test_a_page_loads_nothing_from_anywhere(report):
     assert len(page) < 12e6
 
 
-def test_every_image_says_what_it_shows(report):
-    page = report(*EVERYTHING).read_text()
+def test_every_image_says_what_it_shows(everything):
+    page = everything.read_text()
     words = re.findall(r'<img src="data:image/svg\+xml;base64,[^"]*" alt="([^"]+)"', page)
     assert len(words) == page.count("<img ")
     assert any("3 reached" in alt or "1 collision" in alt for alt in words)
@@ -130,8 +136,8 @@ def test_names_cannot_inject_anything(report, folder, tmp_path):
     assert found.inputs[0].name == evil.name
 
 
-def test_equal_inputs_give_equal_bytes(report):
-    first = report(*EVERYTHING, out="1.html")
+def test_equal_inputs_give_equal_bytes(report, everything):
+    first = everything
     second = report(*EVERYTHING, out="2.html")
     for suffix in (".md", ".csv"):
         mine, other = (path.with_suffix(suffix).read_text() for path in (first, second))
@@ -162,6 +168,7 @@ def test_missing_tables_beside_an_unchanged_page_are_written_again(report):
     assert path.with_suffix(".csv").exists()
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("suffix", [".md", ".csv"])
 def test_foreign_files_beside_the_page_are_kept(report, tmp_path, suffix, capsys):
     diary = tmp_path / f"r{suffix}"

@@ -121,6 +121,7 @@ def test_it_repeats_to_the_bit():
     np.testing.assert_array_equal(one.uncertainty.covariance, two.uncertainty.covariance)
 
 
+@pytest.mark.slow
 def test_coarse_rounds_equal_those_of_another_library():
     open3d = pytest.importorskip("open3d")
     _, source, survey, first = case(2)

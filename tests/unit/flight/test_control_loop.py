@@ -39,6 +39,7 @@ def causes(loop):
     return [taken.event for _, taken in loop.taken]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("name", "accepts"),
     [

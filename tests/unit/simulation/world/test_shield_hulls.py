@@ -153,6 +153,7 @@ def test_a_shield_that_has_the_hulls_keeps_clear_of_them_and_one_without_does_no
     assert other.summary["min_scene_clearance_m"] >= other.summary["min_map_clearance_m"]
 
 
+@pytest.mark.slow
 def test_flights_among_hulls_do_not_depend_on_jobs(room):
     files = {"scene": room.scene, "cover": room.cover}
     one, many = (quick("cone-backup", against("both"), trials=4, jobs=jobs, **files) for jobs in (1, 3))

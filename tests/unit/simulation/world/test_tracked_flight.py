@@ -40,6 +40,7 @@ def test_each_example_stays_within_millimetres_at_5_m_s(name):
     assert distance[-1] < 1e-4
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("name", ["fastbridge", "crazyflie21", "racer7"])
 def test_lag_and_delay_cost_centimetres(name):
     distance, _ = fly(name, speed=2.0, motor_time_constant_s=0.02, sensor=SensorOptions(delay_s=0.01))
@@ -47,6 +48,7 @@ def test_lag_and_delay_cost_centimetres(name):
     assert distance[-1] < 1e-3
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("name", ["fastbridge", "crazyflie21", "racer7"])
 def test_a_large_error_is_flown_back_without_tumbling(name):
     limit = read_vehicle(EXAMPLES / f"{name}.toml").tracking.max_tilt_rad
