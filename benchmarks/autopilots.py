@@ -31,7 +31,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.sort(key=lambda path: path in sys.path[-2:])  # last: modules of the same names come first
 
 import numpy as np
-from fly import GOAL, START, VIA, make_world
+from fly import GOAL, OTHERS, START, VIA, make_world
 from measure import FloatArray
 from scipy.spatial import cKDTree
 
@@ -57,7 +57,6 @@ FILTERS = {
     "shield": ("body rates", "cover"),
 }
 REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
-HEAD = "## Both autopilots\n"
 _INDOORS = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home in an emergency
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
@@ -347,9 +346,9 @@ def main() -> int:
     shown = table(found)
     if options.markdown is not None:
         page = options.markdown.read_text() if options.markdown.exists() else ""
-        before = page.split(HEAD)[0].rstrip("\n")
+        before = page.split(OTHERS)[0].rstrip("\n")
         preface = _PREFACE.format(real=REAL, simulated=SIMULATED)
-        options.markdown.write_text(f"{before}\n\n{HEAD}{preface}{shown}")
+        options.markdown.write_text(f"{before}\n\n{OTHERS}{preface}{shown}")
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
 

@@ -303,6 +303,7 @@ def table(found: dict[str, Any]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
+OTHERS = "## Both autopilots\n"  # heading of the section that benchmarks/autopilots.py writes
 _PREFACE = """# Flights in real time, measured
 
 Written by `python benchmarks/fly.py --markdown FILE` on {machine}, Python {python}: `alula fly` at 100 Hz
@@ -337,7 +338,10 @@ def main() -> int:
             setattr(options, name, quick if options.quick else full)
     found = run(options)
     if options.markdown is not None:
-        options.markdown.write_text(_PREFACE.format(**found, radius=FASTBRIDGE.body.radius_m) + table(found))
+        page = options.markdown.read_text() if options.markdown.exists() else ""
+        kept = page[page.find(OTHERS) - 1 :] if OTHERS in page else ""  # of benchmarks/autopilots.py
+        preface = _PREFACE.format(**found, radius=FASTBRIDGE.body.radius_m)
+        options.markdown.write_text(preface + table(found) + kept)
     print(json.dumps(found, indent=1) if options.json else table(found).rstrip("\n"))
     return 0 if found["reached"] and found["min_clearance_m"] > 0 else 1
 
