@@ -62,8 +62,8 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
         "max_acceleration_m_s2": vehicle.limits.max_acceleration_m_s2,
     }
     if vehicle.model != "single-integrator":
-        values["velocity_gain_per_s"] = vehicle.tracking.kv_per_s
-        gain = table.velocity_gain_per_s or vehicle.tracking.kv_per_s
+        values["velocity_gain_per_s"] = _velocity_gain_per_s(vehicle, table.max_speed_m_s or 1.0)
+        gain = table.velocity_gain_per_s or values["velocity_gain_per_s"]
         values["velocity_lag_s"] = 1 / gain + _ATTITUDE_LAG_S
     if vehicle.model == "double-integrator":
         values["actuation_delay_s"] = 0.0
@@ -79,6 +79,15 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
         vehicle=_filled(table, values),
         estimation=_filled(scenario.estimation, known),
     )
+
+
+def _velocity_gain_per_s(vehicle: Vehicle, speed_m_s: float) -> float:
+    """Gain of the loop that follows velocities: of a stop as measured by `identify`, else the vehicle's own."""
+    measured = vehicle.velocities
+    if measured is None:
+        return vehicle.tracking.kv_per_s
+    a, b = measured.horizontal_lag
+    return 1 / max(a + b * speed_m_s, _ATTITUDE_LAG_S)  # the attitude loop adds little to a stop
 
 
 def _filled(table: Any, values: dict[str, Any]) -> Any:

@@ -126,7 +126,10 @@ class VehicleTable(Table, frozen=True, kw_only=True):
     ] = None
     velocity_gain_per_s: Annotated[
         Positive | None,
-        about("gain of the loop that follows velocities; default: the vehicle's tracking.kv_per_s [1/s]"),
+        about(
+            "gain of the loop that follows velocities; default: of a stop from max_speed_m_s, or 1 m/s, as "
+            "`identify` measured it, else the vehicle's tracking.kv_per_s [1/s]"
+        ),
     ] = None
     velocity_lag_s: Annotated[
         Delay | None,
