@@ -82,7 +82,7 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
 
 
 def _velocity_gain_per_s(vehicle: Vehicle, speed_m_s: float) -> float:
-    """Gain of the loop that follows velocities: of a stop as measured by `identify`, else the vehicle's own."""
+    """Gain of the loop that follows velocities: of a stop as `identify` measured it, else the vehicle's."""
     measured = vehicle.velocities
     if measured is None:
         return vehicle.tracking.kv_per_s
