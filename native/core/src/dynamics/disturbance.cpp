@@ -49,8 +49,8 @@ void DisturbanceObserver::update(double time_s, Vec3 v, Vec3 modelled) {
   const Vec3 error = v - v_;
   v_ = v_ + (1 - q * q) * error;
   d_ = limited(d_ + (1 - q) * (1 - q) / interval * error, options_.max_m_s2);
-  bound_ = std::max(bound_ * std::exp(-interval / (2 * options_.time_s)),
-                    std::numbers::e * norm(error) / options_.time_s);
+  bound_ =
+      std::max(bound_ * std::exp(-interval / (2 * options_.time_s)), std::numbers::e * norm(error) / options_.time_s);
 }
 
 Level::Level(Vec3 disturbance, double gravity) {

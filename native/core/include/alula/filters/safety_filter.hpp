@@ -38,7 +38,7 @@ struct FlightState {
   Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
   // Acceleration that the model may leave out, beyond what the state accounts for [m/s^2]; see disturbance.hpp.
   double disturbance_bound = 0;
-  bool is_known = true;    // false: there is no navigation, and the state means nothing
+  bool is_known = true;  // false: there is no navigation, and the state means nothing
   // Of a racing quadrotor: the attitude x.sigma as its unit quaternion w, x, y, z, where that is known to all bits.
   std::optional<Vec4> attitude;
 };

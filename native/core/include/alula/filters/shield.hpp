@@ -38,7 +38,8 @@
 // comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
 //
 // The margin grows by what a disturbance that the state does not account for can move the vehicle before it is
-// estimated (`FlightState::disturbance_bound`, less that of noise), for new inputs only: the manoeuvre that is being flown stays accepted.
+// estimated (`FlightState::disturbance_bound`, less that of noise), for new inputs only: the manoeuvre that is being
+// flown stays accepted.
 //
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is

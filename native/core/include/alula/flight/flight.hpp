@@ -136,8 +136,8 @@ class Flight {
   std::vector<std::unique_ptr<SafetyFilter>> filters_;
   StatePredictor predictor_;
   DisturbanceObserver observer_;
-  Level level_out_;             // of the disturbance,
-  State true_;                  // and the predicted state with its true attitude
+  Level level_out_;              // of the disturbance,
+  State true_;                   // and the predicted state with its true attitude
   std::int64_t sent_ticks_ = 0;  // since the flight began, for the times of measurements
   FlightState seen_;
   Nominal first_, nominal_;
