@@ -14,6 +14,7 @@ import dataclasses
 import json
 import os
 import queue
+import re
 import shutil
 import subprocess
 import sys
@@ -58,6 +59,7 @@ FILTERS = {
 }
 REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
 _INDOORS = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home in an emergency
+_TIMED = re.compile(r" *\d+\.\d+ s  ")
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
 
@@ -213,9 +215,10 @@ class Vehicles:
             timer = threading.Timer(_SAFE_S, process.terminate)
             timer.start()
             assert process.stderr is not None
-            lines = [(time.monotonic(), line.rstrip()) for line in process.stderr]
+            heard = [(time.monotonic(), line.rstrip()) for line in process.stderr]
             code = process.wait()
             timer.cancel()
+        lines = timed(heard)
         begin = next((at for at, line in lines if "flying the plan" in line), None)
         end = next(
             (at for at, line in lines if begin is not None and at > begin and ": landing" in line), None
@@ -237,6 +240,16 @@ class Vehicles:
             shutil.copy(folder / "f.run.mcap", f"{kept}.run.mcap")
             np.save(f"{kept}.npy", path)
         return figures
+
+
+def timed(heard: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Lines with their times [s] on this machine's clock: those that `fly` printed, "   3.21 s  words".
+
+    The line that arrived with the smallest delay gives the difference of the clocks.
+    """
+    printed = {line: float(line.split(" s  ")[0]) for _, line in heard if _TIMED.match(line)}
+    offset = min((at - printed[line] for at, line in heard if line in printed), default=0.0)
+    return [(offset + printed[line] if line in printed else at, line) for at, line in heard]
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
