@@ -34,7 +34,7 @@
     motor_time_constant_s = 0.03
 
     [velocities]                  # how its own controller follows velocities; `alula identify` measures it
-    horizontal_lag = [0.56, 0.18] # 63 % of a stop from the speed v take 0.56 s + 0.18 s^2/m v
+    horizontal_lag = [0.57, 0.185] # 63 % of a stop from the speed v take 0.57 s + 0.185 s^2/m v
     vertical_lag = [0.22, 0.57]
     max_up_m_s = 2.5
     max_down_m_s = 1.5
@@ -183,7 +183,7 @@ class VelocitiesTable(_Table, frozen=True, kw_only=True):
     deceleration that a stop sustains; the default is ArduPilot's WPNAV_ACCEL.
     """
 
-    horizontal_lag: Lag = (0.56, 0.18)
+    horizontal_lag: Lag = (0.57, 0.185)
     vertical_lag: Lag = (0.22, 0.57)
     max_up_m_s: Positive = 2.5
     max_down_m_s: Positive = 1.5

@@ -365,12 +365,12 @@ def test_lags_are_what_the_page_says_and_the_default_covers_them():
     measured = {name: DT * (1 + float(np.argmax(stop < math.exp(-1)))) for name, stop in responses()}
     assert measured == pytest.approx({"ardupilot": 1.11, "sim": 0.29, "crazyflie": 0.33}, abs=0.01)
     lags = mission(cover=box_cover(BOXES), is_clear=True, speed_m_s=3.0).config.velocity_lag_s
-    assert lags == pytest.approx((1.375, 1.375, 2.056), abs=0.001)
-    assert lags[0] >= 1.235 * max(measured.values())
+    assert lags == pytest.approx((1.406, 1.406, 2.056), abs=0.001)
+    assert lags[0] >= 1.25 * max(measured.values())
     assert filter_lags_s(VelocitiesTable(), 90.0) == (5.0, 5.0, pytest.approx(2.056, abs=0.001))
     for speed in (1.0, 2.0, 3.0):  # ArduPilot's own simulation
         level, _, climb = mission(speed_m_s=speed).config.velocity_lag_s
-        assert 1.24 * MEASURED[f"stop_{speed:g}_s"] <= level <= 1.35 * MEASURED[f"stop_{speed:g}_s"]
+        assert 1.25 * MEASURED[f"stop_{speed:g}_s"] <= level <= 1.35 * MEASURED[f"stop_{speed:g}_s"]
         if speed < 3:
             slowest = MEASURED[f"stop_up_{speed:g}_s"]
             assert 1.25 * slowest <= climb <= 1.3 * slowest
@@ -380,7 +380,7 @@ def test_lags_are_what_the_page_says_and_the_default_covers_them():
 def test_a_speed_that_the_vehicle_cannot_shed_is_refused_with_the_one_that_it_can():
     slow = msgspec.structs.replace(FASTBRIDGE, velocities=VelocitiesTable(deceleration_m_s2=1.0))
     with pytest.raises(
-        UsageError, match=r"needs a deceleration of 1\.60 .* sustains 1; .* up to --speed"
+        UsageError, match=r"needs a deceleration of 1\.57 .* sustains 1; .* up to --speed"
     ) as refused:
         mission(vehicle=slow, speed_m_s=3.0)
     fastest = float(str(refused.value).split()[-1])
