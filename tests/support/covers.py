@@ -146,3 +146,22 @@ def is_covered_by_brute_force(cover, voxels) -> bool:
             held &= np.array(far <= offset, bool)
         left = left[~held]
     return len(left) == 0
+
+
+def box_distance(points, boxes):
+    """Independent: distance of points to axis-aligned boxes, 0 inside."""
+    low, high = SIZE_M * np.asarray(boxes)[:, :3], SIZE_M * np.asarray(boxes)[:, 3:]
+    gap = np.maximum(np.maximum(low - points[:, None], points[:, None] - high), 0)
+    return np.linalg.norm(gap, axis=2).min(axis=1)
+
+
+def random_boxes(seed, count=12):
+    rng = np.random.default_rng(seed)
+    boxes = []
+    while len(boxes) < count:
+        low = rng.integers(0, 26, 3)
+        high = low + rng.integers(1, 9, 3)
+        box = np.concatenate([low, high])
+        if box_distance(np.array([[-0.5, -0.5, -0.5], [3.5, 3.5, 3.5]]), [box]).min() > 0.4:
+            boxes.append(box)
+    return boxes

@@ -13,6 +13,7 @@ void bind_onboard_map(nb::module_& m);
 void bind_clearance(nb::module_& m);
 void bind_obstacle_map(nb::module_& m);
 void bind_search(nb::module_& m);
+void bind_corridor(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
@@ -44,6 +45,7 @@ NB_MODULE(_core, m) {
   bind_onboard_map(m);
   bind_clearance(m);
   bind_search(m);
+  bind_corridor(m);
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);

@@ -318,6 +318,60 @@ def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy
     Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all polytopes: per piece proven (u8) and clearance, then the pairs decided and the deepest subdivision.
     """
 
+def corridor_cells(hulls: Sequence[PolytopeSet], ellipsoids: Sequence[EllipsoidSet], start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, reach: float, lower: Sequence[float], upper: Sequence[float], jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]:
+    """
+    Convex cells around segments, every point of which keeps `radius` from all obstacles: normals (R, 3), offsets (R,), first rows (C + 1,), and whether each segment keeps the radius (u8).
+    """
+
+def check_cells(hulls: Sequence[PolytopeSet], ellipsoids: Sequence[EllipsoidSet], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int]:
+    """
+    Prove that cells keep `radius` from all obstacles: per cell proven (u8) and clearance, then the pairs decided.
+    """
+
+class TimeStatus(enum.Enum):
+    """Outcome of `minimum_time`."""
+
+    solved = 0
+
+    stopped_early = 1
+
+    infeasible = 2
+
+class MotionLimits:
+    """Bounds of the derivatives of a curve at every instant, SI units."""
+
+    def __init__(self, *, speed: float, acceleration: float, jerk: float = float('inf'), snap: float = float('inf'), gravity: float = 9.81, most_thrust: float = float('inf'), least_thrust: float = float('-inf'), tilt: float = float('inf')) -> None:
+        """`tilt` is a tangent; thrusts are per mass."""
+
+    @property
+    def speed(self) -> float: ...
+
+    @property
+    def acceleration(self) -> float: ...
+
+    @property
+    def jerk(self) -> float: ...
+
+    @property
+    def snap(self) -> float: ...
+
+    @property
+    def gravity(self) -> float: ...
+
+    @property
+    def most_thrust(self) -> float: ...
+
+    @property
+    def least_thrust(self) -> float: ...
+
+    @property
+    def tilt(self) -> float: ...
+
+def minimum_time(normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], row_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], cell: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], limits: MotionLimits, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Sequence[float], joint: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], is_via: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], least_duration: float, gap: float, most_steps: int, stretch: float) -> tuple[TimeStatus, NDArray[numpy.float64], NDArray[numpy.float64], int]:
+    """
+    Fastest curve of degree 7 and class C4 in a corridor: status, Bernstein points (K, 8, 3), durations (K,), steps.
+    """
+
 def outer_solids(normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int) -> dict[str, Any]:
     """
     Corners and outward triangles of the polytopes normal . x <= offset, computed exactly and rounded at the end.

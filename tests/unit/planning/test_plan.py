@@ -19,28 +19,8 @@ from alula.stages.planning.curve_certificate import certify, certify_curve
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.trajectory import evaluate, septic_spline
-from support.covers import SIZE_M, boxes_cover
+from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
-
-
-def box_distance(points, boxes):
-    """Independent: distance of points to axis-aligned boxes, 0 inside."""
-    low, high = SIZE_M * np.asarray(boxes)[:, :3], SIZE_M * np.asarray(boxes)[:, 3:]
-    gap = np.maximum(np.maximum(low - points[:, None], points[:, None] - high), 0)
-    return np.linalg.norm(gap, axis=2).min(axis=1)
-
-
-def random_boxes(seed, count=12):
-    rng = np.random.default_rng(seed)
-    boxes = []
-    while len(boxes) < count:
-        low = rng.integers(0, 26, 3)
-        high = low + rng.integers(1, 9, 3)
-        box = np.concatenate([low, high])
-        if box_distance(np.array([[-0.5, -0.5, -0.5], [3.5, 3.5, 3.5]]), [box]).min() > 0.4:
-            boxes.append(box)
-    return boxes
-
 
 WALL_WITH_HOLE = [
     [10, 0, 0, 12, 30, 8],

@@ -125,6 +125,11 @@ geometry::Ellipsoid EllipsoidSet::ellipsoid(std::size_t i, double k) const {
   return geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k);
 }
 
+EllipsoidSet::Grown EllipsoidSet::grown(std::size_t i) const {
+  const Level level = this->level(i);
+  return {ellipsoid(i, level.sigma), level.inflation};
+}
+
 double EllipsoidSet::clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                                std::vector<double>& scratch) const {
   (void)scratch;

@@ -60,7 +60,15 @@ class EllipsoidSet {
   EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz,
                std::span<const float> loss, double k);
 
+  // An ellipsoid, and the radius of the ball that it is grown by.
+  struct Grown {
+    geometry::Ellipsoid ellipsoid;
+    double radius;
+  };
+
   std::size_t size() const { return mean_.size() / 3; }
+  const geometry::Bvh& tree() const { return tree_; }
+  Grown grown(std::size_t i) const;
   double clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                    std::vector<double>& scratch) const;
 

@@ -1,0 +1,138 @@
+"""Corridor along a path: convex cells that are free of obstacles at a radius, and where they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.stages.clearance import segment_clearance
+
+_REACH_M = 1.5  # of a cell beyond its segment
+_MARGIN_M = 1e-9  # beyond the radius of the segments of cells; that of the path is as large
+_ROOM = (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a joint within its two cells, in radii
+METHOD = "half-spaces at the radius, separated by duality"
+
+Obstacles = _core.PolytopeSet | _core.EllipsoidSet
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """Cells {x : normal . x <= offset}, row-compressed, along a path.
+
+    Attributes:
+        normal: shape (R, 3), unit length, world frame.
+        offset: shape (R,) [m].
+        start: first row of each cell, and the end, shape (C + 1,).
+        point: ends of the segments that the cells were made around, shape (C + 1, 3) [m].
+        joint: points of two consecutive cells, shape (C - 1, 3) [m]: strictly inside of both where `is_open`,
+            else ends of segments.
+        is_open: shape (C - 1,).
+        is_via: whether the joint is a point to pass, shape (C - 1,).
+        is_free: whether a segment is in its cell, as it is where it keeps the radius, shape (C,).
+    """
+
+    normal: FloatArray
+    offset: FloatArray
+    start: NDArray[np.int64]
+    point: FloatArray
+    joint: FloatArray
+    is_open: NDArray[np.bool_]
+    is_via: NDArray[np.bool_]
+    is_free: NDArray[np.bool_]
+
+    def rows(self, cell: int) -> tuple[FloatArray, FloatArray]:
+        """Normals and offsets of a cell."""
+        part = slice(int(self.start[cell]), int(self.start[cell + 1]))
+        return self.normal[part], self.offset[part]
+
+
+def native_sets(obstacles: Sequence[Obstacles]) -> tuple[list[_core.PolytopeSet], list[_core.EllipsoidSet]]:
+    """Hulls and ellipsoids of a mixed list, for the native functions."""
+    return (
+        [each for each in obstacles if isinstance(each, _core.PolytopeSet)],
+        [each for each in obstacles if isinstance(each, _core.EllipsoidSet)],
+    )
+
+
+def find_corridor(
+    point: ArrayLike,
+    is_via: ArrayLike,
+    obstacles: Sequence[Obstacles],
+    radius_m: float,
+    bounds: tuple[FloatArray, FloatArray],
+    *,
+    jobs: int = 0,
+) -> Corridor:
+    """Make a corridor along a path whose segments keep `radius_m`.
+
+    Points of the path that a straight line can pass by are left out first, from the start on, as far as the
+    line keeps the radius. Each remaining segment gets a cell by `corridor_cells`. Every point of a cell is at
+    least the radius from every obstacle.
+
+    Args:
+        point: the path, shape (W, 3) [m].
+        is_via: points that must stay, shape (W,); both ends do.
+        obstacles: hulls and ellipsoids.
+        radius_m: distance to keep [m].
+        bounds: corners of the box that contains the path and will contain the cells [m].
+        jobs: threads; the result does not depend on it.
+    """
+    path, kept = np.asarray(point, np.float64), np.array(is_via, np.bool_)
+    kept[[0, -1]] = True
+    chosen = _merged(path, kept, obstacles, radius_m + _MARGIN_M, jobs)
+    corner, via = path[chosen], kept[chosen][1:-1]
+    begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
+    lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
+    hulls, ellipsoids = native_sets(obstacles)
+    normal, offset, start, free = _core.corridor_cells(
+        hulls, ellipsoids, begin, end, radius_m, _REACH_M, lower, upper, jobs
+    )
+    rows = [slice(a, b) for a, b in pairwise(start.tolist())]
+    joint, is_open = corner[1:-1].copy(), np.zeros(len(corner) - 2, np.bool_)
+    for i in range(len(joint)):
+        a = np.concatenate([normal[rows[i]], normal[rows[i + 1]]])
+        b = np.concatenate([offset[rows[i]], offset[rows[i + 1]]])
+        if via[i]:
+            is_open[i] = (b - a @ joint[i]).min() >= _ROOM[-1] * radius_m
+            continue
+        found = _inner_point(a, b, joint[i], radius_m)
+        if found is not None:
+            joint[i], is_open[i] = found, True
+    return Corridor(normal, offset, start, corner, joint, is_open, via, free.astype(np.bool_))
+
+
+def _merged(
+    path: FloatArray, kept: NDArray[np.bool_], obstacles: Sequence[Obstacles], needed_m: float, jobs: int
+) -> list[int]:
+    """Indices of the points between which straight lines keep a distance, each as far on as possible."""
+    chosen = [0]
+    while chosen[-1] < len(path) - 1:
+        at = chosen[-1]
+        last = at + 1 + int(np.flatnonzero(kept[at + 1 :])[0])
+        ends = path[at + 2 : last + 1]
+        clear = np.ones(len(ends), np.bool_)
+        if len(ends):
+            begin = np.repeat(path[at : at + 1], len(ends), axis=0)
+            for each in obstacles:
+                clear &= segment_clearance(begin, ends, each, jobs, needed_m) >= needed_m
+        chosen.append(at + 2 + int(np.flatnonzero(clear)[-1]) if clear.any() else at + 1)
+    return chosen
+
+
+def _inner_point(a: FloatArray, b: FloatArray, near: FloatArray, radius_m: float) -> FloatArray | None:
+    """The point nearest to another that is as deep in {x : a x <= b} as one of a few depths, if any."""
+    solver = _core.QpSolver()
+    rows = np.ascontiguousarray(-a)
+    for room in _ROOM:
+        bounds = np.ascontiguousarray(a @ near - b + room * radius_m)
+        result = solver.solve(np.eye(3), np.zeros(3), rows, bounds)
+        inner = near + np.asarray(result.x)
+        if result.status == 0 and (b - a @ inner).min() >= 0.5 * room * radius_m:
+            return np.asarray(inner)
+    return None
