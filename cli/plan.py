@@ -30,7 +30,12 @@ from alula.schemas.progress import Progress
 @options.from_config(PlanConfig)
 @options.output(".plan.npz")
 def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_path: Path | None) -> None:
-    """Find a smooth collision-free trajectory through a cover."""
+    """Find a smooth collision-free trajectory through a cover.
+
+    It takes minimum time, and stays within the limits of speed, acceleration, thrust, tilt and body rates at every instant.
+    What is not given follows from the vehicle, of whose limits 0.8 are used: the rest is left to its
+    controller.
+    """
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import UsageError
     from alula.schemas.kinds import COVER, PLAN
@@ -39,10 +44,11 @@ def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_pat
 
     if config.radius_m is not None and vehicle_path is not None:
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
-    config = resolve_plan(config, FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path))
+    vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
+    config = resolve_plan(config, vehicle)
     paths = {"cover": cover} | ({} if vehicle_path is None else {"vehicle": vehicle_path})
 
     def build(progress: Progress) -> Artifact:
-        return plan(config, read_artifact(cover, COVER), jobs=common.jobs, progress=progress)
+        return plan(config, read_artifact(cover, COVER), vehicle=vehicle, jobs=common.jobs, progress=progress)
 
     runner.run_stage(common, PLAN, config, paths, build)

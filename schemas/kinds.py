@@ -146,7 +146,38 @@ PLAN = Kind(
         ArrayRule(
             "waypoint", "<f8", ("W", 4), "m, rad", "x, y, z, yaw passed through", "finite", largest=1e12
         ),
+        ArrayRule(
+            "cell_normal",
+            "<f8",
+            ("R", 3),
+            "1",
+            "outward unit normals of the corridor",
+            "finite",
+            optional=True,
+        ),
+        ArrayRule(
+            "cell_offset",
+            "<f8",
+            ("R",),
+            "m",
+            "normal . x <= offset in the cell",
+            "finite",
+            optional=True,
+            largest=LARGEST,
+        ),
+        ArrayRule(
+            "cell_start",
+            "<i8",
+            ("C+1",),
+            "1",
+            "first plane of each cell",
+            "starts",
+            "cell_normal",
+            optional=True,
+        ),
+        ArrayRule("piece_cell", "<i8", ("K",), "1", "cell of each piece, -1 if none", optional=True),
     ),
+    version="1.1",
 )
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (SCENE, VOXELS, COVER, PLAN)}

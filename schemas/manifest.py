@@ -169,7 +169,9 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
 
     The plan keeps `radius_m` from the hulls; `margin_m` of it is beyond the radius of the vehicle that it was
-    made for. `via_m` are the points to pass between start and goal, in their order.
+    made for. `via_m` are the points to pass between start and goal, in their order. Since 1.1 `limits` are
+    the bounds of the motion that hold at every instant, by the names of `Limits`, `method` is how the curve
+    was found, and `vehicle` the name of the vehicle.
     """
 
     unit: Literal["m"]
@@ -178,6 +180,9 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     certificate: dict[str, Any]
     margin_m: Margin = 0.0
     via_m: list[Vector] = []
+    limits: dict[str, float] = {}
+    method: str = ""
+    vehicle: str = ""
 
 
 def _check_crop(crop: list[float] | None) -> None:

@@ -63,6 +63,39 @@ class PlanConfig:
     acceleration_m_s2: float = field(
         default=3.0, metadata={"help": "Maximum acceleration [m/s^2].", "option": "--acceleration"}
     )
+    jerk_m_s3: float | None = field(
+        default=None,
+        metadata={
+            "help": "Maximum jerk [m/s^3]; default: what the body rates and rotors of the vehicle allow.",
+            "option": "--jerk",
+        },
+    )
+    snap_m_s4: float | None = field(
+        default=None,
+        metadata={
+            "help": "Maximum snap [m/s^4]; default: what the rotors of the vehicle allow.",
+            "option": "--snap",
+        },
+    )
+    tilt_rad: float | None = field(
+        default=None,
+        metadata={
+            "help": "Maximum tilt of the thrust [rad]; default: 0.8 of that of the vehicle.",
+            "option": "--tilt",
+        },
+    )
+    body_rate_rad_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "Maximum rate of the thrust axis [rad/s]; default: 0.8 of that of the vehicle, or less "
+            "for its rotors.",
+            "option": "--body-rate",
+        },
+    )
+    smooth: float = field(
+        default=1.0,
+        metadata={"help": "Fly this many times the minimum time, at least 1, and minimise snap instead."},
+    )
     resolution_m: float | None = field(
         default=None,
         metadata={
@@ -86,6 +119,11 @@ class PlanConfig:
             ("--margin", self.margin_m, 0.0, 100.0),
             ("--speed", self.speed_m_s, 1e-3, 1e3),
             ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
+            ("--jerk", self.jerk_m_s3, 1e-3, 1e6),
+            ("--snap", self.snap_m_s4, 1e-3, 1e8),
+            ("--tilt", self.tilt_rad, 1e-3, 1.5),
+            ("--body-rate", self.body_rate_rad_s, 1e-3, 1e3),
+            ("--smooth", self.smooth, 1.0, 100.0),
             ("--resolution", self.resolution_m, 1e-4, 1e3),
         ):
             if value is not None and not (low <= value <= high):

@@ -1,9 +1,10 @@
-"""Planning of a flight: a lattice path among the hulls, a smooth trajectory along it, and its proof."""
+"""Planning of a flight: a path among the hulls, a corridor, the fastest curve in it, and its proof."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -22,19 +23,23 @@ from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
-from alula.stages.planning.curve_certificate import METHOD, Certificate, certify_curve
-from alula.stages.planning.path import Polyline, find_polyline
-from alula.stages.planning.trajectory import (
-    DEGREE,
-    allocate_times,
-    control_points,
-    evaluate,
-    peak_bounds,
-    septic_spline,
-    subdivided,
+from alula.stages.planning.corridor import Corridor, find_corridor
+from alula.stages.planning.curve_certificate import METHOD, certify_curve
+from alula.stages.planning.fastest import (
+    PIECES_PER_CELL,
+    Curve,
+    MovingState,
+    fastest_curve,
+    joined,
+    keeps,
+    straight_curve,
 )
+from alula.stages.planning.limits import Limits, motion_limits
+from alula.stages.planning.path import Polyline, find_polyline
+from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 
-_SPLITS = 4  # times that a piece without proof is halved before it becomes a straight line
+METHOD_FASTEST = "minimum time in a corridor of convex cells"
+METHOD_STRAIGHT = "straight lines from rest to rest"
 
 
 def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfig:
@@ -55,44 +60,66 @@ def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfi
     return dataclasses.replace(config, margin_m=0.0)
 
 
-def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
-    """Plan a smooth flight that provably keeps a distance from every hull of a cover.
+def plan(
+    config: PlanConfig,
+    cover: Artifact,
+    *,
+    vehicle: Vehicle = FASTBRIDGE,
+    motion: MovingState | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> Artifact:
+    """Plan a flight of minimum time that provably keeps a distance from every hull of a cover.
 
-    A lattice search joins the points by straight lines that keep `radius_m` exactly. A
-    minimum-snap trajectory of degree 7 follows them within the limits of speed and acceleration,
-    both over the continuous time. `certify` proves each of its pieces. A piece without proof gets
-    more waypoints on its line, and in the end becomes that line, flown from rest to rest. So the
-    result is always proven.
+    A search joins the points by straight lines that keep `radius_m` exactly. Convex cells around them, every
+    point of which keeps the radius, make a corridor; in it a curve of degree 7 and class C4 is made as fast
+    as the limits of user and vehicle allow, which hold at every instant. `certify` proves each of its pieces
+    again. Where the corridor has no room the curve stops; a part that is not proven becomes straight lines,
+    flown from rest to rest. So the result is always proven.
 
     Args:
-        config: see `PlanConfig`; without a radius, for the quadrotor of FastBridge.
+        config: see `PlanConfig`; without a radius, for the vehicle.
         cover: an `alula/cover`.
+        vehicle: that will fly the plan.
+        motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
-        UsageError: the lattice would be too large.
+        InfeasibleError: a point is too close to a hull, there is no path at this resolution, or no curve from
+            this motion.
+        UsageError: the lattice would be too large, or an option does not apply to the vehicle.
     """
     if config.radius_m is None:
-        config = resolve_plan(config)
+        config = resolve_plan(config, vehicle)
+    limits = motion_limits(config, vehicle)
     require_solid_hulls(cover, jobs=jobs)
     obstacles = hull_obstacles(Hulls.from_cover(cover))
     path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
-    waypoint, rest, time, coefficient, proof = _smooth(config, obstacles, path, jobs)
+    corridor = find_corridor(
+        path.point, _via_points(path, config), [obstacles], config.keep_m, (path.lower, path.upper), jobs=jobs
+    )
+    curve = _Task(config, limits, corridor, obstacles, jobs).curve(motion)
+    time, coefficient = curve.time, curve.coefficient()
+    proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
 
     yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
     yaw[:, 0, 0] = config.yaw_rad
     dense = evaluate(time, coefficient, _sample_times(time))
     closest = path_clearance(dense, obstacles, jobs=jobs)
     bound = float(proof.clearance_m.min(initial=2 * config.keep_m))
+    knot = np.concatenate([curve.point[:, 0], curve.point[-1:, -1]])
     return make_artifact(
         PLAN,
         {
             "time": time,
             "coefficient": np.concatenate([coefficient, yaw], axis=1),
-            "waypoint": np.column_stack([waypoint, np.full(len(waypoint), config.yaw_rad)]),
+            "waypoint": np.column_stack([knot, np.full(len(knot), config.yaw_rad)]),
+            "cell_normal": corridor.normal,
+            "cell_offset": corridor.offset,
+            "cell_start": corridor.start,
+            "piece_cell": curve.cell,
         },
         frame=cover.manifest.frame,
         unit="m",
@@ -101,6 +128,9 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
         via_m=[list(point) for point in config.via],
+        limits=limits.record(),
+        method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
+        vehicle=vehicle.name,
         certificate={
             "method": METHOD,
             "pieces": len(coefficient),
@@ -113,7 +143,8 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
             "straight_m": sum(math.dist(a, b) for a, b in pairwise(config.points)),
             "duration_s": float(time[-1]),
             "pieces": len(coefficient),
-            "stops": int(rest[1:-1].sum()),
+            "cells": len(corridor.start) - 1,
+            "stops": int(curve.stop[:-1].sum()),
             "min_clearance_m": float(closest.min()) if len(obstacles) else None,
             "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
             "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
@@ -122,63 +153,76 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
             "visited_points": path.visited,
         },
         guarantee=Guarantee(
-            "Every point of the trajectory is at least radius_m from every hull of the cover, and speed and "
-            "acceleration stay within their limits at every instant.",
-            {
-                "radius_m": config.keep_m,
-                "speed_m_s": config.speed_m_s,
-                "acceleration_m_s2": config.acceleration_m_s2,
-            },
+            "Every point of the trajectory is at least radius_m from every hull of the cover, and its motion "
+            "stays within the limits at every instant.",
+            {"radius_m": config.keep_m, **limits.record()},
         ),
     )
 
 
-def _smooth(
-    config: PlanConfig, obstacles: PolytopeSet, path: Polyline, jobs: int
-) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray, Certificate]:
-    """Waypoints, stops, knots, coefficients and proof of a trajectory along the polyline."""
-    waypoint = path.point
-    rest = np.zeros(len(waypoint), np.bool_)
-    rest[[0, -1]] = True
-    splits = np.zeros(len(waypoint) - 1, np.int64)
-    while True:
-        duration = allocate_times(waypoint, config.speed_m_s, config.acceleration_m_s2, rest)
-        time = np.concatenate([[0.0], np.cumsum(duration)])
-        coefficient = septic_spline(waypoint, np.diff(time), rest)
-        proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
-        good = proof.proven & _within(path, control_points(time, coefficient))
-        if good.all():
-            return waypoint, rest, time, coefficient, proof
-        straight = rest[:-1] & rest[1:]
-        if (straight & ~good).any():
+def _via_points(path: Polyline, config: PlanConfig) -> NDArray[np.bool_]:
+    """Mark the points of the path that the flight must pass, in their order."""
+    marks = np.zeros(len(path.point), np.bool_)
+    first = 0
+    for point in config.via:
+        first += int(np.flatnonzero((path.point[first:] == point).all(axis=1))[0])
+        marks[first] = True
+        first += 1
+    return marks
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What all parts of a curve have in common."""
+
+    config: PlanConfig
+    limits: Limits
+    corridor: Corridor
+    obstacles: PolytopeSet
+    jobs: int
+
+    def curve(self, motion: MovingState | None) -> Curve:
+        """A proven curve along the corridor, with stops where it is closed."""
+        closed = (np.flatnonzero(~self.corridor.is_open) + 1).tolist()
+        curves = []
+        for begin, end in pairwise([0, *closed, len(self.corridor.start) - 1]):
+            moving = motion if begin == 0 else None
+            fastest = self.fastest(range(begin, end), moving)
+            if fastest is None and moving is not None:
+                raise InfeasibleError(
+                    "no curve leads from this motion along the path within the limits; start slower, or "
+                    "raise --acceleration"
+                )
+            corner = self.corridor.point[begin : end + 1]
+            curves += self.straight(corner) if fastest is None else [fastest]
+        return joined(curves)
+
+    def fastest(self, cells: range, motion: MovingState | None) -> Curve | None:
+        """Through open cells in minimum time, with few or more pieces; None if that is not proven."""
+        if not self.corridor.is_free[cells.start : cells.stop].all():
+            return None
+        for pieces in PIECES_PER_CELL:
+            curve = fastest_curve(
+                self.corridor, cells, self.limits, pieces, start=motion, smooth=self.config.smooth
+            )
+            if curve is not None and self.is_proven(curve):
+                return curve
+        return None
+
+    def straight(self, corner: FloatArray) -> list[Curve]:
+        """Straight lines between the corners."""
+        curves = [straight_curve(a, b, self.limits, self.config.smooth) for a, b in pairwise(corner)]
+        if not all(self.is_proven(curve) for curve in curves):
             raise InfeasibleError("a straight part of the path cannot be proven clear; use a larger --radius")
-        waypoint, rest, splits = _refine(waypoint, rest, splits, ~good)
+        return curves
 
-
-def _refine(
-    waypoint: FloatArray, rest: NDArray[np.bool_], splits: NDArray[np.int64], failed: NDArray[np.bool_]
-) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]:
-    """Halve the pieces that failed; pieces halved `_SPLITS` times become straight, from rest to rest."""
-    halve = failed & (splits < _SPLITS)
-    stop = rest.copy()
-    stop[:-1] |= failed & ~halve
-    stop[1:] |= failed & ~halve
-    at = np.flatnonzero(halve)
-    middle = 0.5 * (waypoint[at] + waypoint[at + 1])
-    splits = splits + halve
-    return (
-        np.insert(waypoint, at + 1, middle, axis=0),
-        np.insert(stop, at + 1, False),
-        np.insert(splits, at + 1, splits[at]),
-    )
-
-
-def _within(path: Polyline, points: FloatArray) -> NDArray[np.bool_]:
-    """Find the pieces, control points (K, 3, 8), that lie in the searched box; shape (K,)."""
-    slack = 1e-9
-    parts = subdivided(points)
-    low, high = parts.min(axis=(2, 3)), parts.max(axis=(2, 3))
-    return np.asarray(((low >= path.lower - slack) & (high <= path.upper + slack)).all(axis=1))
+    def is_proven(self, curve: Curve) -> bool:
+        """Whether the stored form of a curve keeps the radius and the limits."""
+        time, coefficient = curve.time, curve.coefficient()
+        points = control_points(time, coefficient).transpose(0, 2, 1)
+        if not keeps(points, np.diff(time), self.limits).all():
+            return False
+        return certify_curve(time, coefficient, self.obstacles, self.config.keep_m, jobs=self.jobs).holds
 
 
 def _sample_times(time: FloatArray) -> FloatArray:

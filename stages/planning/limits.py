@@ -1,0 +1,165 @@
+"""Limits of a planned motion: those of the user, and those of the vehicle through differential flatness."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from alula._core import MotionLimits
+from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import Vehicle
+from alula.stages.vehicles.bodies import quadrotor
+
+LIMIT_SHARE = (
+    0.8  # of the way from hovering to a limit of the vehicle, for plans; the rest is the controller's
+)
+_TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
+_SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
+_FASTEST_FALL = 0.9  # of gravity, for an acceleration without a lower limit of the thrust
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Bounds that hold at every instant of a plan; infinite where there is none.
+
+    Attributes:
+        speed_m_s, acceleration_m_s2, jerk_m_s3, snap_m_s4: of the Euclidean norms.
+        gravity_m_s2: that the thrust carries.
+        most_thrust_m_s2: of |a + g e3|, the thrust per mass.
+        least_thrust_m_s2: lower bound of a_z + g.
+        tilt_rad: of the angle between a + g e3 and the vertical.
+    """
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float = math.inf
+    snap_m_s4: float = math.inf
+    gravity_m_s2: float = 9.81
+    most_thrust_m_s2: float = math.inf
+    least_thrust_m_s2: float = -math.inf
+    tilt_rad: float = math.pi / 2
+
+    @property
+    def tangent(self) -> float:
+        """Of the tilt; infinite without a limit."""
+        return math.tan(self.tilt_rad) if self.tilt_rad < math.pi / 2 else math.inf
+
+    def native(self) -> MotionLimits:
+        """For the native solver."""
+        return MotionLimits(
+            speed=self.speed_m_s,
+            acceleration=self.acceleration_m_s2,
+            jerk=self.jerk_m_s3,
+            snap=self.snap_m_s4,
+            gravity=self.gravity_m_s2,
+            most_thrust=self.most_thrust_m_s2,
+            least_thrust=self.least_thrust_m_s2,
+            tilt=self.tangent,
+        )
+
+    def record(self) -> dict[str, float]:
+        """Finite limits, for the manifest of a plan."""
+        every = {name: float(getattr(self, name)) for name in self.__dataclass_fields__}
+        if not self.tilt_rad < math.pi / 2:
+            del every["tilt_rad"]
+        return {name: value for name, value in every.items() if math.isfinite(value)}
+
+
+def motion_limits(config: PlanConfig, vehicle: Vehicle) -> Limits:
+    """Limits of a plan for a vehicle.
+
+    A quadrotor that follows a curve p(t) with a constant heading has, with a, j, s the second to fourth
+    derivative of p, the thrust c = |a + g e3| per mass along b3 = (a + g e3) / c, tilted by theta, and
+      |omega_xy| = |b3'| <= |j| / c,  |omega_z| <= |omega_xy| tan(theta),
+      |omega_xy'| <= |s| / c + |j|^2 / c^2 + |omega_xy omega_z|,
+      |omega_z'| <= |omega_xy'| tan(theta) + |omega_xy|^2 / (2 cos(theta)^2).
+    So with c >= c_min bounds of |j| and |s| bound the body rates and the torque J omega' + omega x J omega,
+    hence each rotor's deviation from its part of the thrust. Every rotor stays within `LIMIT_SHARE` of the
+    way from hovering to its limits; at least a quarter of that is reserved for torques, more where the limit
+    of the acceleration leaves it. See docs/theory/planning.md. Drag is left to the controller.
+
+    Args:
+        config: limits of the user.
+        vehicle: that will fly the plan; only that of a quadrotor bounds tilt, thrust and rates.
+
+    Raises:
+        UsageError: an option does not apply to the vehicle.
+    """
+    jerk = math.inf if config.jerk_m_s3 is None else config.jerk_m_s3
+    snap = math.inf if config.snap_m_s4 is None else config.snap_m_s4
+    acceleration = config.acceleration_m_s2
+    if vehicle.model != "quadrotor":
+        for option, value in (("--tilt", config.tilt_rad), ("--body-rate", config.body_rate_rad_s)):
+            if value is not None:
+                raise UsageError(f"{option} applies to a quadrotor, not to a {vehicle.model}")
+        most = vehicle.limits.max_acceleration_m_s2
+        return Limits(
+            speed_m_s=config.speed_m_s,
+            acceleration_m_s2=acceleration if most is None else min(acceleration, LIMIT_SHARE * most),
+            jerk_m_s3=jerk,
+            snap_m_s4=snap,
+        )
+    return _quadrotor_limits(config, vehicle, acceleration, jerk, snap)
+
+
+def _quadrotor_limits(
+    config: PlanConfig, vehicle: Vehicle, acceleration: float, jerk: float, snap: float
+) -> Limits:
+    assert vehicle.rotors is not None
+    body = quadrotor(vehicle)
+    mixer = np.asarray(body.inverse_allocation)
+    mass, g = body.mass, body.gravity
+    share = mixer[:, 0]  # of each rotor in the thrust
+    hover = mass * g * share
+    high = hover + LIMIT_SHARE * (np.array(vehicle.rotors.max_thrust_n) - hover)
+    low = hover - LIMIT_SHARE * (hover - np.array(vehicle.rotors.min_thrust_n))
+    if not ((low < hover) & (hover < high) & (share > 0)).all():
+        raise UsageError(f"the rotors of {vehicle.name} cannot hover level within their limits")
+
+    # Thrust is reserved for torques; where the acceleration leaves more, that too.
+    least_c = g - acceleration if acceleration < g else (1 - _FASTEST_FALL) * g
+    spare = np.minimum(high - hover, hover - low)
+    left = np.minimum(high - mass * (g + acceleration) * share, mass * least_c * share - low)
+    torque = np.maximum(_TORQUE_SHARE * spare, left)
+    most = float(((high - torque) / (mass * share)).min())
+    least = max(float(((low + torque) / (mass * share)).max()), least_c)
+
+    tilt = vehicle.tracking.max_tilt_rad
+    full = math.pi / 2 if tilt is None else tilt
+    theta = min(
+        LIMIT_SHARE * full if config.tilt_rad is None else min(config.tilt_rad, full), math.acos(least / most)
+    )
+    if acceleration < g:
+        theta = min(theta, math.asin(acceleration / g))
+    tangent, secant2 = math.tan(theta), 1 / math.cos(theta) ** 2
+    rates = vehicle.rates.max_rad_s
+    rate = min(rates[0], rates[1], rates[2] / tangent)
+    rate = LIMIT_SHARE * rate if config.body_rate_rad_s is None else min(config.body_rate_rad_s, rate)
+
+    # For |omega_xy| <= w and |s| / c <= ratio w^2, torques per w^2; a rotor's part of them.
+    ratio = _SNAP_RATIO
+    tilting = ratio + 1 + tangent
+    turning = tilting * tangent + secant2 / 2
+    jx, jy, jz = body.inertia
+    torques = np.array(
+        [
+            jx * tilting + abs(jz - jy) * tangent,
+            jy * tilting + abs(jx - jz) * tangent,
+            jz * turning + abs(jy - jx) / 2,
+        ]
+    )
+    per_square = np.abs(mixer[:, 1:]) @ torques
+    rate = min(rate, math.sqrt(float((torque / per_square).min())))
+    return Limits(
+        speed_m_s=config.speed_m_s,
+        acceleration_m_s2=acceleration,
+        jerk_m_s3=min(jerk, rate * least),
+        snap_m_s4=min(snap, ratio * rate**2 * least),
+        gravity_m_s2=g,
+        most_thrust_m_s2=most,
+        least_thrust_m_s2=least,
+        tilt_rad=theta,
+    )
