@@ -18,6 +18,7 @@ LIMIT_SHARE = (
 )
 _TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
 _SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
+_WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
 _FASTEST_FALL = 0.9  # of gravity, for an acceleration without a lower limit of the thrust
 
 
@@ -48,16 +49,16 @@ class Limits:
         return math.tan(self.tilt_rad) if self.tilt_rad < math.pi / 2 else math.inf
 
     def native(self) -> MotionLimits:
-        """For the native solver."""
+        """For the native solver, smaller by more than the rounding of stored coefficients."""
         return MotionLimits(
-            speed=self.speed_m_s,
-            acceleration=self.acceleration_m_s2,
-            jerk=self.jerk_m_s3,
-            snap=self.snap_m_s4,
+            speed=_WITHIN * self.speed_m_s,
+            acceleration=_WITHIN * self.acceleration_m_s2,
+            jerk=_WITHIN * self.jerk_m_s3,
+            snap=_WITHIN * self.snap_m_s4,
             gravity=self.gravity_m_s2,
-            most_thrust=self.most_thrust_m_s2,
-            least_thrust=self.least_thrust_m_s2,
-            tilt=self.tangent,
+            most_thrust=_WITHIN * self.most_thrust_m_s2,
+            least_thrust=self.least_thrust_m_s2 + (1 - _WITHIN) * self.gravity_m_s2,
+            tilt=_WITHIN * self.tangent,
         )
 
     def record(self) -> dict[str, float]:
