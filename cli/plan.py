@@ -32,9 +32,9 @@ from alula.schemas.progress import Progress
 def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_path: Path | None) -> None:
     """Find a smooth collision-free trajectory through a cover.
 
-    It takes minimum time, and stays within the limits of speed, acceleration, thrust, tilt and body rates at every instant.
-    What is not given follows from the vehicle, of whose limits 0.8 are used: the rest is left to its
-    controller.
+    It takes minimum time, and stays within the limits of speed, acceleration, thrust, tilt and body rates at
+    every instant. What is not given follows from the vehicle, of whose limits 0.8 are used: the rest is left
+    to its controller.
     """
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import UsageError

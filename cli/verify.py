@@ -18,12 +18,14 @@ Examples:
   alula verify room.cover.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
   alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
+  alula verify room.plan.npz --map room.cover.npz --scene room.metric.scene.npz
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("proven", metavar="COVER", type=options.input_path())
 @click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
+@click.option("--map", "map_path", type=options.input_path(), help="The cover that a plan keeps away from.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
 @click.option(
@@ -37,6 +39,7 @@ Examples:
 def command(
     proven: Path,
     cover: Path | None,
+    map_path: Path | None,
     voxels: Path | None,
     scene: Path | None,
     output: Path | None,
@@ -56,7 +59,8 @@ def command(
     answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
     were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
     the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
-    from its own bytes, against voxels or a cover.
+    from its own bytes, against voxels or a cover. A plan is proven against the cover of --map: clearance,
+    corridor, limits of the motion, continuity; with --scene, the corridor against its ellipsoids, too.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -69,11 +73,12 @@ def command(
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
-    from alula.schemas.kinds import COVER, SCENE, VOXELS
+    from alula.schemas.kinds import COVER, PLAN, SCENE, VOXELS
     from alula.schemas.provenance import Provenance
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify import verify_map
     from alula.stages.compression.verify import SCHEMA, VERSION, verify
+    from alula.stages.planning.verify import verify_plan
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -81,8 +86,12 @@ def command(
         raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
-    is_map = cover is not None or _is_map(proven)
-    inputs = {"map" if is_map else "cover": proven}
+    is_plan = map_path is not None or _is_plan(proven)
+    is_map = not is_plan and (cover is not None or _is_map(proven))
+    if is_plan and (map_path is None or cover is not None or voxels is not None):
+        raise UsageError("a plan is proven against the cover of --map, and --scene; leave out other files")
+    inputs = {"plan" if is_plan else "map" if is_map else "cover": proven}
+    inputs |= {"cover": map_path} if map_path is not None else {}
     inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
@@ -98,7 +107,15 @@ def command(
             "voxels": None if voxels is None else read_artifact(voxels, VOXELS),
             "scene": None if scene is None else read_artifact(scene, SCENE),
         }
-        if is_map:
+        if map_path is not None:
+            certificate = verify_plan(
+                read_artifact(proven, PLAN),
+                cover=read_artifact(map_path, COVER),
+                scene=others["scene"],
+                sha256=sha256,
+                jobs=jobs,
+            )
+        elif is_map:
             image = read_map(proven.read_bytes(), proven)
             origin = None if cover is None else read_artifact(cover, COVER)
             certificate = verify_map(
@@ -129,6 +146,21 @@ def command(
         elif status == "unchanged":
             os.utime(output)
     _show(common, status, certificate)
+
+
+def _is_plan(path: Path) -> bool:
+    """Test whether a file is a plan; the reader reports a file that cannot be read."""
+    from alula.schemas.artifact import read_manifest
+    from alula.schemas.errors import AlulaError
+    from alula.schemas.files import is_special
+    from alula.schemas.kinds import PLAN
+
+    if is_special(path):
+        return False
+    try:
+        return read_manifest(path).schema == PLAN.name
+    except (AlulaError, OSError):
+        return False
 
 
 def _is_map(path: Path) -> bool:

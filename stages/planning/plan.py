@@ -119,7 +119,7 @@ def plan(
             "cell_normal": corridor.normal,
             "cell_offset": corridor.offset,
             "cell_start": corridor.start,
-            "piece_cell": curve.cell,
+            "piece_cell": _cells_of(time, coefficient, curve, corridor),
         },
         frame=cover.manifest.frame,
         unit="m",
@@ -223,6 +223,20 @@ class _Task:
         if not keeps(points, np.diff(time), self.limits).all():
             return False
         return certify_curve(time, coefficient, self.obstacles, self.config.keep_m, jobs=self.jobs).holds
+
+
+def _cells_of(
+    time: FloatArray, coefficient: FloatArray, curve: Curve, corridor: Corridor
+) -> NDArray[np.int64]:
+    """Cell of each piece that lies in it as stored, beyond rounding, else -1; shape (K,)."""
+    points = control_points(time, coefficient).transpose(0, 2, 1)
+    cell = curve.cell.copy()
+    for i in np.flatnonzero(cell >= 0):
+        normal, offset = corridor.rows(cell[i])
+        slack = 2.0**-48 * (1 + np.abs(points[i]).max())
+        if not (points[i] @ normal.T <= offset - slack).all():
+            cell[i] = -1
+    return cell
 
 
 def _sample_times(time: FloatArray) -> FloatArray:

@@ -1,0 +1,91 @@
+"""Bounds on piecewise polynomials in rational arithmetic: without rounding, over the continuous time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from itertools import pairwise
+from math import comb
+
+from alula.schemas.arrays import FloatArray
+
+Vector = tuple[Fraction, Fraction, Fraction]
+Points = list[Vector]  # control points of one piece
+_DEGREE = 7
+_HALVINGS = 6
+
+
+def control_points(coefficient: FloatArray, duration: Fraction) -> Points:
+    """Bernstein points b_i = sum_j C(i, j) / C(7, j) c_j T^j of one piece.
+
+    Args:
+        coefficient: of x, y, z, shape (3, 8).
+        duration: T [s].
+    """
+    powers = [duration**j for j in range(_DEGREE + 1)]
+    axes = []
+    for row in coefficient.tolist():
+        scaled = [Fraction(c) * powers[j] / comb(_DEGREE, j) for j, c in enumerate(row)]
+        axes.append([sum(comb(i, j) * scaled[j] for j in range(i + 1)) for i in range(_DEGREE + 1)])
+    return [(Fraction(x), Fraction(y), Fraction(z)) for x, y, z in zip(*axes, strict=True)]
+
+
+def derivative(points: Points, duration: Fraction) -> Points:
+    """Control points of the derivative.
+
+    Args:
+        points: of a polynomial of degree len(points) - 1.
+        duration: of the piece [s].
+    """
+    factor = (len(points) - 1) / duration
+    return [
+        (factor * (q[0] - p[0]), factor * (q[1] - p[1]), factor * (q[2] - p[2])) for p, q in pairwise(points)
+    ]
+
+
+def holds(points: Points, is_inside: Callable[[Vector], bool], halvings: int = _HALVINGS) -> bool:
+    """Whether a polynomial is proven to stay in a convex set.
+
+    It is where all control points are in the set; otherwise both halves are tried, unless an end, which is a
+    point of the curve, is outside.
+
+    Args:
+        points: control points.
+        is_inside: of the set.
+        halvings: of the interval, at most.
+    """
+    if all(is_inside(p) for p in points):
+        return True
+    if halvings == 0 or not (is_inside(points[0]) and is_inside(points[-1])):
+        return False
+    left, right = _halves(points)
+    return holds(left, is_inside, halvings - 1) and holds(right, is_inside, halvings - 1)
+
+
+def _halves(points: Points) -> tuple[Points, Points]:
+    left, right, row = [points[0]], [points[-1]], list(points)
+    while len(row) > 1:
+        row = [((p[0] + q[0]) / 2, (p[1] + q[1]) / 2, (p[2] + q[2]) / 2) for p, q in pairwise(row)]
+        left.append(row[0])
+        right.append(row[-1])
+    return left, right[::-1]
+
+
+def ball(radius: float, centre: Sequence[float] = (0, 0, 0)) -> Callable[[Vector], bool]:
+    """The set |x - centre| <= radius."""
+    squared = Fraction(radius) ** 2
+    x, y, z = (Fraction(c) for c in centre)
+    return lambda p: (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2 <= squared
+
+
+def half_space(normal: Sequence[float], offset: float) -> Callable[[Vector], bool]:
+    """The set normal . x <= offset."""
+    x, y, z = (Fraction(c) for c in normal)
+    bound = Fraction(offset)
+    return lambda p: x * p[0] + y * p[1] + z * p[2] <= bound
+
+
+def cone(tangent: float, lift: float) -> Callable[[Vector], bool]:
+    """The set |(x, y)| <= tangent (z + lift)."""
+    squared, rise = Fraction(tangent) ** 2, Fraction(lift)
+    return lambda p: p[2] + rise >= 0 and p[0] ** 2 + p[1] ** 2 <= squared * (p[2] + rise) ** 2

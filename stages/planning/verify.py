@@ -1,0 +1,283 @@
+"""Proof of a stored plan from its file: clearance, corridor, limits, continuity; apart from the planner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.manifest import CoverManifest, PlanManifest
+from alula.stages.clearance import hull_obstacles
+from alula.stages.compression.ellipsoids import retained, rows_of
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, require_solid_hulls
+from alula.stages.planning import exact
+from alula.stages.planning.curve_certificate import certify_curve
+
+_JUMP = (
+    2.0**-30
+)  # of the size of control points, over a power of the duration: rounding of stored coefficients
+_PASSED_M = 1e-9  # a point of the flight, at the end of a piece
+_ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
+
+
+def verify_plan(
+    plan: Artifact,
+    *,
+    cover: Artifact,
+    scene: Artifact | None = None,
+    sha256: Mapping[str, str] | None = None,
+    jobs: int = 0,
+) -> Certificate:
+    """Prove a plan again, from its arrays and the map.
+
+    Clearance: every piece keeps the radius from every hull, by separating planes of its control points.
+    Corridor: every cell that a piece lies in keeps the radius from every hull, and with a scene from every
+    ellipsoid that the cover was made to contain, by duality in numbers rounded to the safe side. Each piece
+    in its cell, and limits of the motion over every piece: by control points in rational arithmetic, halved
+    where that does not decide. Continuity, up to snap for a plan that records its limits and up to jerk for
+    an older one, to the rounding of the stored coefficients; start, via points and goal; rest at the goal.
+
+    Args:
+        plan: an `alula/plan`.
+        cover: the `alula/cover` that it keeps away from.
+        scene: the `alula/scene` of the cover.
+        sha256: hash of the file "cover"; a difference from the plan's input becomes a note.
+        jobs: threads, 0 for all processors.
+
+    Raises:
+        ArtifactError: the cover is not sound.
+        UsageError: frame or unit of the files differ.
+    """
+    manifest, level = plan.manifest, cover.manifest
+    assert isinstance(manifest, PlanManifest)
+    assert isinstance(level, CoverManifest)
+    for what, other in (("cover", cover), ("scene", scene)):
+        if other is not None and (other.manifest.frame, other.manifest.unit) != (manifest.frame, "m"):
+            raise UsageError(
+                f"the {what} is in the frame {other.manifest.frame} in {other.manifest.unit}, the plan in "
+                f"{manifest.frame} in m"
+            )
+    require_solid_hulls(cover, jobs=jobs)
+    hulls = hull_obstacles(Hulls.from_cover(cover))
+    pieces = _Pieces(plan)
+    checks = [_clearance(plan, hulls, jobs)]
+    has_cells = bool(pieces.used)
+    if has_cells:
+        checks.append(_cells(pieces, [hulls], [], "hull", jobs))
+        if scene is not None:
+            checks.append(_cells(pieces, [], [_ellipsoids(scene, level)], "ellipsoid", jobs))
+        checks.append(pieces.in_cells())
+    checks += [pieces.limits(), pieces.continuity(), pieces.passed()]
+    proven = all(check.ok for check in checks)
+    not_checked = []
+    if scene is not None and not has_cells:
+        not_checked.append("the distance from ellipsoids: the plan has no corridor")
+    radius = manifest.radius_m
+    statement = f"proven: every point of the plan is at least {radius:g} m from every hull of the cover"
+    if scene is not None and has_cells:
+        statement += ", every cell of its corridor from every ellipsoid of the scene"
+    notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
+    recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
+    if sha256 and "cover" in recorded and sha256.get("cover") != recorded["cover"]:
+        notes.append("the plan was made from another cover file")
+    return Certificate(
+        covered=proven,
+        checks=checks,
+        left_out="errors of tracking and of the vehicle's state; drag; everything that the map does not have",
+        notes=notes,
+        statement=statement if proven else "not proven",
+        given=["plan", "cover", *(["scene"] if scene is not None else [])],
+        not_checked=not_checked,
+    )
+
+
+class _Pieces:
+    """A plan's pieces in rational numbers."""
+
+    def __init__(self, plan: Artifact) -> None:
+        assert isinstance(plan.manifest, PlanManifest)
+        self.plan, self.manifest = plan, plan.manifest
+        self.time = np.asarray(plan["time"], np.float64)
+        self.coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
+        knots = [Fraction(t) for t in self.time.tolist()]
+        self.duration = [b - a for a, b in pairwise(knots)]
+        self.points = [
+            exact.control_points(c, t) for c, t in zip(self.coefficient, self.duration, strict=True)
+        ]
+        cell = plan.arrays.get("piece_cell")
+        self.cell = [-1] * len(self.points) if cell is None else np.asarray(cell).tolist()
+        self.used = sorted({c for c in self.cell if c >= 0})
+
+    def rows(self, cell: int) -> slice:
+        """Rows of a cell."""
+        start = np.asarray(self.plan["cell_start"])
+        return slice(int(start[cell]), int(start[cell + 1]))
+
+    def where(self, piece: int) -> tuple[float, float, float]:
+        """A point of a piece, for messages."""
+        x, y, z = (float(c) for c in self.points[piece][0])
+        return x, y, z
+
+    def in_cells(self) -> Check:
+        """Check that each piece lies in its cell."""
+        offences = []
+        count = len(self.plan["cell_start"]) - 1
+        inside = [i for i, c in enumerate(self.cell) if c >= 0]
+        for i in inside:
+            rows = self.rows(self.cell[i]) if self.cell[i] < count else slice(0, 0)
+            planes = zip(
+                self.plan["cell_normal"][rows].tolist(), self.plan["cell_offset"][rows].tolist(), strict=True
+            )
+            good = self.cell[i] < count and all(
+                exact.holds(self.points[i], exact.half_space(n, d)) for n, d in planes
+            )
+            if not good:
+                offences.append(Offence(fault=f"piece {i} leaves cell {self.cell[i]}", place_m=self.where(i)))
+        return _check("pieces in cells", len(inside), offences, "control points, in rational arithmetic")
+
+    def limits(self) -> Check:
+        """Check the recorded limits over every piece."""
+        offences, checked = [], 0
+        sets = _limit_sets(self.manifest)
+        for i, points in enumerate(self.points):
+            for order in range(1, 5):
+                points = exact.derivative(points, self.duration[i])
+                for name, of, is_inside in sets:
+                    if of != order:
+                        continue
+                    checked += 1
+                    if not exact.holds(points, is_inside):
+                        fault = f"piece {i} exceeds the limit {name}"
+                        offences.append(Offence(fault=fault, place_m=self.where(i)))
+        return _check("limits", checked, offences, "Bernstein bounds, in rational arithmetic")
+
+    def continuity(self) -> Check:
+        """Check that derivatives agree where pieces meet."""
+        orders = 5 if self.manifest.limits else 4
+        offences = []
+        for i in range(len(self.points) - 1):
+            before, after = self.points[i], self.points[i + 1]
+            size = Fraction(max(abs(c) for p in before + after for c in p) + 1)
+            shortest = min(self.duration[i], self.duration[i + 1])
+            for order in range(orders):
+                jump = max(abs(a - b) for a, b in zip(before[-1], after[0], strict=True))
+                if jump > Fraction(_JUMP) * size / shortest**order:
+                    fault = f"the {_ORDERS[order]} jumps by {float(jump):.3g} after piece {i}"
+                    offences.append(Offence(fault=fault, place_m=self.where(i + 1)))
+                    break
+                before = exact.derivative(before, self.duration[i])
+                after = exact.derivative(after, self.duration[i + 1])
+        return _check("continuity", len(self.points) - 1, offences, f"up to {_ORDERS[orders - 1]}")
+
+    def passed(self) -> Check:
+        """Check start, via points and goal, and rest at the goal."""
+        ends = [p[0] for p in self.points] + [self.points[-1][-1]]
+        knots = np.array([[float(c) for c in p] for p in ends])
+        parameters = self.manifest.parameters
+        offences: list[Offence] = []
+        first = 0
+        wanted = [("start", parameters.get("start")), *(("via point", list(v)) for v in self.manifest.via_m)]
+        wanted.append(("goal", parameters.get("goal")))
+        wanted = [(name, point) for name, point in wanted if point is not None]
+        for name, point in wanted:
+            near = np.flatnonzero(np.linalg.norm(knots[first:] - np.asarray(point), axis=1) <= _PASSED_M)
+            last = name == "goal" and not (len(near) and first + near[-1] == len(knots) - 1)
+            if not len(near) or last or (name == "start" and near[0] != 0):
+                place = (float(point[0]), float(point[1]), float(point[2]))
+                offences.append(Offence(fault=f"the {name} is not passed", place_m=place))
+            else:
+                first += int(near[0])
+        points, size = self.points[-1], Fraction(float(np.abs(knots).max()) + 1)
+        for order in range(1, 4):
+            points = exact.derivative(points, self.duration[-1])
+            if max(abs(c) for c in points[-1]) > Fraction(_JUMP) * size / self.duration[-1] ** order:
+                offences.append(Offence(fault=f"the {_ORDERS[order]} is not zero at the end"))
+                break
+        return _check("start, vias, goal", len(wanted), offences, "and rest at the end")
+
+
+def _limit_sets(manifest: PlanManifest) -> list[tuple[str, int, Callable[[exact.Vector], bool]]]:
+    """Recorded limits: name, order of the derivative, convex set."""
+    limits = manifest.limits or {"speed_m_s": manifest.speed_m_s}
+    g = limits.get("gravity_m_s2", 0.0)
+    sets: list[tuple[str, int, Callable[[exact.Vector], bool]]] = []
+    for order, name in enumerate(("speed_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_m_s4"), 1):
+        if name in limits:
+            sets.append((name, order, exact.ball(limits[name])))
+    if "most_thrust_m_s2" in limits:
+        sets.append(("most_thrust_m_s2", 2, exact.ball(limits["most_thrust_m_s2"], (0, 0, -g))))
+    if "least_thrust_m_s2" in limits:
+        sets.append(("least_thrust_m_s2", 2, exact.half_space((0, 0, -1), g - limits["least_thrust_m_s2"])))
+    if "tilt_rad" in limits:
+        tangent = math.nextafter(math.tan(limits["tilt_rad"]), 0.0)
+        sets.append(("tilt_rad", 2, exact.cone(tangent, g)))
+    return sets
+
+
+def _clearance(plan: Artifact, hulls: _core.PolytopeSet, jobs: int) -> Check:
+    assert isinstance(plan.manifest, PlanManifest)
+    proof = certify_curve(plan["time"], plan["coefficient"], hulls, plan.manifest.radius_m, jobs=jobs)
+    offences = []
+    for i in np.flatnonzero(~proof.proven):
+        x, y, z = (float(c) for c in np.asarray(plan["coefficient"])[i, :3, 0])
+        offences.append(Offence(fault=f"piece {i} is not proven clear", place_m=(x, y, z)))
+    return _check(
+        "clearance",
+        len(proof.proven),
+        offences,
+        f"at least {proof.clearance_m.min():.6g} m, {proof.pairs} pairs",
+    )
+
+
+def _cells(
+    pieces: _Pieces,
+    hulls: list[_core.PolytopeSet],
+    ellipsoids: list[_core.EllipsoidSet],
+    what: str,
+    jobs: int,
+) -> Check:
+    """Check the cells that pieces use."""
+    plan = pieces.plan
+    normal, offset, start = (
+        np.ascontiguousarray(plan[name]) for name in ("cell_normal", "cell_offset", "cell_start")
+    )
+    used = [c for c in pieces.used if c < len(start) - 1]
+    proven, clearance, pairs = _core.check_cells(
+        hulls, ellipsoids, normal, offset, start, pieces.manifest.radius_m, jobs
+    )
+    offences = [
+        Offence(fault=f"cell {c} is not proven to keep {pieces.manifest.radius_m:g} m from every {what}")
+        for c in used
+        if not proven[c]
+    ]
+    least = min((float(clearance[c]) for c in used), default=math.inf)
+    return _check(f"cells and {what}s", len(used), offences, f"at least {least:.6g} m, {pairs} pairs")
+
+
+def _ellipsoids(scene: Artifact, level: CoverManifest) -> _core.EllipsoidSet:
+    rows = rows_of(scene, retained(scene, level.min_opacity), ignore_loss=level.ignore_loss)
+    return _core.EllipsoidSet(
+        mean=np.ascontiguousarray(rows.mean),
+        scale=np.ascontiguousarray(rows.scale),
+        quat_wxyz=np.ascontiguousarray(rows.quat_wxyz),
+        k=level.sigma,
+        loss=rows.loss,
+    )
+
+
+def _check(name: str, checked: int, offences: list[Offence], detail: str) -> Check:
+    return Check(
+        name=name,
+        ok=not offences,
+        checked=checked,
+        failed=len(offences),
+        detail=detail,
+        first=offences[:LISTED],
+    )
