@@ -14,7 +14,8 @@ from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
 
 _REACH_M = 1.5  # of a cell beyond its segment
-_MARGIN_M = 1e-9  # beyond the radius of the segments of cells; that of the path is as large
+_COMFORT = 1.25  # times the radius: distance that cells keep where there is room
+_MARGIN_M = 1e-9  # that a segment keeps beyond the distance of its cell; that of the path is as large
 _ROOM = (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a joint within its two cells, in radii
 METHOD = "half-spaces at the radius, separated by duality"
 
@@ -72,8 +73,9 @@ def find_corridor(
     """Make a corridor along a path whose segments keep `radius_m`.
 
     Points of the path that a straight line can pass by are left out first, from the start on, as far as the
-    line keeps the radius. Each remaining segment gets a cell by `corridor_cells`. Every point of a cell is at
-    least the radius from every obstacle.
+    line keeps as much as they do, up to a comfortable distance, 1.25 times the radius. Each remaining segment
+    gets a cell by `corridor_cells`. What the segment keeps beyond the radius, up to half of it, is shared in
+    equal parts: every point of the cell keeps one beyond the radius, and the other is room to move in.
 
     Args:
         point: the path, shape (W, 3) [m].
@@ -85,14 +87,25 @@ def find_corridor(
     """
     path, kept = np.asarray(point, np.float64), np.array(is_via, np.bool_)
     kept[[0, -1]] = True
-    chosen = _merged(path, kept, obstacles, radius_m + _MARGIN_M, jobs)
+    comfort = _COMFORT * radius_m
+    chosen = _merged(path, kept, obstacles, comfort, jobs)
     corner, via = path[chosen], kept[chosen][1:-1]
     begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
     lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
     hulls, ellipsoids = native_sets(obstacles)
-    normal, offset, start, free = _core.corridor_cells(
-        hulls, ellipsoids, begin, end, radius_m, _REACH_M, lower, upper, jobs
-    )
+    own = _clearance(begin, end, obstacles, (2 * _COMFORT - 1) * radius_m, jobs)
+    kept_m = radius_m + np.maximum(0.5 * (own - radius_m) - _MARGIN_M, 0)
+    normals, offsets, lengths, free = [], [], [], []
+    for i, distance in enumerate(kept_m.tolist()):
+        n, d, _, is_free = _core.corridor_cells(
+            hulls, ellipsoids, begin[i : i + 1], end[i : i + 1], distance, _REACH_M, lower, upper, 1
+        )
+        normals.append(n)
+        offsets.append(d)
+        lengths.append(len(d))
+        free.append(bool(is_free[0]))
+    normal, offset = np.concatenate(normals), np.concatenate(offsets)
+    start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     rows = [slice(a, b) for a, b in pairwise(start.tolist())]
     joint, is_open = corner[1:-1].copy(), np.zeros(len(corner) - 2, np.bool_)
     for i in range(len(joint)):
@@ -104,25 +117,34 @@ def find_corridor(
         found = _inner_point(a, b, joint[i], radius_m)
         if found is not None:
             joint[i], is_open[i] = found, True
-    return Corridor(normal, offset, start, corner, joint, is_open, via, free.astype(np.bool_))
+    return Corridor(normal, offset, start, corner, joint, is_open, via, np.array(free, np.bool_))
 
 
 def _merged(
-    path: FloatArray, kept: NDArray[np.bool_], obstacles: Sequence[Obstacles], needed_m: float, jobs: int
+    path: FloatArray, kept: NDArray[np.bool_], obstacles: Sequence[Obstacles], comfort_m: float, jobs: int
 ) -> list[int]:
-    """Indices of the points between which straight lines keep a distance, each as far on as possible."""
+    """Indices of the points between which straight lines keep enough, each as far on as possible."""
+    own = _clearance(path[:-1], path[1:], obstacles, comfort_m, jobs)
     chosen = [0]
     while chosen[-1] < len(path) - 1:
         at = chosen[-1]
         last = at + 1 + int(np.flatnonzero(kept[at + 1 :])[0])
-        ends = path[at + 2 : last + 1]
-        clear = np.ones(len(ends), np.bool_)
-        if len(ends):
-            begin = np.repeat(path[at : at + 1], len(ends), axis=0)
-            for each in obstacles:
-                clear &= segment_clearance(begin, ends, each, jobs, needed_m) >= needed_m
-        chosen.append(at + 2 + int(np.flatnonzero(clear)[-1]) if clear.any() else at + 1)
+        ends = path[at + 1 : last + 1]
+        begin = np.repeat(path[at : at + 1], len(ends), axis=0)
+        least = np.minimum.accumulate(own[at:last])  # of the segments that a line stands for
+        clear = _clearance(begin, ends, obstacles, comfort_m, jobs) >= least - 1e-12
+        chosen.append(at + 1 + int(np.flatnonzero(clear)[-1]))
     return chosen
+
+
+def _clearance(
+    begin: FloatArray, end: FloatArray, obstacles: Sequence[Obstacles], cap_m: float, jobs: int
+) -> FloatArray:
+    """Distance of segments to the nearest obstacle, at most the cap; shape (S,) [m]."""
+    found = np.full(len(begin), cap_m)
+    for each in obstacles:
+        found = np.minimum(found, segment_clearance(begin, end, each, jobs, cap_m))
+    return found
 
 
 def _inner_point(a: FloatArray, b: FloatArray, near: FloatArray, radius_m: float) -> FloatArray | None:

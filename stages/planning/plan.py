@@ -100,7 +100,7 @@ def plan(
     corridor = find_corridor(
         path.point, _via_points(path, config), [obstacles], config.keep_m, (path.lower, path.upper), jobs=jobs
     )
-    curve = _Task(config, limits, corridor, obstacles, jobs).curve(motion)
+    curve = curve_along(corridor, config, limits, obstacles, motion=motion, jobs=jobs)
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
 
@@ -169,6 +169,31 @@ def _via_points(path: Polyline, config: PlanConfig) -> NDArray[np.bool_]:
         marks[first] = True
         first += 1
     return marks
+
+
+def curve_along(
+    corridor: Corridor,
+    config: PlanConfig,
+    limits: Limits,
+    obstacles: PolytopeSet,
+    *,
+    motion: MovingState | None = None,
+    jobs: int = 0,
+) -> Curve:
+    """The fastest curve along a corridor, proven in its stored form, as `plan` describes it.
+
+    Args:
+        corridor: around a path that keeps the radius.
+        config: with a radius.
+        limits: of the motion.
+        obstacles: hulls, world frame [m].
+        motion: of the vehicle at the start; at rest if none.
+        jobs: threads; the result does not depend on it.
+
+    Raises:
+        InfeasibleError: a straight line cannot be proven, or no curve leads from this motion.
+    """
+    return _Task(config, limits, corridor, obstacles, jobs).curve(motion)
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,7 +90,7 @@ def bump(piece, order, by):
 
 
 def moved_plane(array):
-    array[6:] += 0.02
+    array[6:] += 0.1
 
 
 def moved_box(array):
