@@ -141,7 +141,7 @@ def test_cells_of_a_path_meet_at_inner_points_and_keep_its_points_to_pass():
     boxes = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]
     hulls = hulls_of(boxes)
     corners = np.array(
-        [[0.3, 0.3, 1.5], [0.5, 1.0, 1.5], [0.9, 1.7, 1.5], [1.4, 1.7, 1.5], [1.5, 0.2, 1.5], [2.6, 0.2, 1.5]]
+        [[0.3, 0.3, 1.5], [0.4, 1.0, 1.5], [0.6, 1.7, 1.5], [1.4, 1.7, 1.5], [1.5, 0.2, 1.5], [2.6, 0.2, 1.5]]
     )
     via = np.array([False, False, True, False, False, False])
     corridor = find_corridor(corners, via, [hulls], RADIUS, (np.array(LOWER), np.array(UPPER)))
