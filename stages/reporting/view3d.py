@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.stages.compression.facets import Mesh, mesh
+from alula.stages.planning.trajectory import evaluate
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import COLORS
@@ -58,6 +59,8 @@ def view(material: Material) -> View | None:
         objects += _cloud_objects(points, colors, top)
     fences = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
     objects += _fence_objects(list({shape.corners_world.tobytes(): shape for shape in fences}.values()))
+    if material.plan is not None:
+        objects += _corridor_objects(material.plan)
     objects += _path_objects(paths)
     note = f"Shown: {' and '.join(notes)}." if notes else ""
     if any(not item.visible for item in objects):
@@ -168,6 +171,46 @@ def _fence_objects(shapes: Sequence[FenceShape]) -> list[Any]:
         )
         for shape in shapes
     ]
+
+
+def _corridor_objects(plan: Artifact) -> list[Any]:
+    """The cells of a plan's corridor as one transparent mesh."""
+    import k3d
+
+    corner, triangle = corridor_mesh(plan)
+    if not len(triangle):
+        return []
+    return [
+        k3d.mesh(
+            corner.astype(np.float32),
+            triangle.astype(np.uint32),
+            color=0x2E9E5B,
+            opacity=0.08,
+            side="double",
+            flat_shading=True,
+            name="corridor",
+        )
+    ]
+
+
+def corridor_mesh(plan: Artifact) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners, shape (V, 3) [m], and triangles, shape (F, 3), of the cells that pieces of a plan lie in."""
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+    corners, triangles, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    time, cell = np.asarray(plan["time"]), np.asarray(plan.arrays.get("piece_cell", np.empty(0, np.int64)))
+    middle = evaluate(time, plan["coefficient"], 0.5 * (time[:-1] + time[1:]))[:, :3]
+    for number in np.unique(cell[cell >= 0]).tolist():
+        rows = slice(*np.asarray(plan["cell_start"])[number : number + 2])
+        planes = np.column_stack([plan["cell_normal"][rows], -np.asarray(plan["cell_offset"])[rows]])
+        inside = middle[cell == number].mean(axis=0)
+        if (planes[:, :3] @ inside + planes[:, 3]).max() >= -1e-6:
+            continue  # too thin to show
+        corner = HalfspaceIntersection(planes, inside).intersections
+        triangles.append(ConvexHull(corner).simplices + count)
+        corners.append(corner)
+        count += len(corner)
+    return np.concatenate(corners), np.concatenate(triangles)
 
 
 def _path_objects(paths: Sequence[Path]) -> list[Any]:

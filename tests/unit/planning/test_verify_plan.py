@@ -12,7 +12,8 @@ from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
-from support.covers import boxes_cover
+from alula.stages.reporting.view3d import corridor_mesh
+from support.covers import box_distance, boxes_cover
 
 BOXES = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]
 CONFIG = PlanConfig(
@@ -167,6 +168,14 @@ def test_with_smoothing_a_plan_takes_longer_with_less_snap_and_is_proven(good, c
     smooth = plan(dataclasses.replace(CONFIG, smooth=1.25), cover)
     assert verify_plan(smooth, cover=cover).covered
     assert smooth["time"][-1] == pytest.approx(1.25 * good["time"][-1], rel=1e-6)
+
+
+def test_the_view_shows_the_cells_that_pieces_lie_in(good):
+    corner, triangle = corridor_mesh(good)
+    assert len(triangle) >= 4 * len(np.unique(good["piece_cell"]))
+    clear = box_distance(corner, BOXES)
+    assert clear.min() >= 0.2 - 1e-9
+    assert len(corridor_mesh(altered(good, piece_cell=lambda array: array.fill(-1)))[1]) == 0
 
 
 def test_the_command_proves_a_plan_and_exits_with_4_where_it_is_damaged(good, cover, tmp_path, capsys):
