@@ -71,8 +71,15 @@ def _halves(points: Points) -> tuple[Points, Points]:
     return left, right[::-1]
 
 
+def nothing(_: Vector) -> bool:
+    """The empty set."""
+    return False
+
+
 def ball(radius: float, centre: Sequence[float] = (0, 0, 0)) -> Callable[[Vector], bool]:
-    """The set |x - centre| <= radius."""
+    """The set |x - centre| <= radius; empty for a negative radius."""
+    if not radius >= 0:
+        return nothing
     squared = Fraction(radius) ** 2
     x, y, z = (Fraction(c) for c in centre)
     return lambda p: (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2 <= squared

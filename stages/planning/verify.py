@@ -24,6 +24,7 @@ _JUMP = (
     2.0**-30
 )  # of the size of control points, over a power of the duration: rounding of stored coefficients
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
+_CORRIDOR = ("cell_normal", "cell_offset", "cell_start", "piece_cell")
 _ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
 
@@ -111,8 +112,8 @@ class _Pieces:
         self.points = [
             exact.control_points(c, t) for c, t in zip(self.coefficient, self.duration, strict=True)
         ]
-        cell = plan.arrays.get("piece_cell")
-        self.cell = [-1] * len(self.points) if cell is None else np.asarray(cell).tolist()
+        has_cells = all(name in plan.arrays for name in _CORRIDOR)
+        self.cell = np.asarray(plan["piece_cell"]).tolist() if has_cells else [-1] * len(self.points)
         self.used = sorted({c for c in self.cell if c >= 0})
 
     def rows(self, cell: int) -> slice:
@@ -183,24 +184,34 @@ class _Pieces:
         parameters = self.manifest.parameters
         offences: list[Offence] = []
         first = 0
-        wanted = [("start", parameters.get("start")), *(("via point", list(v)) for v in self.manifest.via_m)]
-        wanted.append(("goal", parameters.get("goal")))
-        wanted = [(name, point) for name, point in wanted if point is not None]
+        wanted: list[tuple[str, tuple[float, float, float]]] = []
+        for name, points in (
+            ("start", [parameters.get("start")]),
+            ("via point", self.manifest.via_m),
+            ("goal", [parameters.get("goal")]),
+        ):
+            wanted += [(name, _point(point)) for point in points if point is not None]
         for name, point in wanted:
             near = np.flatnonzero(np.linalg.norm(knots[first:] - np.asarray(point), axis=1) <= _PASSED_M)
-            last = name == "goal" and not (len(near) and first + near[-1] == len(knots) - 1)
-            if not len(near) or last or (name == "start" and near[0] != 0):
-                place = (float(point[0]), float(point[1]), float(point[2]))
-                offences.append(Offence(fault=f"the {name} is not passed", place_m=place))
+            ends_elsewhere = name == "goal" and not (len(near) and first + near[-1] == len(knots) - 1)
+            if not len(near) or ends_elsewhere or (name == "start" and near[0] != 0):
+                offences.append(Offence(fault=f"the {name} is not passed", place_m=point))
             else:
                 first += int(near[0])
-        points, size = self.points[-1], Fraction(float(np.abs(knots).max()) + 1)
+        last, size = self.points[-1], Fraction(float(np.abs(knots).max()) + 1)
         for order in range(1, 4):
-            points = exact.derivative(points, self.duration[-1])
-            if max(abs(c) for c in points[-1]) > Fraction(_JUMP) * size / self.duration[-1] ** order:
+            last = exact.derivative(last, self.duration[-1])
+            if max(abs(c) for c in last[-1]) > Fraction(_JUMP) * size / self.duration[-1] ** order:
                 offences.append(Offence(fault=f"the {_ORDERS[order]} is not zero at the end"))
                 break
         return _check("start, vias, goal", len(wanted), offences, "and rest at the end")
+
+
+def _point(value: object) -> tuple[float, float, float]:
+    """A point of the parameters; far from everything if it is none."""
+    if isinstance(value, list) and len(value) == 3 and all(isinstance(c, int | float) for c in value):
+        return float(value[0]), float(value[1]), float(value[2])
+    return math.inf, math.inf, math.inf
 
 
 def _limit_sets(manifest: PlanManifest) -> list[tuple[str, int, Callable[[exact.Vector], bool]]]:
@@ -217,7 +228,8 @@ def _limit_sets(manifest: PlanManifest) -> list[tuple[str, int, Callable[[exact.
         sets.append(("least_thrust_m_s2", 2, exact.half_space((0, 0, -1), g - limits["least_thrust_m_s2"])))
     if "tilt_rad" in limits:
         tangent = math.nextafter(math.tan(limits["tilt_rad"]), 0.0)
-        sets.append(("tilt_rad", 2, exact.cone(tangent, g)))
+        is_tilt = 0 <= limits["tilt_rad"] < math.pi / 2
+        sets.append(("tilt_rad", 2, exact.cone(tangent, g) if is_tilt else exact.nothing))
     return sets
 
 
