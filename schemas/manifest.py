@@ -168,8 +168,9 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
 class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
 
-    The plan keeps `radius_m` from the hulls; `margin_m` of it is beyond the radius of the vehicle that it was
-    made for. `via_m` are the points to pass between start and goal, in their order.
+    The plan keeps `radius_m` from all obstacles; `margin_m` of it is beyond the radius of the vehicle that it was
+    made for. `via_m` are the points to pass between start and goal, in their order. `maps` says of each map what
+    its obstacles are and which distance (`keep_m`, at least `radius_m`) the plan keeps from them.
     """
 
     unit: Literal["m"]
@@ -178,6 +179,7 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     certificate: dict[str, Any]
     margin_m: Margin = 0.0
     via_m: list[Vector] = []
+    maps: list[dict[str, Any]] = []
 
 
 def _check_crop(crop: list[float] | None) -> None:

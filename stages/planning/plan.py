@@ -1,4 +1,4 @@
-"""Planning of a flight: a lattice path among the hulls, a smooth trajectory along it, and its proof."""
+"""Planning of a flight: a path through the map, a smooth trajectory along it, and its proof."""
 
 from __future__ import annotations
 
@@ -9,21 +9,19 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from alula._core import PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.plan import MARGIN_M, PlanConfig
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.clearance import hull_obstacles, path_clearance
-from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.verify import require_solid_hulls
-from alula.stages.planning.curve_certificate import METHOD, Certificate, certify_curve
+from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, Certificate, certify_in
 from alula.stages.planning.path import Polyline, find_polyline
+from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.trajectory import (
     DEGREE,
     allocate_times,
@@ -50,43 +48,53 @@ def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfi
     if config.radius_m is None:
         margin = MARGIN_M if config.margin_m is None else config.margin_m
         return dataclasses.replace(config, radius_m=vehicle.body.radius_m + margin, margin_m=margin)
-    if config.margin_m is not None:
-        raise UsageError("--radius is the whole distance to keep; leave out --margin")
-    return dataclasses.replace(config, margin_m=0.0)
+    for option, value in (("--margin", config.margin_m), ("--inflate", config.inflation_m)):
+        if value is not None:
+            raise UsageError(f"--radius is the whole distance to keep; leave out {option}")
+    return config
 
 
-def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
-    """Plan a smooth flight that provably keeps a distance from every hull of a cover.
+def plan(
+    config: PlanConfig,
+    cover: Artifact | None = None,
+    *,
+    scene: Artifact | None = None,
+    image: bytes | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> Artifact:
+    """Plan a smooth flight that provably keeps a distance from every obstacle of a map.
 
-    A lattice search joins the points by straight lines that keep `radius_m` exactly. A
-    minimum-snap trajectory of degree 7 follows them within the limits of speed and acceleration,
-    both over the continuous time. `certify` proves each of its pieces. A piece without proof gets
-    more waypoints on its line, and in the end becomes that line, flown from rest to rest. So the
-    result is always proven.
+    A search joins the points by straight lines that keep the distance exactly. A minimum-snap trajectory of
+    degree 7 follows them within the limits of speed and acceleration, both over the continuous time.
+    `certify_in` proves each of its pieces. A piece without proof gets more waypoints on its line, and in the
+    end becomes that line, flown from rest to rest. So the result is always proven.
 
     Args:
         config: see `PlanConfig`; without a radius, for the quadrotor of FastBridge.
-        cover: an `alula/cover`.
+        cover: an `alula/cover`; one map at least is needed, and plans keep away from all.
+        scene: an `alula/scene`.
+        image: an onboard map.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
-        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
-        UsageError: the lattice would be too large.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the image is damaged.
+        InputError: a map is not metric, or the maps do not fit each other.
+        InfeasibleError: a point is too close to an obstacle, or there is no path.
+        UsageError: the lattice would be too large, or the level of the ellipsoids is invalid.
     """
     if config.radius_m is None:
         config = resolve_plan(config)
-    require_solid_hulls(cover, jobs=jobs)
-    obstacles = hull_obstacles(Hulls.from_cover(cover))
-    path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
-    waypoint, rest, time, coefficient, proof = _smooth(config, obstacles, path, jobs)
+    space = plan_space(config, cover, scene, image, jobs=jobs)
+    path = find_polyline(config, space, jobs=jobs, progress=progress)
+    waypoint, rest, time, coefficient, proof = _smooth(config, space, path, jobs)
 
     yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
     yaw[:, 0, 0] = config.yaw_rad
     dense = evaluate(time, coefficient, _sample_times(time))
-    closest = path_clearance(dense, obstacles, jobs=jobs)
-    bound = float(proof.clearance_m.min(initial=2 * config.keep_m))
+    bound = float(proof.clearance_m.min(initial=2 * space.keep_m))
+    via = [list(point) for point in path.flown[1:-1]]
     return make_artifact(
         PLAN,
         {
@@ -94,15 +102,16 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
             "coefficient": np.concatenate([coefficient, yaw], axis=1),
             "waypoint": np.column_stack([waypoint, np.full(len(waypoint), config.yaw_rad)]),
         },
-        frame=cover.manifest.frame,
+        frame=space.frame,
         unit="m",
         parameters=parameters_of(config),
-        radius_m=config.keep_m,
+        radius_m=space.keep_m,
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
-        via_m=[list(point) for point in config.via],
+        via_m=via,
+        maps=[part.facts for part in space.parts],
         certificate={
-            "method": METHOD,
+            "method": "; ".join(dict.fromkeys(METHOD if p.role == "cover" else MAP_METHOD for p in space.parts)),
             "pieces": len(coefficient),
             "checked_pairs": proof.pairs,
             "depth": proof.depth,
@@ -110,22 +119,23 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
         },
         summary={
             "length_m": float(np.linalg.norm(np.diff(dense, axis=0), axis=1).sum()),
-            "straight_m": sum(math.dist(a, b) for a, b in pairwise(config.points)),
+            "straight_m": sum(math.dist(a, b) for a, b in pairwise(path.flown)),
             "duration_s": float(time[-1]),
             "pieces": len(coefficient),
             "stops": int(rest[1:-1].sum()),
-            "min_clearance_m": float(closest.min()) if len(obstacles) else None,
+            "min_clearance_m": space.clearance_m(dense, jobs),
             "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
             "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
             "resolution_m": path.resolution_m,
             "lattice_points": path.lattice_points,
             "visited_points": path.visited,
+            **({"notes": notes} if (notes := _notes(path)) else {}),
         },
         guarantee=Guarantee(
-            "Every point of the trajectory is at least radius_m from every hull of the cover, and speed and "
-            "acceleration stay within their limits at every instant.",
+            f"Every point of the trajectory is at least {_distances(space)}, and speed and acceleration stay within "
+            "their limits at every instant.",
             {
-                "radius_m": config.keep_m,
+                "radius_m": space.keep_m,
                 "speed_m_s": config.speed_m_s,
                 "acceleration_m_s2": config.acceleration_m_s2,
             },
@@ -133,8 +143,23 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
     )
 
 
+def _distances(space: PlanSpace) -> str:
+    """Distances that a plan keeps, in words."""
+    if len({part.keep_m for part in space.parts}) == 1:
+        return f"radius_m from every {' and every '.join(part.words for part in space.parts)}"
+    return " and ".join(f"{part.keep_m:g} m from every {part.words}" for part in space.parts)
+
+
+def _notes(path: Polyline) -> list[str]:
+    return [
+        f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), {at_most(math.dist(given, taken))} m "
+        "from it (--snap)"
+        for name, given, taken in path.moved
+    ]
+
+
 def _smooth(
-    config: PlanConfig, obstacles: PolytopeSet, path: Polyline, jobs: int
+    config: PlanConfig, space: PlanSpace, path: Polyline, jobs: int
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray, Certificate]:
     """Waypoints, stops, knots, coefficients and proof of a trajectory along the polyline."""
     waypoint = path.point
@@ -145,7 +170,7 @@ def _smooth(
         duration = allocate_times(waypoint, config.speed_m_s, config.acceleration_m_s2, rest)
         time = np.concatenate([[0.0], np.cumsum(duration)])
         coefficient = septic_spline(waypoint, np.diff(time), rest)
-        proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
+        proof = certify_in(time, coefficient, space, jobs=jobs)
         good = proof.proven & _within(path, control_points(time, coefficient))
         if good.all():
             return waypoint, rest, time, coefficient, proof
