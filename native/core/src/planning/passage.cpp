@@ -19,8 +19,8 @@ constexpr double kRounding = 1e-12;  // of a distance, as a fraction of the coor
 constexpr std::size_t kRoots = 32768;
 constexpr std::uint32_t kDeepest = 20;  // levels of cells
 constexpr int kBisections = 24;
-constexpr double kAvoid = 20;  // of doubtful cells, in lengths
-constexpr int kPatience = 6;
+constexpr double kAvoid = 20;         // of doubtful cells, in lengths
+constexpr int kPatience = 12;         // ways that turned out to be none before cells become finer
 constexpr double kUndecided = 0.125;  // of the tolerance
 
 // A division of a box into cells, each into eight on demand.
@@ -160,7 +160,7 @@ class Flood {
       goes_on = result_.lower < result_.upper - (is_decided() ? options_.tolerance : 0) &&
                 cells_.size() < options_.most_cells;
       if (goes_on) goes_on = refine(way);
-      if (!is_decided() && ++tried_ % kPatience == 0) fineness_ = std::max(0.5 * fineness_, 0.5 * tolerance());
+      if (++tried_ % kPatience == 0) fineness_ *= 0.5;
     }
     result_.cells = cells_.size();
     return std::move(result_);
@@ -181,7 +181,7 @@ class Flood {
   // none.
   bool is_coarse(std::uint32_t n) {
     const double rho = cells_.rho(n);
-    return rho > 0.5 * options_.enough || (rho > fineness_ && cells_.distance(n) < options_.enough);
+    return rho > 0.5 * options_.enough || (rho > fineness_ && cells_.distance(n) < target_);
   }
   bool is_fine(std::uint32_t n) const { return 2 * cells_.rho(n) <= tolerance() || !cells_.can_split(n); }
 
@@ -191,13 +191,13 @@ class Flood {
 
   // Cost of a way through a cell, per length: cells whose centre is not free enough are avoided.
   double rate(std::uint32_t n) {
-    const double lacking = (options_.enough - cells_.distance(n)) / cells_.rho(n);
+    const double lacking = (target_ - cells_.distance(n)) / cells_.rho(n);
     return 1 + kAvoid * std::clamp(lacking, 0.0, 1.0);
   }
 
   void push(std::uint32_t n, std::uint32_t from) {
     if (visited_[n] != 0) return;
-    const double level = std::min(cells_.most(n), options_.enough);
+    const double level = std::min(cells_.most(n), target_);
     if (level <= result_.lower) return;  // no passage that is better than the one found
     const double cost = from == n ? 0 : cost_[from] + norm(cells_.at(n).centre - cells_.at(from).centre) * rate(n);
     if (!(cost < cost_[n])) return;
@@ -213,7 +213,7 @@ class Flood {
     visited_.assign(cells_.size(), 0);
     cost_.assign(cells_.size(), std::numeric_limits<double>::infinity());
     queue_.clear();
-    double level = options_.enough;
+    double level = target_ = result_.upper;
     const std::uint32_t first = cells_.leaf(start_);
     push(first, first);
     for (std::size_t taken = 0; !queue_.empty();) {
@@ -223,8 +223,7 @@ class Flood {
       const std::uint32_t n = entry.cell;
       if (visited_[n] != 0 || cells_.at(n).child != kNone) continue;
       if (++taken % 1024 == 0) control.poll(std::min(cells_.size(), options_.most_cells - 1), options_.most_cells);
-      const bool lowers = entry.level < level, is_mixed = cells_.least(n) < options_.enough;
-      if (is_mixed && (is_coarse(n) || (lowers && !is_fine(n))) && cells_.size() < options_.most_cells) {
+      if (cells_.least(n) < target_ && is_coarse(n) && cells_.size() < options_.most_cells) {
         cells_.split(n);
         from_.resize(cells_.size(), kNone);
         visited_.resize(cells_.size(), 0);
@@ -299,6 +298,7 @@ class Flood {
   std::vector<std::uint32_t>
       from_;  // of a queued cell: the one before, on the way from the start; itself for the first
   std::vector<std::uint8_t> visited_;
+  double target_ = 0;  // radius that is tried: the upper bound
   double fineness_ = options_.enough;
   int tried_ = 0;
   std::vector<double> cost_;

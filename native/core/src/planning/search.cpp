@@ -332,6 +332,21 @@ std::vector<Vec3> subdivide(const std::vector<Vec3>& path, double spacing) {
   return result;
 }
 
+// Joins neighbouring points that a free segment of at most `spacing` skips.
+std::vector<Vec3> thinned(const ObstacleMap& map, const std::vector<Vec3>& path, double radius, double spacing,
+                          MapMemory& memory) {
+  std::vector<Vec3> result{path[0]};
+  for (std::size_t i = 0; i + 1 < path.size();) {
+    std::size_t next = i + 1;
+    while (next + 1 < path.size() && norm(path[next + 1] - path[i]) <= spacing &&
+           map.segment_distance(path[i], path[next + 1], radius, memory) >= radius)
+      ++next;
+    result.push_back(path[next]);
+    i = next;
+  }
+  return result;
+}
+
 // Drops corners that do not turn. Cutting a free line into parts again lowers its cost and does not change it.
 std::vector<Vec3> without_straight_corners(const ObstacleMap& map, const std::vector<Vec3>& path, double radius,
                                            MapMemory& memory) {
@@ -359,7 +374,7 @@ std::vector<geometry::Vec3> tighten_path(const ObstacleMap& map, const std::vect
   constexpr std::size_t kReach = 128;
   if (path.size() < 2) return path;
   MapMemory memory = map.memory();
-  std::vector<geometry::Vec3> corners = path;
+  std::vector<geometry::Vec3> corners = thinned(map, path, radius, spacing, memory);
   for (int round = 0; round < rounds; ++round) {
     const std::vector<geometry::Vec3> points = subdivide(corners, spacing);
     const std::size_t count = points.size();
