@@ -27,7 +27,9 @@ if TYPE_CHECKING:
   alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap""",
 )
 @click.argument("map_path", metavar="MAP", type=options.input_path())
-@click.option("--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover or onboard map.")
+@click.option(
+    "--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover or onboard map."
+)
 @click.option(
     "--vehicle",
     "vehicle_path",
@@ -58,7 +60,6 @@ def command(
     MAP is a cover, a scene or an onboard map (.bin); with --scene the plan keeps away from both. Without a
     path exit code 5 says which radius would pass, and where the narrowest place is.
     """
-    from alula.schemas.artifact import Artifact
     from alula.schemas.errors import UsageError
     from alula.schemas.kinds import PLAN
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle

@@ -168,9 +168,9 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
 class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
 
-    The plan keeps `radius_m` from all obstacles; `margin_m` of it is beyond the radius of the vehicle that it was
-    made for. `via_m` are the points to pass between start and goal, in their order. `maps` says of each map what
-    its obstacles are and which distance (`keep_m`, at least `radius_m`) the plan keeps from them.
+    The plan keeps `radius_m` from all obstacles; `margin_m` of it is beyond the radius of the vehicle that it
+    was made for. `via_m` are the points to pass between start and goal, in their order. `maps` says of each
+    map what its obstacles are and which distance (`keep_m`, at least `radius_m`) the plan keeps from them.
     """
 
     unit: Literal["m"]

@@ -51,8 +51,8 @@ class PlanConfig:
     radius_m: float | None = field(
         default=None,
         metadata={
-            "help": "Minimum distance to every obstacle [m]; default: the radius of the --vehicle, --margin, and "
-            "--inflate where obstacles have not grown by it.",
+            "help": "Minimum distance to every obstacle [m]; default: the radius of the --vehicle, "
+            "--margin, and --inflate where obstacles have not grown by it.",
             "option": "--radius",
         },
     )
@@ -95,13 +95,14 @@ class PlanConfig:
     inflation_m: float | None = field(
         default=None,
         metadata={
-            "help": "Distance that filters will add to radius and margin [m]; default: as suggested by the scene's "
-            "alignment, and for hulls what of that they have not grown by.",
+            "help": "Distance that filters will add to radius and margin [m]; default: as suggested by the "
+            "scene's alignment, and for hulls what of that they have not grown by.",
             "option": "--inflate",
         },
     )
     snap: bool = field(
-        default=False, metadata={"help": "Move points of the flight that are not free to the nearest free one."}
+        default=False,
+        metadata={"help": "Move points of the flight that are not free to the nearest free one."},
     )
 
     def __post_init__(self) -> None:

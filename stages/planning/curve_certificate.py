@@ -14,7 +14,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.space import PlanSpace
+from alula.stages.planning.space import PlanSpace, scene_part
 from alula.stages.planning.trajectory import DEGREE, control_points
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
@@ -29,8 +29,8 @@ class Certificate:
 
     Attributes:
         proven: per piece, True when all of it keeps the radius, shape (K,).
-        clearance_m: per piece, a proven lower bound on its distance to all obstacles, at most twice the radius;
-            of a piece that is not proven, a distance below the radius, shape (K,) [m].
+        clearance_m: per piece, a proven lower bound on its distance to all obstacles, at most twice the
+            radius; of a piece that is not proven, a distance below the radius, shape (K,) [m].
         pairs: number of decided pairs of a sub-piece and a hull, or sub-pieces in a map.
         depth: maximum depth of the subdivision.
     """
@@ -120,6 +120,28 @@ def certify_curve(
     clear = proven.astype(np.bool_)
     clear[:-1] &= ~jump
     return Certificate(clear, clearance, pairs, depth)
+
+
+def certify_among(
+    plan: Artifact, scene: Artifact, sigma: float, radius_m: float, *, jobs: int = 0
+) -> Certificate:
+    """Prove that a plan keeps `radius_m` from every ellipsoid of a scene at every instant.
+
+    Args:
+        plan: an `alula/plan`.
+        scene: an `alula/scene` in its frame.
+        sigma: level of the ellipsoids, in standard deviations.
+        radius_m: distance to keep, positive [m].
+        jobs: threads; the result does not depend on it.
+
+    Raises:
+        InputError: the radius is not positive, or the trajectory has no finite bounds.
+        UsageError: the level is invalid for these ellipsoids.
+    """
+    part = scene_part(scene, sigma, radius_m)
+    return certify_curve(
+        plan["time"], plan["coefficient"], part.obstacles, radius_m, jobs=jobs, extent_m=part.extent_m
+    )
 
 
 def certify_in(

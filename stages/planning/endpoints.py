@@ -57,9 +57,8 @@ def free_points_of_flight(
         )
         if nearest is None:
             raise InfeasibleError(f"{where} {place}; no free point was found near it")
-        raise InfeasibleError(
-            f"{where} {place}; the nearest free point is ({' '.join(f'{x:g}' for x in nearest)}), and --snap takes it"
-        )
+        free = " ".join(f"{x:g}" for x in nearest)
+        raise InfeasibleError(f"{where} {place}; the nearest free point is ({free}), and --snap takes it")
     return points, moved
 
 
@@ -101,10 +100,10 @@ def free_points(
 ) -> FloatArray:
     """Free points of the largest connected part of a map, far from one another.
 
-    Candidates are the points of a lattice in the box around the obstacles, or in `bounds`, with the distance to
-    keep and a millimetre from all obstacles; two neighbours are connected where the segment between them keeps
-    the distance, exactly. The first point is drawn from the largest connected set, and each further one is the
-    candidate of that set that is farthest from all before.
+    Candidates are the points of a lattice in the box around the obstacles, or in `bounds`, with the distance
+    to keep and a millimetre from all obstacles; two neighbours are connected where the segment between them
+    keeps the distance, exactly. The first point is drawn from the largest connected set, and each further one
+    is the candidate of that set that is farthest from all before.
 
     Args:
         config: of the plan; start and goal are not needed.
@@ -127,8 +126,8 @@ def free_points(
     point = _largest_part(space, *box)
     if len(point) < count:
         raise InfeasibleError(
-            f"the largest connected part of the map has {len(point)} candidates that keep {space.keep_m:g} m, not "
-            f"{count}; ask for fewer points or set --bounds to a smaller box"
+            f"the largest connected part of the map has {len(point)} candidates that keep {space.keep_m:g} m, "
+            f"not {count}; ask for fewer points or set --bounds to a smaller box"
         )
     chosen = [int(np.random.default_rng(seed).integers(len(point)))]
     apart = np.linalg.norm(point - point[chosen[0]], axis=1)

@@ -1,4 +1,4 @@
-"""Polyline for a ball from point to point in a map: lattice search, widest passage, shortcuts, rounded corners."""
+"""Polyline for a ball in a map: lattice search, widest passage, shortcuts, rounded corners."""
 
 from __future__ import annotations
 
@@ -111,8 +111,8 @@ def find_polyline(
         progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:
-        InfeasibleError: a point is too close to an obstacle, with the nearest that is not; or there is no path,
-            with the widest passage that there is.
+        InfeasibleError: a point is too close to an obstacle, with the nearest that is not; or there is no
+            path, with the widest passage that there is.
         UsageError: the lattice would be too large.
     """
     lower, upper = room_around(config, space, config.points)
@@ -131,9 +131,7 @@ def find_polyline(
     return Polyline(point, lower, upper, box.spacings[-1], count, visited, tuple(points), tuple(moved))
 
 
-def _spacings(
-    config: PlanConfig, keep_m: float, lower: FloatArray, upper: FloatArray
-) -> tuple[float, ...]:
+def _spacings(config: PlanConfig, keep_m: float, lower: FloatArray, upper: FloatArray) -> tuple[float, ...]:
     """Spacings of the lattices that are searched in their order [m]."""
     if config.resolution_m is None:
         least = float(np.prod(upper - lower) / _MOST_POINTS) ** (1 / 3)
@@ -201,16 +199,16 @@ def _passage(
     what = f"no path from {names[0]} to {names[1]} keeps {box.keep_m:g} m"
     where = " ".join(f"{x:.3f}" for x in narrowest)
     if upper >= box.radius_m:
-        passes = f"a radius of {at_least(lower)} m passes" if lower > 0 else "no passage"
+        passes = f"a radius of {at_least(lower)} m passes" if lower > 0 else "none was found"
         raise InfeasibleError(
-            f"{what} at the finest resolution: {passes}, and whether {box.keep_m:g} m pass is not decided after "
-            f"{cells} cells; set --bounds to a smaller box"
+            f"{what} at the finest resolution: {passes}, and whether {box.keep_m:g} m passes is not decided "
+            f"after {cells} cells; set --bounds to a smaller box"
         )
     if lower <= 0:
         raise InfeasibleError(f"{what}: no radius above {at_most(upper)} m passes")
     raise InfeasibleError(
-        f"{what}: a radius of {at_least(lower)} m would pass, and none above {at_most(upper)} m; the narrowest "
-        f"place is at ({where})"
+        f"{what}: a radius of {at_least(lower)} m would pass, and none above {at_most(upper)} m; the "
+        f"narrowest place is at ({where})"
     )
 
 

@@ -79,7 +79,8 @@ def plan(
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
-        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the image is damaged.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
+            is damaged.
         InputError: a map is not metric, or the maps do not fit each other.
         InfeasibleError: a point is too close to an obstacle, or there is no path.
         UsageError: the lattice would be too large, or the level of the ellipsoids is invalid.
@@ -111,7 +112,9 @@ def plan(
         via_m=via,
         maps=[part.facts for part in space.parts],
         certificate={
-            "method": "; ".join(dict.fromkeys(METHOD if p.role == "cover" else MAP_METHOD for p in space.parts)),
+            "method": "; ".join(
+                dict.fromkeys(METHOD if p.role == "cover" else MAP_METHOD for p in space.parts)
+            ),
             "pieces": len(coefficient),
             "checked_pairs": proof.pairs,
             "depth": proof.depth,
@@ -132,8 +135,8 @@ def plan(
             **({"notes": notes} if (notes := _notes(path)) else {}),
         },
         guarantee=Guarantee(
-            f"Every point of the trajectory is at least {_distances(space)}, and speed and acceleration stay within "
-            "their limits at every instant.",
+            f"Every point of the trajectory is at least {_distances(space)}, and speed and acceleration stay "
+            "within their limits at every instant.",
             {
                 "radius_m": space.keep_m,
                 "speed_m_s": config.speed_m_s,
@@ -152,8 +155,8 @@ def _distances(space: PlanSpace) -> str:
 
 def _notes(path: Polyline) -> list[str]:
     return [
-        f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), {at_most(math.dist(given, taken))} m "
-        "from it (--snap)"
+        f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), "
+        f"{at_most(math.dist(given, taken))} m from it (--snap)"
         for name, given, taken in path.moved
     ]
 

@@ -1,4 +1,4 @@
-"""Obstacles that a plan keeps away from: hulls of a cover, ellipsoids of a scene, an onboard map, or several."""
+"""Obstacles of a plan: hulls of a cover, ellipsoids of a scene, an onboard map, or several."""
 
 from __future__ import annotations
 
@@ -86,7 +86,8 @@ class PlanSpace:
         """
         keep = min(part.keep_m for part in parts)
         grown = [
-            part.map if part.keep_m == keep else _core.GrownMap(part.map, part.keep_m - keep) for part in parts
+            part.map if part.keep_m == keep else _core.GrownMap(part.map, part.keep_m - keep)
+            for part in parts
         ]
         joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
         return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined)
@@ -151,7 +152,8 @@ def plan_space(
         jobs: threads.
 
     Raises:
-        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the image is damaged.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
+            is damaged.
         InputError: a map is not metric, or cover and scene are in different frames.
         UsageError: the level is invalid for these ellipsoids.
     """
@@ -173,7 +175,7 @@ def plan_space(
         parts.append(_image_part(image, config.keep_m, config.inflation_m or 0.0))
     if scene is not None:
         sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
-        parts.append(_scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
+        parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
     return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME))
 
 
@@ -193,7 +195,18 @@ def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> P
     )
 
 
-def _scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float) -> Part:
+def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float = 0.0) -> Part:
+    """The ellipsoids of a scene.
+
+    Args:
+        scene: an `alula/scene`.
+        sigma: level of the ellipsoids, in standard deviations.
+        keep_m: distance to keep, without the inflation [m].
+        inflation_m: distance to keep beyond that [m].
+
+    Raises:
+        UsageError: the level or the distance is invalid for these ellipsoids.
+    """
     among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
     mean = np.asarray(scene["mean"], np.float64)
     reach = sigma * np.asarray(scene["scale"], np.float64).max(axis=1, initial=0.0)[:, None]

@@ -136,7 +136,9 @@ def test_free_points_are_printed_without_an_output(cover, tmp_path, capsys):
     for point in report["points_m"]:
         assert np.linalg.norm(np.maximum(np.maximum(-np.array(point), np.array(point) - 1), 0)) >= 0.2
     assert [path.name for path in tmp_path.iterdir()] == ["cube.cover.npz"]
-    assert plan(cover, tmp_path / "p.plan.npz", "--start", lines[0], "--goal", lines[1], "--radius", "0.2") == 0
+    assert (
+        plan(cover, tmp_path / "p.plan.npz", "--start", lines[0], "--goal", lines[1], "--radius", "0.2") == 0
+    )
 
 
 @pytest.mark.parametrize(

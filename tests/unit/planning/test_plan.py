@@ -197,7 +197,10 @@ def test_a_lattice_too_fine_is_refused_and_one_too_coarse_is_refined():
     with pytest.raises(UsageError, match="use a larger --resolution"):
         plan(PlanConfig(start=(1, 1, 1), goal=(2, 2, 2), resolution_m=0.001), cover)
     values = {"start": (0.3, 1, 1), "goal": (2.5, 1, 1), "radius_m": 0.3, "bounds": (0, 0, 0, 3, 3, 3)}
-    for resolution in (0.9, None):  # where the lattice is too coarse, the search for the widest passage is not
+    for resolution in (
+        0.9,
+        None,
+    ):  # where the lattice is too coarse, the search for the widest passage is not
         made = plan(PlanConfig(**values, resolution_m=resolution), boxes_cover(WALL_WITH_HOLE))
         assert made.manifest.summary["min_clearance_m"] >= 0.3
 
@@ -255,7 +258,9 @@ def test_the_search_finds_the_shortest_lattice_path():
     end = len(index) - 1
     expected = dijkstra(graph, directed=False, indices=0)[end]
     start, goal = (0.0, 0.0, 0.0), tuple(spacing * index[end])
-    status, path, expanded = find_path(HullMap(obstacles), (0, 0, 0), spacing, count, start, goal, radius, 0.0)
+    status, path, expanded = find_path(
+        HullMap(obstacles), (0, 0, 0), spacing, count, start, goal, radius, 0.0
+    )
     assert status == SearchStatus.found
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() <= expected + 1e-9
     assert clearance_to_hulls(path, Hulls.from_cover(boxes_cover(boxes))).min() >= radius

@@ -20,6 +20,7 @@ constexpr std::size_t kRoots = 32768;
 constexpr std::uint32_t kDeepest = 20;  // levels of cells
 constexpr int kBisections = 24;
 constexpr double kAvoid = 20;         // of doubtful cells, in lengths
+constexpr double kClosed = 0.1;       // of `enough`: points that only less may join count as not connected
 constexpr int kPatience = 12;         // ways that turned out to be none before cells become finer
 constexpr double kUndecided = 0.125;  // of the tolerance
 
@@ -157,6 +158,7 @@ class Flood {
       if (level < 0) break;
       const std::vector<std::uint32_t> way = trace();
       take(way);
+      if (result_.lower <= 0 && result_.upper <= kClosed * options_.enough) break;
       goes_on = result_.lower < result_.upper - (is_decided() ? options_.tolerance : 0) &&
                 cells_.size() < options_.most_cells;
       if (goes_on) goes_on = refine(way);

@@ -34,6 +34,8 @@ struct Passage {
 // within the tolerance, or the lower one reaches `enough`; while that is not decided, down to an eighth of the
 // tolerance. Both are true whenever the search ends.
 //
+// It also ends where no passage was found and none is wider than a tenth of `enough`.
+//
 // Cells are taken in the order of a priority queue with ties broken by number: the result is unique.
 Passage widest_passage(const ObstacleMap& map, geometry::Vec3 lower, geometry::Vec3 upper, geometry::Vec3 start,
                        geometry::Vec3 goal, const PassageOptions& options, Control& control);
