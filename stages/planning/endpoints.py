@@ -126,8 +126,8 @@ def free_points(
     point = _largest_part(space, *box)
     if len(point) < count:
         raise InfeasibleError(
-            f"the largest connected part of the map has {len(point)} candidates that keep {space.keep_m:g} m, "
-            f"not {count}; ask for fewer points or set --bounds to a smaller box"
+            f"the largest connected part of the map has {len(point)} candidates that keep "
+            f"{space.keep_m:g} m, not {count}; ask for fewer points or set --bounds to a smaller box"
         )
     chosen = [int(np.random.default_rng(seed).integers(len(point)))]
     apart = np.linalg.norm(point - point[chosen[0]], axis=1)
