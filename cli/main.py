@@ -25,7 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
     "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
     "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
-    "plan": ("plan", "Find a smooth collision-free trajectory through a cover."),
+    "plan": ("plan", "Find a smooth collision-free trajectory through a map."),
     "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
     "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),

@@ -171,16 +171,18 @@ def reporting(function: F) -> F:
     return function
 
 
-def output(suffix: str) -> Callable[[F], F]:
+def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
     """Decorator that adds the common options; the function gets them as one argument `common`.
 
     Args:
         suffix: usual suffix of the output, for the help.
+        required: refuse a command without an output; else its path is then that of the current folder.
     """
 
     def decorate(function: F) -> F:
         def collect(*args: Any, **kwargs: Any) -> Any:
             fields = {f.name: kwargs.pop(f.name) for f in dataclasses.fields(Common)}
+            fields["output"] = fields["output"] or Path()
             return function(*args, common=Common(**fields), **kwargs)
 
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
@@ -204,7 +206,7 @@ def output(suffix: str) -> Callable[[F], F]:
             ),
             click.option("-n", "--dry-run", is_flag=True, help="Read and check everything, write nothing."),
             click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance."),
-            click.option("-o", "--output", type=PATH, required=True, help=f"File to write ({suffix})."),
+            click.option("-o", "--output", type=PATH, required=required, help=f"File to write ({suffix})."),
         ):
             decorated = option(decorated)
         return typing.cast(F, decorated)

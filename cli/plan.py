@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,45 +11,132 @@ from alula.cli import options, runner
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
 
+if TYPE_CHECKING:
+    from alula.schemas.artifact import Artifact
+
 
 @click.command(
     "plan",
     epilog="""Examples:
 
 \b
+  alula plan room.cover.npz --free-points 6
   alula plan room.cover.npz -o room.plan.npz --start "-1 0 1" --goal "3 2 1.2"
   alula plan room.cover.npz -o fast.plan.npz --start "0 0 1" --goal "6 4 1" --via "3 2 1.5" --speed 3
-  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml""",
+  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml
+  alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap""",
 )
-@click.argument("cover", type=options.input_path())
+@click.argument("map_path", metavar="MAP", type=options.input_path())
+@click.option(
+    "--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover or onboard map."
+)
 @click.option(
     "--vehicle",
     "vehicle_path",
     type=options.input_path(),
     help="Vehicle (.toml) that will fly the plan; default: the quadrotor of FastBridge.",
 )
+@click.option(
+    "--free-points",
+    "count",
+    type=options.Whole(1, 1000),
+    metavar="N",
+    help="Only print N free points, far from one another, to choose start and goal from.",
+)
 @options.from_config(PlanConfig)
-@options.output(".plan.npz")
-def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_path: Path | None) -> None:
-    """Find a smooth collision-free trajectory through a cover.
+@options.output(".plan.npz", required=False)
+@click.pass_context
+def command(
+    context: click.Context,
+    common: options.Common,
+    config: PlanConfig,
+    map_path: Path,
+    scene_path: Path | None,
+    vehicle_path: Path | None,
+    count: int | None,
+) -> None:
+    """Find a smooth collision-free trajectory through a map.
 
     It takes minimum time, and stays within the limits of speed, acceleration, thrust, tilt and body rates at
     every instant. What is not given follows from the vehicle, of whose limits 0.8 are used: the rest is left
     to its controller.
+
+    MAP is a cover, a scene or an onboard map (.bin); with --scene the plan keeps away from both. Without a
+    path exit code 5 says which radius would pass, and where the narrowest place is.
     """
-    from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import UsageError
-    from alula.schemas.kinds import COVER, PLAN
+    from alula.schemas.kinds import PLAN
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
     from alula.stages.planning.plan import plan, resolve_plan
 
     if config.radius_m is not None and vehicle_path is not None:
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
+    if config.confidence is not None and options.is_given(context, "sigma"):
+        raise UsageError("give --sigma or --confidence, not both")
+    paths = _maps(map_path, scene_path)
     vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
     config = resolve_plan(config, vehicle)
-    paths = {"cover": cover} | ({} if vehicle_path is None else {"vehicle": vehicle_path})
+    if count is not None:
+        _print_free_points(common, config, paths, count)
+        return
+    if not options.is_given(context, "output"):
+        raise UsageError("missing option -o, the file to write; only --free-points writes none")
+    if config.start is None or config.goal is None:
+        raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
 
     def build(progress: Progress) -> Artifact:
-        return plan(config, read_artifact(cover, COVER), vehicle=vehicle, jobs=common.jobs, progress=progress)
+        return plan(config, **_read(paths), vehicle=vehicle, jobs=common.jobs, progress=progress)
 
-    runner.run_stage(common, PLAN, config, paths, build)
+    inputs = paths | ({} if vehicle_path is None else {"vehicle": vehicle_path})
+    runner.run_stage(common, PLAN, config, inputs, build)
+
+
+def _maps(map_path: Path, scene_path: Path | None) -> dict[str, Path]:
+    """Paths of the maps by role: cover, scene or image."""
+    from alula.cli.sources import map_role
+    from alula.schemas.errors import UsageError
+    from alula.stages.compression.onboard.image import is_map
+
+    role = "image" if map_path.is_file() and is_map(_first_bytes(map_path)) else map_role(map_path)
+    if role == "scene" and scene_path is not None:
+        raise UsageError(f"{map_path} is a scene; --scene is for covers and onboard maps")
+    return {role: map_path} | ({} if scene_path is None else {"scene": scene_path})
+
+
+def _first_bytes(path: Path) -> bytes:
+    from alula.schemas.errors import InputError
+
+    try:
+        with path.open("rb") as file:
+            return file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+
+
+def _read(paths: dict[str, Path]) -> dict[str, Any]:
+    """The maps by role."""
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.kinds import COVER, SCENE
+
+    kinds = {"cover": COVER, "scene": SCENE}
+    return {
+        role: path.read_bytes() if role == "image" else read_artifact(path, kinds[role])
+        for role, path in paths.items()
+    }
+
+
+def _print_free_points(
+    common: options.Common, config: PlanConfig, paths: dict[str, Path], count: int
+) -> None:
+    """Print free points on stdout, a line each, or as JSON."""
+    from alula.cli.present import echo, print_json
+    from alula.stages.planning.endpoints import free_points
+    from alula.stages.planning.space import plan_space
+
+    space = plan_space(config, **_read(paths), jobs=common.jobs)
+    points = free_points(config, space, count, seed=common.seed).tolist()
+    if common.json:
+        print_json({"points_m": points, "radius_m": space.keep_m, "frame": space.frame})
+        return
+    for point in points:
+        echo(" ".join(f"{x:g}" for x in point))

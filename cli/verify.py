@@ -19,13 +19,16 @@ Examples:
   alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
   alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
   alula verify room.plan.npz --map room.cover.npz --scene room.metric.scene.npz
+  alula verify among.plan.npz --map room.scene.npz
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("proven", metavar="COVER", type=options.input_path())
 @click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
-@click.option("--map", "map_path", type=options.input_path(), help="The cover that a plan keeps away from.")
+@click.option(
+    "--map", "map_path", type=options.input_path(), help="The cover or scene that a plan keeps away from."
+)
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
 @click.option(
@@ -59,8 +62,9 @@ def command(
     answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
     were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
     the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
-    from its own bytes, against voxels or a cover. A plan is proven against the cover of --map: clearance,
-    corridor, limits of the motion, continuity; with --scene, the corridor against its ellipsoids, too.
+    from its own bytes, against voxels or a cover. A plan is proven against the map of --map, a cover or the
+    scene that it was made in: clearance, corridor, limits of the motion, continuity; with --scene beside a
+    cover, against its ellipsoids, too.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -70,6 +74,7 @@ def command(
     import msgspec
 
     from alula.cli import runner
+    from alula.cli.sources import map_role
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
@@ -89,7 +94,11 @@ def command(
     is_plan = map_path is not None or _is_plan(proven)
     is_map = not is_plan and (cover is not None or _is_map(proven))
     if is_plan and (map_path is None or cover is not None or voxels is not None):
-        raise UsageError("a plan is proven against the cover of --map, and --scene; leave out other files")
+        raise UsageError("a plan is proven against the map of --map, and --scene; leave out other files")
+    if map_path is not None and map_role(map_path) == "scene":
+        if scene is not None:
+            raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
+        map_path, scene = None, map_path
     inputs = {"plan" if is_plan else "map" if is_map else "cover": proven}
     inputs |= {"cover": map_path} if map_path is not None else {}
     inputs |= {"cover": cover} if cover is not None else {}
@@ -107,10 +116,10 @@ def command(
             "voxels": None if voxels is None else read_artifact(voxels, VOXELS),
             "scene": None if scene is None else read_artifact(scene, SCENE),
         }
-        if map_path is not None:
+        if is_plan:
             certificate = verify_plan(
                 read_artifact(proven, PLAN),
-                cover=read_artifact(map_path, COVER),
+                cover=None if map_path is None else read_artifact(map_path, COVER),
                 scene=others["scene"],
                 sha256=sha256,
                 jobs=jobs,

@@ -168,10 +168,11 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
 class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
 
-    The plan keeps `radius_m` from the hulls; `margin_m` of it is beyond the radius of the vehicle that it was
-    made for. `via_m` are the points to pass between start and goal, in their order. Since 1.1 `limits` are
-    the bounds of the motion that hold at every instant, by the names of `Limits`, `method` is how the curve
-    was found, and `vehicle` the name of the vehicle.
+    The plan keeps `radius_m` from all obstacles; `margin_m` of it is beyond the radius of the vehicle that it
+    was made for. `via_m` are the points to pass between start and goal, in their order. Since 1.1 `maps` says
+    of each map what its obstacles are and which distance (`keep_m`, at least `radius_m`) the plan keeps from
+    them, `limits` are the bounds of the motion that hold at every instant, by the names of `Limits`, `method`
+    is how the curve was found, and `vehicle` the name of the vehicle.
     """
 
     unit: Literal["m"]
@@ -183,6 +184,7 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     limits: dict[str, float] = {}
     method: str = ""
     vehicle: str = ""
+    maps: list[dict[str, Any]] = []
 
 
 def _check_crop(crop: list[float] | None) -> None:

@@ -38,8 +38,12 @@ class AlongPlanConfig:
 class PlanConfig:
     """Parameters of `plan`; points in the world frame [m]."""
 
-    start: Point = field(metadata={"help": "First point of the flight [m].", "metavar": "POINT"})
-    goal: Point = field(metadata={"help": "Last point of the flight [m].", "metavar": "POINT"})
+    start: Point | None = field(
+        default=None, metadata={"help": "First point of the flight [m].", "metavar": "POINT"}
+    )
+    goal: Point | None = field(
+        default=None, metadata={"help": "Last point of the flight [m].", "metavar": "POINT"}
+    )
     via: tuple[Point, ...] = field(
         default=(),
         metadata={"help": "Intermediate point to fly through [m]; may be repeated.", "metavar": "POINT"},
@@ -47,7 +51,8 @@ class PlanConfig:
     radius_m: float | None = field(
         default=None,
         metadata={
-            "help": "Minimum distance to every hull [m]; default: the radius of the --vehicle and --margin.",
+            "help": "Minimum distance to every obstacle [m]; default: the radius of the --vehicle, "
+            "--margin, and --inflate where obstacles have not grown by it.",
             "option": "--radius",
         },
     )
@@ -111,6 +116,27 @@ class PlanConfig:
         },
     )
     yaw_rad: float = field(default=0.0, metadata={"help": "Constant heading [rad].", "option": "--yaw"})
+    # What the obstacles are, and points that are not free.
+    sigma: float = field(
+        default=1.0,
+        metadata={"help": "Level of a scene's ellipsoids as obstacles, in standard deviations."},
+    )
+    confidence: float | None = field(
+        default=None,
+        metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution."},
+    )
+    inflation_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "Distance that filters will add to radius and margin [m]; default: as suggested by the "
+            "scene's alignment, and for hulls what of that they have not grown by.",
+            "option": "--inflate",
+        },
+    )
+    snap: bool = field(
+        default=False,
+        metadata={"help": "Move points of the flight that are not free to the nearest free one."},
+    )
 
     def __post_init__(self) -> None:
         """Refuse values out of range and points that cannot be flown through."""
@@ -125,11 +151,15 @@ class PlanConfig:
             ("--body-rate", self.body_rate_rad_s, 1e-3, 1e3),
             ("--smooth", self.smooth, 1.0, 100.0),
             ("--resolution", self.resolution_m, 1e-4, 1e3),
+            ("--sigma", self.sigma, 0.01, 100.0),
+            ("--inflate", self.inflation_m, 0.0, 100.0),
         ):
             if value is not None and not (low <= value <= high):
                 raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
         if not (-7 <= self.yaw_rad <= 7):
             raise UsageError(f"--yaw is in radians, not {self.yaw_rad:g}")
+        if self.confidence is not None and not (0 < self.confidence < 1):
+            raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points
         for before, after in pairwise(points):
             if before == after:
@@ -144,11 +174,11 @@ class PlanConfig:
 
     @property
     def keep_m(self) -> float:
-        """Distance to keep from every hull, of a configuration that has it; see `resolve_plan` [m]."""
+        """Distance to keep, without inflation, of a configuration that has it; see `resolve_plan` [m]."""
         assert self.radius_m is not None
         return self.radius_m
 
     @property
     def points(self) -> list[Point]:
-        """Start, intermediate points, goal."""
-        return [self.start, *self.via, self.goal]
+        """Start, intermediate points, goal; those that are given."""
+        return [point for point in (self.start, *self.via, self.goal) if point is not None]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
+from alula.stages.compression.onboard.image import MapImage
 
 _OUTWARD_ULPS = 8.0  # more than the roundings of offset * g / |normal| and of the unit normal together
 
@@ -48,19 +49,41 @@ class Hulls:
         Raises:
             ArtifactError: the planes of an outer polytope bound no solid.
         """
-        g = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-        integer = np.asarray(cover["plane_normal"], np.float64)
+        names = ("plane_normal", "plane_offset", "plane_start")
+        planes = tuple(np.asarray(cover[name], np.int64) for name in names)
+        return cls.from_lattice(float(cover.manifest.voxel_size_m), *planes, *_corners(cover))  # type: ignore[attr-defined]
+
+    @classmethod
+    def from_lattice(
+        cls,
+        voxel_size_m: float,
+        plane_normal: NDArray[np.int64],
+        plane_offset: NDArray[np.int64],
+        plane_start: NDArray[np.int64],
+        corner: NDArray[np.float64],
+        corner_start: NDArray[np.int64],
+    ) -> Self:
+        """Convert polytopes with integer planes to metres.
+
+        Args:
+            voxel_size_m: unit of the lattice [m].
+            plane_normal: outward normals, shape (F, 3).
+            plane_offset: normal . x <= offset in units of the lattice, shape (F,).
+            plane_start: first plane of each polytope and the end, shape (n + 1,).
+            corner: corners in units of the lattice, shape (V, 3).
+            corner_start: first corner of each polytope and the end, shape (n + 1,).
+        """
+        integer = plane_normal.astype(np.float64)
         length = np.sqrt((integer * integer).sum(axis=1))
-        offset = np.asarray(cover["plane_offset"], np.float64) * (g / length)
-        lattice, vertex_start = _corners(cover)
-        vertices = lattice * g
-        extent = float(np.abs(vertices).max(initial=0.0)) + g
+        vertices = corner * voxel_size_m
+        extent = float(np.abs(vertices).max(initial=0.0)) + voxel_size_m
+        offset = plane_offset.astype(np.float64) * (voxel_size_m / length)
         return cls(
             normal_world=integer / length[:, None],
             offset_m=offset + _OUTWARD_ULPS * np.finfo(np.float64).eps * extent,
-            plane_start=np.asarray(cover["plane_start"], np.int64),
+            plane_start=plane_start,
             vertices_world=vertices,
-            vertex_start=vertex_start,
+            vertex_start=corner_start,
         )
 
     def __len__(self) -> int:
@@ -75,6 +98,35 @@ class Hulls:
             np.minimum.reduceat(self.vertices_world, starts, axis=0),
             np.maximum.reduceat(self.vertices_world, starts, axis=0),
         )
+
+
+def image_hulls(image: MapImage) -> Hulls:
+    """Polytopes of an onboard map in metres, each with its six box planes first.
+
+    Args:
+        image: the decoded map.
+
+    Raises:
+        ArtifactError: the planes of a hull bound no solid.
+    """
+    count, faces = len(image), np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+    box = np.concatenate([image.upper, -image.lower.astype(np.int64)], axis=1).astype(np.int64)
+    order = np.concatenate([np.repeat(np.arange(count), 6), _hull_of(image.plane_start)])
+    by_hull = np.argsort(order, kind="stable")
+    normal = np.concatenate([np.tile(faces, (count, 1)), image.normal.astype(np.int64)])[by_hull]
+    offset = np.concatenate([box.reshape(-1), image.offset])[by_hull]
+    start = image.plane_start + 6 * np.arange(count + 1)
+    planes = tuple(np.ascontiguousarray(each, np.int64) for each in (normal, offset, start))
+    try:
+        found = _core.outer_solids(*planes, 0)
+    except ValueError as error:
+        raise ArtifactError(f"the onboard map is not sound: {error}") from error
+    return Hulls.from_lattice(image.voxel_size_m, *planes, found["point"], found["point_start"])
+
+
+def _hull_of(start: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Hull of each row, from the first row of each hull and the end."""
+    return np.repeat(np.arange(len(start) - 1), np.diff(start))
 
 
 def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
+from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.bridge import native_filter
@@ -34,7 +33,7 @@ from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
-from alula.stages.planning.curve_certificate import certify
+from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
@@ -48,7 +47,6 @@ _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
 _MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
-_SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
 _FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
 _CARRYING_S = 600.0  # maximum time of checks with moves by hand
@@ -194,8 +192,7 @@ def make_mission(
 ) -> Mission:
     """Build a mission from its artifacts, and prove again that the plan is clear of the map.
 
-    Against hulls the proof holds in continuous time (`certify`). Against ellipsoids it uses the exact
-    distance of chords of 1 ms.
+    The proof holds in continuous time, against hulls (`certify`) and against ellipsoids (`certify_among`).
 
     Args:
         config: as given by the user.
@@ -229,21 +226,12 @@ def make_mission(
         require_solid_hulls(cover, jobs=jobs)
         hulls = Hulls.from_cover(cover)
         obstacles.append(("a hull", hull_obstacles(hulls)))
-        found = certify(plan, hulls, radius, jobs=jobs)
-        unproven = np.flatnonzero(~found.proven)
-        words = (
-            "proven clear of all hulls"
-            if found.holds
-            else f"piece {unproven[:1]} is not proven clear of hulls"
-        )
-        proofs.append((found.holds, f"{words} by {exact(radius)} m"))
+        proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), "hulls", radius))
     if scene is not None:
         ellipsoids = scene_obstacles(scene, config.sigma)
         obstacles.append(("an ellipsoid", ellipsoids))
-        points = sample_plan(plan, _SAMPLE_S).position_world
-        distance = float(path_clearance(points, ellipsoids, jobs=jobs).min(initial=math.inf))
         proofs.append(
-            (distance >= radius, f"{at_least(distance)} m from the ellipsoids, {exact(radius)} m required")
+            _proof(certify_among(plan, scene, config.sigma, radius, jobs=jobs), "ellipsoids", radius)
         )
     curve = curve_of(plan)
     inflation = _inflation(config, scene) if is_splat else 0.0
@@ -286,6 +274,15 @@ def make_mission(
         along=along,
         notes=notes,
     )
+
+
+def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, str]:
+    """Whether a plan is proven clear of obstacles, and that in words."""
+    unproven = np.flatnonzero(~found.proven)
+    words = f"proven clear of all {obstacles}"
+    if not found.holds:
+        words = f"piece {unproven[:1]} is not proven clear of {obstacles}"
+    return found.holds, f"{words} by {exact(radius_m)} m"
 
 
 def _inflation(config: FlyConfig, scene: Artifact | None) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,13 @@ _ROOM = (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a joint within its 
 METHOD = "half-spaces at the radius, separated by duality"
 
 Obstacles = _core.PolytopeSet | _core.EllipsoidSet
+
+
+class Kept(NamedTuple):
+    """Obstacles, and the distance beyond the radius that is kept from them [m]."""
+
+    obstacles: Obstacles
+    beyond_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +72,7 @@ def native_sets(obstacles: Sequence[Obstacles]) -> tuple[list[_core.PolytopeSet]
 def find_corridor(
     point: ArrayLike,
     is_via: ArrayLike,
-    obstacles: Sequence[Obstacles],
+    kept_from: Sequence[Kept],
     radius_m: float,
     bounds: tuple[FloatArray, FloatArray],
     *,
@@ -80,30 +88,39 @@ def find_corridor(
     Args:
         point: the path, shape (W, 3) [m].
         is_via: points that must stay, shape (W,); both ends do.
-        obstacles: hulls and ellipsoids.
-        radius_m: distance to keep [m].
+        kept_from: hulls and ellipsoids.
+        radius_m: distance to keep, from those without a larger one [m].
         bounds: corners of the box that contains the path and will contain the cells [m].
         jobs: threads; the result does not depend on it.
     """
     path, kept = np.asarray(point, np.float64), np.array(is_via, np.bool_)
     kept[[0, -1]] = True
     comfort = _COMFORT * radius_m
-    chosen = _merged(path, kept, obstacles, comfort, jobs)
+    chosen = _merged(path, kept, kept_from, comfort, jobs)
     corner, via = path[chosen], kept[chosen][1:-1]
     begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
     lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
-    hulls, ellipsoids = native_sets(obstacles)
-    own = _clearance(begin, end, obstacles, (2 * _COMFORT - 1) * radius_m, jobs)
+    own = _clearance(begin, end, kept_from, (2 * _COMFORT - 1) * radius_m, jobs)
     kept_m = radius_m + np.maximum(0.5 * (own - radius_m) - _MARGIN_M, 0)
     normals, offsets, lengths, free = [], [], [], []
     for i, distance in enumerate(kept_m.tolist()):
-        n, d, _, is_free = _core.corridor_cells(
-            hulls, ellipsoids, begin[i : i + 1], end[i : i + 1], distance, _REACH_M, lower, upper, 1
-        )
-        normals.append(n)
-        offsets.append(d)
-        lengths.append(len(d))
-        free.append(bool(is_free[0]))
+        cell = [
+            _core.corridor_cells(
+                *native_sets([each.obstacles for each in kept_from if each.beyond_m == beyond]),
+                begin[i : i + 1],
+                end[i : i + 1],
+                distance + beyond,
+                _REACH_M,
+                lower,
+                upper,
+                1,
+            )
+            for beyond in sorted({each.beyond_m for each in kept_from})
+        ]
+        normals += [each[0] for each in cell]
+        offsets += [each[1] for each in cell]
+        lengths.append(sum(len(each[1]) for each in cell))
+        free.append(all(bool(each[3][0]) for each in cell))
     normal, offset = np.concatenate(normals), np.concatenate(offsets)
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     rows = [slice(a, b) for a, b in pairwise(start.tolist())]
@@ -121,10 +138,10 @@ def find_corridor(
 
 
 def _merged(
-    path: FloatArray, kept: NDArray[np.bool_], obstacles: Sequence[Obstacles], comfort_m: float, jobs: int
+    path: FloatArray, kept: NDArray[np.bool_], kept_from: Sequence[Kept], comfort_m: float, jobs: int
 ) -> list[int]:
     """Indices of the points between which straight lines keep enough, each as far on as possible."""
-    own = _clearance(path[:-1], path[1:], obstacles, comfort_m, jobs)
+    own = _clearance(path[:-1], path[1:], kept_from, comfort_m, jobs)
     chosen = [0]
     while chosen[-1] < len(path) - 1:
         at = chosen[-1]
@@ -132,18 +149,20 @@ def _merged(
         ends = path[at + 1 : last + 1]
         begin = np.repeat(path[at : at + 1], len(ends), axis=0)
         least = np.minimum.accumulate(own[at:last])  # of the segments that a line stands for
-        clear = _clearance(begin, ends, obstacles, comfort_m, jobs) >= least - 1e-12
+        clear = _clearance(begin, ends, kept_from, comfort_m, jobs) >= least - 1e-12
         chosen.append(at + 1 + int(np.flatnonzero(clear)[-1]))
     return chosen
 
 
 def _clearance(
-    begin: FloatArray, end: FloatArray, obstacles: Sequence[Obstacles], cap_m: float, jobs: int
+    begin: FloatArray, end: FloatArray, kept_from: Sequence[Kept], cap_m: float, jobs: int
 ) -> FloatArray:
-    """Distance of segments to the nearest obstacle, at most the cap; shape (S,) [m]."""
+    """Distance of segments to the nearest obstacle, less what is kept beyond the radius, at most the cap;
+    shape (S,) [m].
+    """
     found = np.full(len(begin), cap_m)
-    for each in obstacles:
-        found = np.minimum(found, segment_clearance(begin, end, each, jobs, cap_m))
+    for obstacles, beyond in kept_from:
+        found = np.minimum(found, segment_clearance(begin, end, obstacles, jobs, cap_m + beyond) - beyond)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Proof that a trajectory keeps a distance from every hull, over the continuous time."""
+"""Proof that a trajectory keeps a distance from every obstacle, over the continuous time."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from alula._core import PolytopeSet, check_curves
+from alula._core import ObstacleMap, PolytopeSet, check_curves
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
+from alula.stages.planning.space import PlanSpace, scene_part
 from alula.stages.planning.trajectory import DEGREE, control_points
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
+MAP_METHOD = "distances of chords less those of Bernstein control points from them, by subdivision"
 _DEPTH = 14  # of the subdivision of a piece
 _JOINED_M = 1e-6  # consecutive pieces meet up to this
 
@@ -27,9 +29,9 @@ class Certificate:
 
     Attributes:
         proven: per piece, True when all of it keeps the radius, shape (K,).
-        clearance_m: per piece, a proven lower bound on its distance to all hulls, at most twice the radius;
-            of a piece that is not proven, a distance below the radius, shape (K,) [m].
-        pairs: number of decided pairs of a sub-piece and a hull.
+        clearance_m: per piece, a proven lower bound on its distance to all obstacles, at most twice the
+            radius; of a piece that is not proven, a distance below the radius, shape (K,) [m].
+        pairs: number of decided pairs of a sub-piece and a hull, or sub-pieces in a map.
         depth: maximum depth of the subdivision.
     """
 
@@ -66,9 +68,18 @@ def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> 
 
 
 def certify_curve(
-    time: ArrayLike, coefficient: ArrayLike, obstacles: PolytopeSet, radius_m: float, *, jobs: int = 0
+    time: ArrayLike,
+    coefficient: ArrayLike,
+    obstacles: PolytopeSet | ObstacleMap,
+    radius_m: float,
+    *,
+    jobs: int = 0,
+    extent_m: float = 0.0,
 ) -> Certificate:
-    """Do the same as `certify` for the arrays of a trajectory and hulls in a search tree.
+    """Do the same as `certify` for the arrays of a trajectory and obstacles in a search tree.
+
+    In an obstacle map, as of ellipsoids, a sub-piece is clear when the distance of the chord between its ends
+    is at least the radius, the largest distance of a control point from the chord, and the errors.
 
     The bound on rounding errors of piece k, in metres, is 1e-12 + 2^-44 X with
     X = max_d sum_j |c_kdj| T^j + max |vertex|. Converting to control points takes fewer than 32
@@ -80,9 +91,10 @@ def certify_curve(
         time: knots, shape (K + 1,) [s].
         coefficient: shape (K, D, 8) with D >= 3, see `trajectory`; position in the first three rows, world
             frame [m].
-        obstacles: hulls, world frame [m].
+        obstacles: hulls or a map, world frame [m].
         radius_m: distance to keep, positive [m].
         jobs: threads; the result does not depend on it.
+        extent_m: largest coordinate of the obstacles of a map, in place of vertices [m].
 
     Raises:
         InputError: the radius is not positive, or the trajectory has no finite bounds.
@@ -90,8 +102,10 @@ def certify_curve(
     if not (0 < radius_m < math.inf):
         raise InputError(f"the radius must be positive, not {radius_m}")
     knots, c = np.asarray(time, np.float64), np.asarray(coefficient, np.float64)[:, :3]
-    lower, upper = obstacles.bounds()
-    reach = max(map(abs, (*lower, *upper))) if len(obstacles) else 0.0
+    reach = extent_m
+    if isinstance(obstacles, PolytopeSet) and len(obstacles):
+        lower, upper = obstacles.bounds()
+        reach = max(map(abs, (*lower, *upper)))
     powers = np.diff(knots)[:, None] ** np.arange(DEGREE + 1)
     size = (np.abs(c) * powers[:, None, :]).sum(axis=2).max(axis=1) + reach
     points = np.ascontiguousarray(control_points(knots, c).transpose(0, 2, 1))
@@ -106,3 +120,62 @@ def certify_curve(
     clear = proven.astype(np.bool_)
     clear[:-1] &= ~jump
     return Certificate(clear, clearance, pairs, depth)
+
+
+def certify_among(
+    plan: Artifact, scene: Artifact, sigma: float, radius_m: float, *, jobs: int = 0
+) -> Certificate:
+    """Prove that a plan keeps `radius_m` from every ellipsoid of a scene at every instant.
+
+    Args:
+        plan: an `alula/plan`.
+        scene: an `alula/scene` in its frame.
+        sigma: level of the ellipsoids, in standard deviations.
+        radius_m: distance to keep, positive [m].
+        jobs: threads; the result does not depend on it.
+
+    Raises:
+        InputError: the radius is not positive, or the trajectory has no finite bounds.
+        UsageError: the level is invalid for these ellipsoids.
+    """
+    part = scene_part(scene, sigma, radius_m)
+    return certify_curve(
+        plan["time"], plan["coefficient"], part.obstacles, radius_m, jobs=jobs, extent_m=part.extent_m
+    )
+
+
+def certify_in(
+    time: ArrayLike, coefficient: ArrayLike, space: PlanSpace, *, jobs: int = 0, radius_m: float | None = None
+) -> Certificate:
+    """Prove that a trajectory keeps from each part of a space the distance of that part.
+
+    Args:
+        time: as for `certify_curve` [s].
+        coefficient: as for `certify_curve`.
+        space: obstacles.
+        jobs: threads; the result does not depend on it.
+        radius_m: distance to keep from all parts instead [m].
+
+    Returns:
+        The bounds on the clearance are of the distance to the nearest part.
+
+    Raises:
+        InputError: as `certify_curve`.
+    """
+    found = [
+        certify_curve(
+            time,
+            coefficient,
+            part.obstacles,
+            part.keep_m if radius_m is None else radius_m,
+            jobs=jobs,
+            extent_m=part.extent_m,
+        )
+        for part in space.parts
+    ]
+    return Certificate(
+        np.logical_and.reduce([each.proven for each in found]),
+        np.min([each.clearance_m for each in found], axis=0),
+        sum(each.pairs for each in found),
+        max(each.depth for each in found),
+    )

@@ -1,4 +1,4 @@
-"""Polyline for a ball from point to point among hulls: lattice search, shortcuts, rounded corners."""
+"""Polyline for a ball in a map: lattice search, widest passage, shortcuts, rounded corners."""
 
 from __future__ import annotations
 
@@ -8,20 +8,32 @@ from itertools import pairwise
 
 import numpy as np
 
-from alula._core import MAX_LATTICE_POINTS, PolytopeSet, SearchStatus, find_path, tighten_path
+from alula._core import (
+    MAX_LATTICE_POINTS,
+    ObstacleMap,
+    SearchStatus,
+    find_path,
+    tighten_path,
+    widest_passage,
+)
 from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.decimals import at_least, at_most
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.progress import Progress
-from alula.stages.clearance import path_clearance, segment_clearance
+from alula.stages.planning.endpoints import free_points_of_flight
+from alula.stages.planning.space import PlanSpace, room_around
 
-_MARGIN_M = 1e-9  # that paths keep beyond the radius, so that the proof of a line is never marginal
-_DEFAULT_LATTICE = 4_000_000  # points of the lattice when its spacing is not given
+MARGIN_M = 1e-6  # that paths keep beyond the radius, so that the proof of a line is never marginal
 _COMFORT = 1.0  # distance beyond the radius, in radii, below which a path costs more
+_SPACINGS = (2.0, 1.0, 0.5)  # of the lattices that are searched in their order, in radii
+_MOST_POINTS = 16_000_000  # of a lattice whose spacing is not given
 _TIGHTEN_ROUNDS = 3
 _RELAX_ROUNDS = 10
 _WAYPOINT_RADII = 3.0  # between waypoints, in radii
 _WAYPOINT_MIN_M = 0.3
+_TOLERANCE = 0.02  # of the widest passage, in radii
+_MOST_CELLS = 150_000  # of its search
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +45,9 @@ class Polyline:
         lower, upper: corners of the searched box, shape (3,) [m]; it contains the path.
         resolution_m: spacing of the search lattice [m].
         lattice_points: number of its points.
-        visited: number of points that the searches visited, over all legs.
+        visited: number of lattice points and cells that the searches visited, over all legs.
+        flown: points of the flight that the path joins.
+        moved: name, given and taken position of each of them that was moved to the nearest free one.
     """
 
     point: FloatArray
@@ -42,122 +56,165 @@ class Polyline:
     resolution_m: float
     lattice_points: int
     visited: int
+    flown: tuple[Point, ...]
+    moved: tuple[tuple[str, Point, Point], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """What all legs are searched in.
+
+    Attributes:
+        map: obstacles.
+        keep_m: distance to keep [m].
+        lower, upper: corners of the box, shape (3,) [m].
+        spacings: of the lattices [m].
+    """
+
+    map: ObstacleMap
+    keep_m: float
+    lower: FloatArray
+    upper: FloatArray
+    spacings: tuple[float, ...]
+
+    @property
+    def radius_m(self) -> float:
+        """Distance that paths keep [m]."""
+        return self.keep_m + MARGIN_M
+
+    @property
+    def comfort_m(self) -> float:
+        """Distance beyond the radius below which a path costs more [m]."""
+        return _COMFORT * self.keep_m
+
+    def distance(self, start: FloatArray, end: FloatArray, upto_m: float) -> FloatArray:
+        """Distance of segments, shape (S,), at most `upto_m` [m]."""
+        found = self.map.segment_distance(np.ascontiguousarray(start), np.ascontiguousarray(end), upto_m)
+        return np.minimum(found, upto_m)
 
 
 def find_polyline(
-    config: PlanConfig, obstacles: PolytopeSet, *, jobs: int = 0, progress: Progress | None = None
+    config: PlanConfig, space: PlanSpace, *, jobs: int = 0, progress: Progress | None = None
 ) -> Polyline:
-    """Join the points of a flight by straight segments that keep `radius_m` from every hull, exactly.
+    """Join the points of a flight by straight segments that keep the space's distance, exactly.
 
     A leg is the straight line when its clearance is comfortable. Otherwise an A* search runs on a lattice
-    whose edges are proven free. Its path is shortcut, and points every three radii are moved towards the
-    middle of their neighbours as long as both segments stay free, which rounds the corners.
+    whose edges are proven free; where that finds no path, the search for the widest passage, which is finer
+    wherever it matters and ends with a path or with a bound. Paths are shortcut, and points every three radii
+    are moved towards the middle of their neighbours as long as both segments stay free, which rounds the
+    corners.
 
     Args:
         config: see `PlanConfig`.
-        obstacles: hulls in a search tree.
+        space: obstacles.
         jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:
-        InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
+        InfeasibleError: a point is too close to an obstacle, with the nearest that is not; or there is no
+            path, with the widest passage that there is.
         UsageError: the lattice would be too large.
     """
-    _check_points(config, obstacles)
-    lower, upper = _bounds(config, obstacles)
-    origin, spacing, count = _lattice(config, lower, upper)
-    names = ["--start", *(f"--via {i + 1}" for i in range(len(config.via))), "--goal"]
-    legs, visited = [np.array([config.start])], 0
-    for i, ends in enumerate(pairwise(config.points)):
-        leg, expanded = _leg(
-            config, obstacles, origin, spacing, count, ends, (names[i], names[i + 1]), jobs, progress
-        )
-        legs.append(_rounded(config, obstacles, leg, jobs)[1:])
-        visited += expanded
+    lower, upper = room_around(config, space, config.points)
+    points, moved = free_points_of_flight(config, space, lower, upper, space.keep_m + MARGIN_M)
+    box = _Box(space.map, space.keep_m, lower, upper, _spacings(config, space.keep_m, lower, upper))
+    names = ["--start", *(f"--via {i + 1}" for i in range(len(points) - 2)), "--goal"]
+    legs, visited = [np.array(points[:1])], 0
+    for i, ends in enumerate(pairwise(points)):
+        leg, taken = _leg(box, ends, (names[i], names[i + 1]), progress)
+        legs.append(_rounded(box, leg)[1:])
+        visited += taken
     point = np.concatenate(legs)
-    if not (path_clearance(point, obstacles, jobs=jobs, cap_m=config.keep_m) >= config.keep_m).all():
+    if not (box.distance(point[:-1], point[1:], box.keep_m) >= box.keep_m).all():
         raise InfeasibleError("the straight path is not clear; use another --resolution")
-    return Polyline(point, lower, upper, spacing, math.prod(count), visited)
+    count = math.prod(_lattice(box, box.spacings[-1], points[0])[1])
+    return Polyline(point, lower, upper, box.spacings[-1], count, visited, tuple(points), tuple(moved))
 
 
-def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
-    """Raise InfeasibleError with the point of the flight that is too close to a hull."""
-    names = ["start", *["intermediate point"] * len(config.via), "goal"]
-    for name, point in zip(names, config.points, strict=True):
-        distance = float(path_clearance([point], obstacles, cap_m=config.keep_m + 1)[0])
-        if distance >= config.keep_m + _MARGIN_M:
-            continue
-        where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
-        if distance <= 0:
-            raise InfeasibleError(f"{where} is inside an obstacle, {-distance:.3g} m deep")
-        raise InfeasibleError(
-            f"{where} is {distance:.6g} m from an obstacle, and the plan must keep {config.keep_m:g} m "
-            "(--radius)"
-        )
-
-
-def _bounds(config: PlanConfig, obstacles: PolytopeSet) -> tuple[FloatArray, FloatArray]:
-    """Corners of the box to search: the given one, or one around hulls and points with room to pass."""
-    if config.bounds is not None:
-        return np.array(config.bounds[:3]), np.array(config.bounds[3:])
-    corners = [np.array(config.points), *(np.array([side]) for side in obstacles.bounds() if len(obstacles))]
-    every = np.concatenate(corners)
-    room = (2 + _COMFORT) * config.keep_m
-    return every.min(axis=0) - room, every.max(axis=0) + room
-
-
-def _lattice(
-    config: PlanConfig, lower: FloatArray, upper: FloatArray
-) -> tuple[FloatArray, float, tuple[int, int, int]]:
-    """First point, spacing and number of points of the search lattice; the start lies on it."""
-    size = upper - lower
-    spacing = config.resolution_m
-    if spacing is None:
-        spacing = max(config.keep_m / 2, float(np.prod(size) / _DEFAULT_LATTICE) ** (1 / 3))
-    before = np.floor((np.array(config.start) - lower) / spacing)
-    steps = before + np.floor((upper - np.array(config.start)) / spacing)
-    if not np.prod(steps + 1) <= MAX_LATTICE_POINTS:
+def _spacings(config: PlanConfig, keep_m: float, lower: FloatArray, upper: FloatArray) -> tuple[float, ...]:
+    """Spacings of the lattices that are searched in their order [m]."""
+    if config.resolution_m is None:
+        least = float(np.prod(upper - lower) / _MOST_POINTS) ** (1 / 3)
+        return tuple(dict.fromkeys(max(each * keep_m, least) for each in _SPACINGS))
+    points = float(np.prod((upper - lower) / config.resolution_m + 1))
+    if not points <= MAX_LATTICE_POINTS:
         raise UsageError(
-            f"a resolution of {spacing:g} m needs {np.prod(steps + 1):.3g} lattice points, more than "
+            f"a resolution of {config.resolution_m:g} m needs {points:.3g} lattice points, more than "
             f"{MAX_LATTICE_POINTS:,}; use a larger --resolution"
         )
-    nx, ny, nz = (int(n) + 1 for n in steps)
-    return np.array(config.start) - before * spacing, spacing, (nx, ny, nz)
+    return (config.resolution_m,)
+
+
+def _lattice(box: _Box, spacing: float, start: Point) -> tuple[FloatArray, tuple[int, int, int]]:
+    """First point and number of points of a search lattice; the start lies on it."""
+    before = np.floor((np.array(start) - box.lower) / spacing)
+    nx, ny, nz = (int(n) + 1 for n in before + np.floor((box.upper - np.array(start)) / spacing))
+    return np.array(start) - before * spacing, (nx, ny, nz)
 
 
 def _leg(
-    config: PlanConfig,
-    obstacles: PolytopeSet,
-    origin: FloatArray,
-    spacing: float,
-    count: tuple[int, int, int],
-    ends: tuple[Point, Point],
-    names: tuple[str, str],
-    jobs: int,
-    progress: Progress | None,
+    box: _Box, ends: tuple[Point, Point], names: tuple[str, str], progress: Progress | None
 ) -> tuple[FloatArray, int]:
     """Short polyline between two points whose segments keep the radius, and number of points visited."""
-    radius, comfort = config.keep_m + _MARGIN_M, _COMFORT * config.keep_m
-    if path_clearance(ends, obstacles, cap_m=radius + comfort)[0] >= radius + comfort:
-        return np.array(ends), 0
-    # The number of points that the search will visit is unknown, and far below that of the lattice.
-    visited = None if progress is None else lambda done, _: progress(done, 0)
-    status, path, expanded = find_path(
-        obstacles, origin.tolist(), spacing, count, *ends, radius, comfort, visited
+    radius, comfort = box.radius_m, box.comfort_m
+    straight = np.array(ends)
+    if box.distance(straight[:1], straight[1:], radius + comfort)[0] >= radius + comfort:
+        return straight, 0
+    # The number of points that a search will visit is unknown, and far below that of the lattice.
+    seen = None if progress is None else lambda done, _: progress(done, 0)
+    visited = 0
+    for spacing in box.spacings:
+        origin, count = _lattice(box, spacing, ends[0])
+        status, path, expanded = find_path(
+            box.map, origin.tolist(), spacing, count, *ends, radius, comfort, seen
+        )
+        visited += expanded
+        if status == SearchStatus.found:
+            return tighten_path(box.map, path, radius, comfort, spacing, _TIGHTEN_ROUNDS), visited
+    path, cells = _passage(box, ends, names, seen)
+    spacing = box.spacings[-1]
+    return tighten_path(box.map, path, radius, comfort, spacing, _TIGHTEN_ROUNDS), visited + cells
+
+
+def _passage(
+    box: _Box, ends: tuple[Point, Point], names: tuple[str, str], progress: Progress | None
+) -> tuple[FloatArray, int]:
+    """Path through the widest passage, and number of cells.
+
+    Raises:
+        InfeasibleError: it is too narrow.
+    """
+    lower, upper, path, narrowest, cells = widest_passage(
+        box.map,
+        box.lower.tolist(),
+        box.upper.tolist(),
+        *ends,
+        box.radius_m,
+        _TOLERANCE * box.keep_m,
+        _MOST_CELLS,
+        progress,
     )
-    finer = f"a --resolution below {spacing:.3g} m may find one"
-    if status == SearchStatus.start_isolated:
-        raise InfeasibleError(f"no straight line leads from {names[0]} to the search lattice; {finer}")
-    if status == SearchStatus.goal_isolated:
-        raise InfeasibleError(f"no straight line leads from the search lattice to {names[1]}; {finer}")
-    if status == SearchStatus.no_path:
-        raise InfeasibleError(f"no path from {names[0]} to {names[1]} keeps the radius; {finer}")
-    return tighten_path(obstacles, path, radius, comfort, spacing, _TIGHTEN_ROUNDS, jobs), expanded
+    if lower >= box.radius_m:
+        return path, cells
+    what = f"no path from {names[0]} to {names[1]} keeps {box.keep_m:g} m"
+    where = " ".join(f"{x:.3f}" for x in narrowest)
+    if upper >= box.radius_m:
+        passes = f"a radius of {at_least(lower)} m passes" if lower > 0 else "none was found"
+        raise InfeasibleError(
+            f"{what} at the finest resolution: {passes}, and whether {box.keep_m:g} m passes is not decided "
+            f"after {cells} cells; set --bounds to a smaller box"
+        )
+    if lower <= 0:
+        raise InfeasibleError(f"{what}: no radius above {at_most(upper)} m passes")
+    raise InfeasibleError(
+        f"{what}: a radius of {at_least(lower)} m would pass, and none above {at_most(upper)} m; the "
+        f"narrowest place is at ({where})"
+    )
 
 
-def _rounded(config: PlanConfig, obstacles: PolytopeSet, leg: FloatArray, jobs: int) -> FloatArray:
+def _rounded(box: _Box, leg: FloatArray) -> FloatArray:
     """The leg with additional points, moved towards their neighbours where that stays free."""
-    spacing = max(_WAYPOINT_MIN_M, _WAYPOINT_RADII * config.keep_m)
+    spacing = max(_WAYPOINT_MIN_M, _WAYPOINT_RADII * box.keep_m)
     parts = [leg[:1]]
     for a, b in pairwise(leg):
         pieces = max(1, math.ceil(np.linalg.norm(b - a) / spacing - 1e-9))
@@ -165,20 +222,14 @@ def _rounded(config: PlanConfig, obstacles: PolytopeSet, leg: FloatArray, jobs: 
         parts.append((1 - fraction) * a + fraction * b)
     point = np.concatenate(parts)
     # Moves may reduce the clearance to this, and not at all below it.
-    enough = 1.25 * config.keep_m
-    radius = config.keep_m + _MARGIN_M
-
-    def clearance(before: FloatArray, middle: FloatArray, after: FloatArray) -> FloatArray:
-        return np.minimum(
-            segment_clearance(before, middle, obstacles, jobs, enough),
-            segment_clearance(middle, after, obstacles, jobs, enough),
-        )
-
+    enough = 1.25 * box.keep_m
+    kept = box.distance(point[:-1], point[1:], enough)  # of each segment
     for step in range(2 * _RELAX_ROUNDS):
         i = np.arange(1 + step % 2, len(point) - 1, 2)
         before, here, after = point[i - 1], point[i], point[i + 1]
         moved = 0.25 * before + 0.5 * here + 0.25 * after
-        kept = np.minimum(clearance(before, here, after), enough)
-        good = clearance(before, moved, after) >= np.maximum(kept, radius)
-        point[i[good]] = moved[good]
+        first, second = box.distance(before, moved, enough), box.distance(moved, after, enough)
+        good = np.minimum(first, second) >= np.maximum(np.minimum(kept[i - 1], kept[i]), box.radius_m)
+        i = i[good]
+        point[i], kept[i - 1], kept[i] = moved[good], first[good], second[good]
     return point

@@ -1,4 +1,4 @@
-"""Planning of a flight: a path among the hulls, a corridor, the fastest curve in it, and its proof."""
+"""Planning of a flight: a path through the map, a corridor, the fastest curve in it, and its proof."""
 
 from __future__ import annotations
 
@@ -10,21 +10,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from alula._core import PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.plan import MARGIN_M, PlanConfig
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.clearance import hull_obstacles, path_clearance
-from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.planning.corridor import Corridor, find_corridor
-from alula.stages.planning.curve_certificate import METHOD, certify_curve
+from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
 from alula.stages.planning.fastest import (
     PIECES_PER_CELL,
     Curve,
@@ -36,6 +33,7 @@ from alula.stages.planning.fastest import (
 )
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.path import Polyline, find_polyline
+from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
@@ -55,60 +53,65 @@ def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfi
     if config.radius_m is None:
         margin = MARGIN_M if config.margin_m is None else config.margin_m
         return dataclasses.replace(config, radius_m=vehicle.body.radius_m + margin, margin_m=margin)
-    if config.margin_m is not None:
-        raise UsageError("--radius is the whole distance to keep; leave out --margin")
-    return dataclasses.replace(config, margin_m=0.0)
+    for option, value in (("--margin", config.margin_m), ("--inflate", config.inflation_m)):
+        if value is not None:
+            raise UsageError(f"--radius is the whole distance to keep; leave out {option}")
+    return config
 
 
 def plan(
     config: PlanConfig,
-    cover: Artifact,
+    cover: Artifact | None = None,
     *,
+    scene: Artifact | None = None,
+    image: bytes | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Artifact:
-    """Plan a flight of minimum time that provably keeps a distance from every hull of a cover.
+    """Plan a flight of minimum time that provably keeps a distance from every obstacle of a map.
 
-    A search joins the points by straight lines that keep `radius_m` exactly. Convex cells around them, every
-    point of which keeps the radius, make a corridor; in it a curve of degree 7 and class C4 is made as fast
-    as the limits of user and vehicle allow, which hold at every instant. `certify` proves each of its pieces
-    again. Where the corridor has no room the curve stops; a part that is not proven becomes straight lines,
-    flown from rest to rest. So the result is always proven.
+    A search joins the points by straight lines that keep the distance exactly. Convex cells around them,
+    every point of which keeps the distance, make a corridor; in it a curve of degree 7 and class C4 is made
+    as fast as the limits of user and vehicle allow, which hold at every instant. `certify_in` proves each of
+    its pieces again. Where the corridor has no room the curve stops; a part that is not proven becomes
+    straight lines, flown from rest to rest. So the result is always proven.
 
     Args:
         config: see `PlanConfig`; without a radius, for the vehicle.
-        cover: an `alula/cover`.
+        cover: an `alula/cover`; one map at least is needed, and plans keep away from all.
+        scene: an `alula/scene`.
+        image: an onboard map.
         vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
-        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        InfeasibleError: a point is too close to a hull, there is no path at this resolution, or no curve from
-            this motion.
-        UsageError: the lattice would be too large, or an option does not apply to the vehicle.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
+            is damaged.
+        InputError: a map is not metric, or the maps do not fit each other.
+        InfeasibleError: a point is too close to an obstacle, there is no path, or no curve from this motion.
+        UsageError: the lattice would be too large, the level of the ellipsoids is invalid, or an option does
+            not apply to the vehicle.
     """
     if config.radius_m is None:
         config = resolve_plan(config, vehicle)
     limits = motion_limits(config, vehicle)
-    require_solid_hulls(cover, jobs=jobs)
-    obstacles = hull_obstacles(Hulls.from_cover(cover))
-    path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
+    space = plan_space(config, cover, scene, image, jobs=jobs)
+    path = find_polyline(config, space, jobs=jobs, progress=progress)
     corridor = find_corridor(
-        path.point, _via_points(path, config), [obstacles], config.keep_m, (path.lower, path.upper), jobs=jobs
+        path.point, _via_points(path), space.solids(), space.keep_m, (path.lower, path.upper), jobs=jobs
     )
-    curve = curve_along(corridor, config, limits, obstacles, motion=motion, jobs=jobs)
+    curve = curve_along(corridor, config, limits, space, motion=motion, jobs=jobs)
     time, coefficient = curve.time, curve.coefficient()
-    proof = certify_curve(time, coefficient, obstacles, config.keep_m, jobs=jobs)
+    proof = certify_in(time, coefficient, space, jobs=jobs)
 
     yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
     yaw[:, 0, 0] = config.yaw_rad
     dense = evaluate(time, coefficient, _sample_times(time))
-    closest = path_clearance(dense, obstacles, jobs=jobs)
-    bound = float(proof.clearance_m.min(initial=2 * config.keep_m))
+    bound = float(proof.clearance_m.min(initial=2 * space.keep_m))
     knot = np.concatenate([curve.point[:, 0], curve.point[-1:, -1]])
     return make_artifact(
         PLAN,
@@ -121,18 +124,21 @@ def plan(
             "cell_start": corridor.start,
             "piece_cell": _cells_of(time, coefficient, curve, corridor),
         },
-        frame=cover.manifest.frame,
+        frame=space.frame,
         unit="m",
         parameters=parameters_of(config),
-        radius_m=config.keep_m,
+        radius_m=space.keep_m,
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
-        via_m=[list(point) for point in config.via],
+        via_m=[list(point) for point in path.flown[1:-1]],
+        maps=[part.facts for part in space.parts],
         limits=limits.record(),
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
         vehicle=vehicle.name,
         certificate={
-            "method": METHOD,
+            "method": "; ".join(
+                dict.fromkeys(METHOD if p.role == "cover" else MAP_METHOD for p in space.parts)
+            ),
             "pieces": len(coefficient),
             "checked_pairs": proof.pairs,
             "depth": proof.depth,
@@ -140,42 +146,58 @@ def plan(
         },
         summary={
             "length_m": float(np.linalg.norm(np.diff(dense, axis=0), axis=1).sum()),
-            "straight_m": sum(math.dist(a, b) for a, b in pairwise(config.points)),
+            "straight_m": sum(math.dist(a, b) for a, b in pairwise(path.flown)),
             "duration_s": float(time[-1]),
             "pieces": len(coefficient),
             "cells": len(corridor.start) - 1,
             "stops": int(curve.stop[:-1].sum()),
-            "min_clearance_m": float(closest.min()) if len(obstacles) else None,
+            "min_clearance_m": space.clearance_m(dense, jobs),
             "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
             "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
             "resolution_m": path.resolution_m,
             "lattice_points": path.lattice_points,
             "visited_points": path.visited,
+            **({"notes": notes} if (notes := _notes(path)) else {}),
         },
         guarantee=Guarantee(
-            "Every point of the trajectory is at least radius_m from every hull of the cover, and its motion "
-            "stays within the limits at every instant.",
-            {"radius_m": config.keep_m, **limits.record()},
+            f"Every point of the trajectory is at least {_distances(space)}, and its motion stays within the "
+            "limits at every instant.",
+            {"radius_m": space.keep_m, **limits.record()},
         ),
     )
 
 
-def _via_points(path: Polyline, config: PlanConfig) -> NDArray[np.bool_]:
+def _via_points(path: Polyline) -> NDArray[np.bool_]:
     """Mark the points of the path that the flight must pass, in their order."""
     marks = np.zeros(len(path.point), np.bool_)
     first = 0
-    for point in config.via:
+    for point in path.flown[1:-1]:
         first += int(np.flatnonzero((path.point[first:] == point).all(axis=1))[0])
         marks[first] = True
         first += 1
     return marks
 
 
+def _distances(space: PlanSpace) -> str:
+    """Distances that a plan keeps, in words."""
+    if len({part.keep_m for part in space.parts}) == 1:
+        return f"radius_m from every {' and every '.join(part.words for part in space.parts)}"
+    return " and ".join(f"{part.keep_m:g} m from every {part.words}" for part in space.parts)
+
+
+def _notes(path: Polyline) -> list[str]:
+    return [
+        f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), "
+        f"{at_most(math.dist(given, taken))} m from it (--snap)"
+        for name, given, taken in path.moved
+    ]
+
+
 def curve_along(
     corridor: Corridor,
     config: PlanConfig,
     limits: Limits,
-    obstacles: PolytopeSet,
+    space: PlanSpace,
     *,
     motion: MovingState | None = None,
     jobs: int = 0,
@@ -186,14 +208,14 @@ def curve_along(
         corridor: around a path that keeps the radius.
         config: with a radius.
         limits: of the motion.
-        obstacles: hulls, world frame [m].
+        space: obstacles.
         motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
 
     Raises:
         InfeasibleError: a straight line cannot be proven, or no curve leads from this motion.
     """
-    return _Task(config, limits, corridor, obstacles, jobs).curve(motion)
+    return _Task(config, limits, corridor, space, jobs).curve(motion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +225,7 @@ class _Task:
     config: PlanConfig
     limits: Limits
     corridor: Corridor
-    obstacles: PolytopeSet
+    space: PlanSpace
     jobs: int
 
     def curve(self, motion: MovingState | None) -> Curve:
@@ -247,7 +269,7 @@ class _Task:
         points = control_points(time, coefficient).transpose(0, 2, 1)
         if not keeps(points, np.diff(time), self.limits).all():
             return False
-        return certify_curve(time, coefficient, self.obstacles, self.config.keep_m, jobs=self.jobs).holds
+        return certify_in(time, coefficient, self.space, jobs=self.jobs).holds
 
 
 def _cells_of(

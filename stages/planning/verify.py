@@ -13,10 +13,11 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, PlanManifest
-from alula.stages.clearance import hull_obstacles
+from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, require_solid_hulls
+from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
 
@@ -31,70 +32,91 @@ _ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 def verify_plan(
     plan: Artifact,
     *,
-    cover: Artifact,
+    cover: Artifact | None = None,
     scene: Artifact | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
 ) -> Certificate:
     """Prove a plan again, from its arrays and the map.
 
-    Clearance: every piece keeps the radius from every hull, by separating planes of its control points.
-    Corridor: every cell that a piece lies in keeps the radius from every hull, and with a scene from every
-    ellipsoid that the cover was made to contain, by duality in numbers rounded to the safe side. Each piece
-    in its cell, and limits of the motion over every piece: by control points in rational arithmetic, halved
-    where that does not decide. Continuity, up to snap for a plan that records its limits and up to jerk for
-    an older one, to the rounding of the stored coefficients; start, via points and goal; rest at the goal.
+    Clearance: every piece keeps its distance from every hull, by separating planes of its control points, and
+    of a plan that was made in a scene from every ellipsoid, by distances of chords. Corridor: every cell that
+    a piece lies in keeps the distance from every hull, and with a scene from every ellipsoid of the plan's
+    level, or else of those that the cover was made to contain, by duality in numbers rounded to the safe
+    side. Each piece in its cell, and limits of the motion over every piece: by control points in rational
+    arithmetic, halved where that does not decide. Continuity, up to snap for a plan that records its limits
+    and up to jerk for an older one, to the rounding of the stored coefficients; start, via points and goal;
+    rest at the goal.
 
     Args:
         plan: an `alula/plan`.
-        cover: the `alula/cover` that it keeps away from.
-        scene: the `alula/scene` of the cover.
-        sha256: hash of the file "cover"; a difference from the plan's input becomes a note.
+        cover: the `alula/cover` that it keeps away from; without one, the scene that it was made in.
+        scene: the `alula/scene` that it was made in, or that of the cover.
+        sha256: hashes of the files "cover" and "scene"; a difference from the plan's inputs becomes a note.
         jobs: threads, 0 for all processors.
 
     Raises:
         ArtifactError: the cover is not sound.
-        UsageError: frame or unit of the files differ.
+        UsageError: frame or unit of the files differ, or only a scene that the plan was not made in is given.
     """
-    manifest, level = plan.manifest, cover.manifest
+    manifest = plan.manifest
     assert isinstance(manifest, PlanManifest)
-    assert isinstance(level, CoverManifest)
     for what, other in (("cover", cover), ("scene", scene)):
         if other is not None and (other.manifest.frame, other.manifest.unit) != (manifest.frame, "m"):
             raise UsageError(
                 f"the {what} is in the frame {other.manifest.frame} in {other.manifest.unit}, the plan in "
                 f"{manifest.frame} in m"
             )
-    require_solid_hulls(cover, jobs=jobs)
-    hulls = hull_obstacles(Hulls.from_cover(cover))
     pieces = _Pieces(plan)
-    checks = [_clearance(plan, hulls, jobs)]
-    has_cells = bool(pieces.used)
-    if has_cells:
-        checks.append(_cells(pieces, [hulls], [], "hull", jobs))
-        if scene is not None:
-            checks.append(_cells(pieces, [], [_ellipsoids(scene, level)], "ellipsoid", jobs))
+    made_in = {each["map"]: each for each in manifest.maps}
+    checks, statements, not_checked = [], [], []
+    if cover is not None:
+        require_solid_hulls(cover, jobs=jobs)
+        hulls = hull_obstacles(Hulls.from_cover(cover))
+        keep_m = float(made_in.get("cover", {}).get("keep_m", manifest.radius_m))
+        checks.append(_clearance(plan, hulls, keep_m, "hull", jobs))
+        if pieces.used:
+            checks.append(_cells(pieces, [hulls], [], keep_m, "hull", jobs))
+        statements.append(f"every point of the plan is at least {keep_m:g} m from every hull of the cover")
+    if scene is not None and "scene" in made_in:
+        sigma, keep_m = float(made_in["scene"]["sigma"]), float(made_in["scene"]["keep_m"])
+        among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m))
+        checks.append(_clearance(plan, among, keep_m, "ellipsoid", jobs, extent_m=_extent_m(scene, sigma)))
+        if pieces.used:
+            checks.append(_cells(pieces, [], [scene_obstacles(scene, sigma)], keep_m, "ellipsoid", jobs))
+        statements.append(
+            f"every point of the plan is at least {keep_m:g} m from every ellipsoid of the scene"
+        )
+    elif scene is not None:
+        if cover is None:
+            raise UsageError("the plan was not made in a scene; give the cover that it keeps away from")
+        assert isinstance(cover.manifest, CoverManifest)
+        if pieces.used:
+            ellipsoids = [_ellipsoids(scene, cover.manifest)]
+            checks.append(_cells(pieces, [], ellipsoids, manifest.radius_m, "ellipsoid", jobs))
+            statements.append("every cell of its corridor from every ellipsoid of the scene")
+        else:
+            not_checked.append("the distance from ellipsoids: the plan has no corridor")
+    given = {"cover": cover, "scene": scene}
+    for role in ("cover", "scene"):
+        if role in made_in and given[role] is None:
+            not_checked.append(f"the distance from the {role} that the plan was made in")
+    if pieces.used:
         checks.append(pieces.in_cells())
     checks += [pieces.limits(), pieces.continuity(), pieces.passed()]
     proven = all(check.ok for check in checks)
-    not_checked = []
-    if scene is not None and not has_cells:
-        not_checked.append("the distance from ellipsoids: the plan has no corridor")
-    radius = manifest.radius_m
-    statement = f"proven: every point of the plan is at least {radius:g} m from every hull of the cover"
-    if scene is not None and has_cells:
-        statement += ", every cell of its corridor from every ellipsoid of the scene"
     notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
     recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
-    if sha256 and "cover" in recorded and sha256.get("cover") != recorded["cover"]:
-        notes.append("the plan was made from another cover file")
+    for role in ("cover", "scene"):
+        if sha256 and role in recorded and given[role] is not None and sha256.get(role) != recorded[role]:
+            notes.append(f"the plan was made from another {role} file")
     return Certificate(
         covered=proven,
         checks=checks,
         left_out="errors of tracking and of the vehicle's state; drag; everything that the map does not have",
         notes=notes,
-        statement=statement if proven else "not proven",
-        given=["plan", "cover", *(["scene"] if scene is not None else [])],
+        statement=f"proven: {', '.join(statements)}" if proven else "not proven",
+        given=["plan", *(role for role, each in given.items() if each is not None)],
         not_checked=not_checked,
     )
 
@@ -233,15 +255,22 @@ def _limit_sets(manifest: PlanManifest) -> list[tuple[str, int, Callable[[exact.
     return sets
 
 
-def _clearance(plan: Artifact, hulls: _core.PolytopeSet, jobs: int) -> Check:
-    assert isinstance(plan.manifest, PlanManifest)
-    proof = certify_curve(plan["time"], plan["coefficient"], hulls, plan.manifest.radius_m, jobs=jobs)
+def _clearance(
+    plan: Artifact,
+    obstacles: _core.PolytopeSet | _core.ObstacleMap,
+    keep_m: float,
+    what: str,
+    jobs: int,
+    extent_m: float = 0.0,
+) -> Check:
+    proof = certify_curve(plan["time"], plan["coefficient"], obstacles, keep_m, jobs=jobs, extent_m=extent_m)
     offences = []
     for i in np.flatnonzero(~proof.proven):
         x, y, z = (float(c) for c in np.asarray(plan["coefficient"])[i, :3, 0])
-        offences.append(Offence(fault=f"piece {i} is not proven clear", place_m=(x, y, z)))
+        fault = f"piece {i} is not proven to keep {keep_m:g} m from every {what}"
+        offences.append(Offence(fault=fault, place_m=(x, y, z)))
     return _check(
-        "clearance",
+        f"clearance from {what}s",
         len(proof.proven),
         offences,
         f"at least {proof.clearance_m.min():.6g} m, {proof.pairs} pairs",
@@ -252,6 +281,7 @@ def _cells(
     pieces: _Pieces,
     hulls: list[_core.PolytopeSet],
     ellipsoids: list[_core.EllipsoidSet],
+    keep_m: float,
     what: str,
     jobs: int,
 ) -> Check:
@@ -261,16 +291,20 @@ def _cells(
         np.ascontiguousarray(plan[name]) for name in ("cell_normal", "cell_offset", "cell_start")
     )
     used = [c for c in pieces.used if c < len(start) - 1]
-    proven, clearance, pairs = _core.check_cells(
-        hulls, ellipsoids, normal, offset, start, pieces.manifest.radius_m, jobs
-    )
+    proven, clearance, pairs = _core.check_cells(hulls, ellipsoids, normal, offset, start, keep_m, jobs)
     offences = [
-        Offence(fault=f"cell {c} is not proven to keep {pieces.manifest.radius_m:g} m from every {what}")
+        Offence(fault=f"cell {c} is not proven to keep {keep_m:g} m from every {what}")
         for c in used
         if not proven[c]
     ]
     least = min((float(clearance[c]) for c in used), default=math.inf)
     return _check(f"cells and {what}s", len(used), offences, f"at least {least:.6g} m, {pairs} pairs")
+
+
+def _extent_m(scene: Artifact, sigma: float) -> float:
+    """Largest coordinate of a box around the ellipsoids [m]."""
+    reach = sigma * np.asarray(scene["scale"], np.float64).max(axis=1, initial=0.0)[:, None]
+    return float((np.abs(np.asarray(scene["mean"], np.float64)) + reach).max(initial=0.0))
 
 
 def _ellipsoids(scene: Artifact, level: CoverManifest) -> _core.EllipsoidSet:

@@ -108,7 +108,7 @@ def test_via_points_and_threads(cover, tmp_path):
                 "2",
             ],
             5,
-            "no path from --start to --goal keeps the radius; a --resolution below",
+            "no path from --start to --goal keeps 0.15 m: no radius above",
         ),
     ],
 )
@@ -124,6 +124,54 @@ def test_failures_are_one_line_with_their_code_and_leave_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cube.cover.npz"]
 
 
+def test_free_points_are_printed_without_an_output(cover, tmp_path, capsys):
+    words = ["plan", str(cover), "--free-points", "3", "--radius", "0.2", "--bounds", "-1 -1 -1 2 2 2"]
+    assert run(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert run([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["points_m"] == [[float(x) for x in line.split()] for line in lines]
+    assert report["radius_m"] == 0.2
+    for point in report["points_m"]:
+        assert np.linalg.norm(np.maximum(np.maximum(-np.array(point), np.array(point) - 1), 0)) >= 0.2
+    assert [path.name for path in tmp_path.iterdir()] == ["cube.cover.npz"]
+    assert (
+        plan(cover, tmp_path / "p.plan.npz", "--start", lines[0], "--goal", lines[1], "--radius", "0.2") == 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--start", "2 2 2", "--goal", "-1 0 0"], "missing option -o"),
+        (["--start", "2 2 2", "-o", "p.plan.npz"], "--start and --goal are needed"),
+        (["--free-points", "3", "--sigma", "2", "--confidence", "0.9"], "not both"),
+        (["--free-points", "3", "--radius", "0.2", "--inflate", "0.1"], "leave out --inflate"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(cover, capsys, words, message):
+    assert run(["plan", str(cover), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_moved_start_is_said_and_recorded(cover, tmp_path, capsys):
+    output = tmp_path / "p.plan.npz"
+    words = ["--start", "0.5 0.5 0.9", "--goal", "2 2 2", "--radius", "0.2", "--snap"]
+    assert plan(cover, output, *words) == 0
+    assert "note: the start (0.5 0.5 0.9) is not free; the plan has (" in capsys.readouterr().err
+    manifest = read_artifact(output, PLAN).manifest
+    assert manifest.summary["notes"]
+    assert manifest.maps == [{"map": "cover", "inflation_m": 0.0, "keep_m": 0.2}]
+
+
+def test_an_onboard_map_is_planned_in(cover, tmp_path):
+    image, output = tmp_path / "cube.map.bin", tmp_path / "p.plan.npz"
+    assert run(["export", str(cover), "-o", str(image)]) == 0
+    assert plan(image, output, "--start", "0.5 0.5 1.6", "--goal", "0.5 0.5 -0.6", "--radius", "0.2") == 0
+    assert read_artifact(output, PLAN).manifest.maps[0]["map"] == "image"
+
+
 def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
     output = tmp_path / "p.plan.npz"
     assert plan(cover, output, "--start", "2 2 2", "--goal", "-1 -1 -1") == 0
@@ -136,5 +184,5 @@ def test_help_shows_the_line_of_the_command_list_and_examples():
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.count("alula plan room.cover.npz") == 3
+    assert done.stdout.count("alula plan room.cover.npz") == 4
     assert "--via" in done.stdout

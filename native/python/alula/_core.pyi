@@ -305,17 +305,31 @@ class SearchStatus(enum.Enum):
 
 MAX_LATTICE_POINTS: int = 33554432
 
-def find_path(obstacles: PolytopeSet, origin: Sequence[float], spacing: float, count: Sequence[int], start: Sequence[float], goal: Sequence[float], radius: float, comfort: float, progress: object | None = None) -> tuple[SearchStatus, NDArray[numpy.float64], int]:
+def find_path(map: ObstacleMap, origin: Sequence[float], spacing: float, count: Sequence[int], start: Sequence[float], goal: Sequence[float], radius: float, comfort: float, progress: object | None = None) -> tuple[SearchStatus, NDArray[numpy.float64], int]:
     """
-    Lattice path of a ball among polytopes: status, points (W, 3), lattice points expanded.
+    Lattice path of a ball in an obstacle map: status, points (W, 3), lattice points expanded.
     """
 
-def tighten_path(obstacles: PolytopeSet, path: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, comfort: float, spacing: float, rounds: int, jobs: int = 0, progress: object | None = None) -> NDArray[numpy.float64]:
+def tighten_path(map: ObstacleMap, path: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, comfort: float, spacing: float, rounds: int, progress: object | None = None) -> NDArray[numpy.float64]:
     """Shortcut a free path along proven straight segments."""
 
-def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy.float64], dict(shape=(None, 8, 3), order='C', device='cpu', writable=False)], slack: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, max_depth: int, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int, int]:
+def widest_passage(map: ObstacleMap, lower: Sequence[float], upper: Sequence[float], start: Sequence[float], goal: Sequence[float], enough: float, tolerance: float, most_cells: int, progress: object | None = None) -> tuple[float, float, NDArray[numpy.float64], list[float], int]:
     """
-    Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all polytopes: per piece proven (u8) and clearance, then the pairs decided and the deepest subdivision.
+    Bounds on the radius of a ball that passes within a box: (radius that passes along the returned path, radius above which none passes or `enough`, path (W, 3), its narrowest point, cells made).
+    """
+
+def nearest_free(map: ObstacleMap, lower: Sequence[float], upper: Sequence[float], point: Sequence[float], radius: float, tolerance: float, most_cells: int, progress: object | None = None) -> list[float] | None:
+    """
+    The point of a box with a distance of at least `radius` that is nearest to `point`, up to the tolerance; None if none was found.
+    """
+
+@overload
+def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy.float64], dict(shape=(None, 8, 3), order='C', device='cpu', writable=False)], slack: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, max_depth: int, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int, int]: ...
+
+@overload
+def check_curves(obstacles: ObstacleMap, control_points: Annotated[NDArray[numpy.float64], dict(shape=(None, 8, 3), order='C', device='cpu', writable=False)], slack: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, max_depth: int, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int, int]:
+    """
+    Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all obstacles: per piece proven (u8) and clearance, then the pairs decided and the deepest subdivision.
     """
 
 def corridor_cells(hulls: Sequence[PolytopeSet], ellipsoids: Sequence[EllipsoidSet], start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, reach: float, lower: Sequence[float], upper: Sequence[float], jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]:
@@ -1351,6 +1365,11 @@ class ImageMap(ObstacleMap):
     """The image of an onboard map, read in place."""
 
     def __init__(self, image: bytes) -> None: ...
+
+class GrownMap(ObstacleMap):
+    """The obstacles of a map, grown by a length."""
+
+    def __init__(self, map: ObstacleMap, by: float) -> None: ...
 
 class MapUnion(ObstacleMap):
     """All obstacles of several maps."""

@@ -11,7 +11,7 @@ from scipy.spatial import HalfspaceIntersection
 from alula._core import EllipsoidSet, check_cells, corridor_cells
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.corridor import find_corridor
+from alula.stages.planning.corridor import Kept, find_corridor
 from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
 
@@ -144,7 +144,7 @@ def test_cells_of_a_path_meet_at_inner_points_and_keep_its_points_to_pass():
         [[0.3, 0.3, 1.5], [0.4, 1.0, 1.5], [0.6, 1.7, 1.5], [1.4, 1.7, 1.5], [1.5, 0.2, 1.5], [2.6, 0.2, 1.5]]
     )
     via = np.array([False, False, True, False, False, False])
-    corridor = find_corridor(corners, via, [hulls], RADIUS, (np.array(LOWER), np.array(UPPER)))
+    corridor = find_corridor(corners, via, [Kept(hulls)], RADIUS, (np.array(LOWER), np.array(UPPER)))
     assert corridor.is_free.all()
     assert corridor.is_open.all()
     assert len(corridor.point) < len(corners)  # the second point is passed by
@@ -160,7 +160,7 @@ def test_where_a_path_has_no_room_its_joint_is_closed():
     boxes = [[0, 0, 0, 30, 5, 30], [0, 9, 0, 30, 14, 30]]
     corners = np.array([[0.3, 0.7, 0.5], [1.5, 0.7, 1.5], [2.5, 0.7, 0.5]])
     corridor = find_corridor(
-        corners, [False, True, False], [hulls_of(boxes)], 0.2 - 1e-9, (np.array(LOWER), np.array(UPPER))
+        corners, [False, True, False], [Kept(hulls_of(boxes))], 0.2 - 1e-9, (np.array(LOWER), np.array(UPPER))
     )
     assert corridor.is_open.tolist() == [False]
     np.testing.assert_array_equal(corridor.joint[0], corners[1])

@@ -148,6 +148,13 @@ void bind_obstacle_map(nb::module_& m) {
                 std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size())));
           },
           "image"_a);
+  nb::class_<GrownMap, ObstacleMap>(m, "GrownMap", "The obstacles of a map, grown by a length.")
+      .def(
+          "__init__",
+          [](GrownMap* self, std::shared_ptr<ObstacleMap> map, double by) {
+            new (self) GrownMap(std::move(map), by);
+          },
+          "map"_a, "by"_a);
   nb::class_<MapUnion, ObstacleMap>(m, "MapUnion", "All obstacles of several maps.")
       .def(
           "__init__",

@@ -212,4 +212,27 @@ bool MapUnion::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory&
   return true;
 }
 
+GrownMap::GrownMap(std::shared_ptr<const ObstacleMap> map, double by) : map_(std::move(map)), by_(by) {
+  require(map_ != nullptr, "a grown map needs a map");
+  require(is_size(by), "obstacles grow by a finite length of at least 0");
+}
+
+double GrownMap::distance(geometry::Vec3 p, double upto, MapMemory& memory) const {
+  return map_->distance(p, upto + by_, memory) - by_;
+}
+
+double GrownMap::segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const {
+  return std::max(0.0, map_->segment_distance(a, b, upto + by_, memory) - by_);
+}
+
+void GrownMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+                    MapMemory& memory) const {
+  map_->near(p, reach + by_, most, found, memory);
+  for (Contact& c : found) c.distance -= by_, c.point = c.point + by_ * c.normal;
+}
+
+bool GrownMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const {
+  return is_size(d) && map_->is_clear(a, b, d + by_, memory);
+}
+
 }  // namespace alula

@@ -154,4 +154,22 @@ class MapUnion final : public ObstacleMap {
   std::vector<std::shared_ptr<const ObstacleMap>> maps_;
 };
 
+// The obstacles of a map, grown by a length: distances are less by it.
+class GrownMap final : public ObstacleMap {
+ public:
+  // Throws std::invalid_argument without a map, or for a length that is negative or not finite.
+  GrownMap(std::shared_ptr<const ObstacleMap> map, double by);
+
+  MapMemory memory() const override { return map_->memory(); }
+  double distance(geometry::Vec3 p, double upto, MapMemory& memory) const override;
+  double segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const override;
+  void near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+            MapMemory& memory) const override;
+  bool is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const override;
+
+ private:
+  std::shared_ptr<const ObstacleMap> map_;
+  double by_;
+};
+
 }  // namespace alula

@@ -1,4 +1,4 @@
-// Path search for a ball among polytopes, on a lattice with edges that are proven collision-free.
+// Path search for a ball in an obstacle map, on a lattice with edges that are proven collision-free.
 #pragma once
 
 #include <cstddef>
@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "alula/base/control.hpp"
-#include "alula/geometry/clearance.hpp"
+#include "alula/geometry/obstacle_map.hpp"
 
 namespace alula {
 
@@ -34,23 +34,22 @@ struct SearchResult {
 
 // Shortest path of a ball of the given radius on the 26-connected lattice, by A*.
 //
-// A lattice point is free when its exact clearance is >= radius. An edge from p to q is taken only
-// when it is proven free: clearance is 1-Lipschitz, so on the edge it is at least
-// (clearance(p) + clearance(q) - |p - q|) / 2; when that is < radius the exact clearance of the
-// segment decides. Start and goal are joined to the lattice points around them by proven segments.
-// An edge costs its length times 1 + (the fraction of `comfort` that its clearance lacks above radius),
-// so paths keep radius + comfort where the detour is worth it. The straight distance to the goal
-// is then a consistent heuristic. Ties are broken by depth, then by index: the result is unique.
-// Memory is 14 bytes per lattice point plus the queue.
-SearchResult find_path(const PolytopeSet& obstacles, const Lattice& lattice, geometry::Vec3 start,
-                       geometry::Vec3 goal, double radius, double comfort, Control& control);
+// A lattice point is free when its clearance is >= radius. An edge from p to q is taken only when it is proven free:
+// clearance is 1-Lipschitz, so on the edge it is at least (clearance(p) + clearance(q) - |p - q|) / 2; when that is
+// < radius the exact distance of the segment decides. Clearances are computed once a point is about to be visited.
+// Start and goal are joined to the lattice points around them by proven segments. An edge costs its length times 1 +
+// (the fraction of `comfort` that the clearance of its ends lacks above radius), so paths keep radius + comfort where
+// the detour is worth it. The length of the shortest lattice path to the goal in free space is then a consistent
+// heuristic. Ties are broken by depth, then by number: the result is unique. Memory is 20 bytes per lattice point
+// near those that were visited.
+SearchResult find_path(const ObstacleMap& map, const Lattice& lattice, geometry::Vec3 start, geometry::Vec3 goal,
+                       double radius, double comfort, Control& control);
 
 // Shortens a path: returns the path of straight, proven segments from the first to the last point of `path` with
-// the minimum cost of `find_path`, among paths with corners that are a subsequence of points taken from `path` at
-// most `spacing` apart and that skip at most 128 of them; repeated `rounds` times. Each segment of
-// `path` must itself be free.
-std::vector<geometry::Vec3> tighten_path(const PolytopeSet& obstacles, const std::vector<geometry::Vec3>& path,
-                                         double radius, double comfort, double spacing, int rounds, unsigned jobs,
-                                         Control& control);
+// the minimum cost of `find_path`, with the distance of the segment as its clearance, among paths with corners that
+// are a subsequence of points taken from `path` at most `spacing` apart and that skip at most 128 of them; repeated
+// `rounds` times. Each segment of `path` must itself be free.
+std::vector<geometry::Vec3> tighten_path(const ObstacleMap& map, const std::vector<geometry::Vec3>& path,
+                                         double radius, double comfort, double spacing, int rounds, Control& control);
 
 }  // namespace alula

@@ -1,0 +1,178 @@
+"""Points of a flight: whether they are free, the nearest free ones, and free points to choose from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.errors import InfeasibleError
+from alula.schemas.progress import Progress
+from alula.stages.planning.space import PlanSpace
+
+_NEAREST_M = 1e-3  # tolerance of the nearest free point
+_NEAREST_CELLS = 400_000  # of its search
+_DECIMALS = 3  # of points that are printed
+_MOST_POINTS = 500_000  # of the lattice that free points are chosen from
+_LEAST_SPACING = 0.5  # of that lattice, in radii
+
+
+def free_points_of_flight(
+    config: PlanConfig, space: PlanSpace, lower: FloatArray, upper: FloatArray, radius_m: float
+) -> tuple[list[Point], list[tuple[str, Point, Point]]]:
+    """The points of a flight; with `snap`, those that are not free are moved to the nearest that are.
+
+    Args:
+        config: of the plan.
+        space: obstacles.
+        lower: corner of the box that moved points stay in, shape (3,) [m].
+        upper: the other corner, shape (3,) [m].
+        radius_m: distance that points must have from obstacles [m].
+
+    Returns:
+        The points, and of each that was moved its name and its positions before and after.
+
+    Raises:
+        InfeasibleError: a point is not free and `snap` is not set, or there is no free point near it.
+    """
+    names = ["start", *[f"via point {i + 1}" for i in range(len(config.via))], "goal"]
+    points: list[Point] = []
+    moved: list[tuple[str, Point, Point]] = []
+    for name, point in zip(names, config.points, strict=True):
+        distance = float(space.map.distance(np.array([point]), space.keep_m + 1)[0])
+        if distance >= radius_m:
+            points.append(point)
+            continue
+        nearest = nearest_free_point(space, lower, upper, point, radius_m)
+        if config.snap and nearest is not None:
+            points.append(nearest)
+            moved.append((name, point, nearest))
+            continue
+        where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
+        place = (
+            f"is inside an obstacle, {-distance:.3g} m deep"
+            if distance <= 0
+            else f"is {distance:.6g} m from an obstacle, and the plan must keep {space.keep_m:g} m (--radius)"
+        )
+        if nearest is None:
+            raise InfeasibleError(f"{where} {place}; no free point was found near it")
+        free = " ".join(f"{x:g}" for x in nearest)
+        raise InfeasibleError(f"{where} {place}; the nearest free point is ({free}), and --snap takes it")
+    return points, moved
+
+
+def nearest_free_point(
+    space: PlanSpace, lower: FloatArray, upper: FloatArray, point: Point, radius_m: float
+) -> Point | None:
+    """The free point nearest to a given one, up to a few millimetres; it is free as printed.
+
+    Args:
+        space: obstacles.
+        lower: corner of the box to look in, shape (3,) [m].
+        upper: the other corner, shape (3,) [m].
+        point: given.
+        radius_m: distance that it must have from obstacles [m].
+
+    Returns:
+        The point; None if there is none in the box.
+    """
+    # Rounding to millimetres moves a point by less than a millimetre.
+    found = _core.nearest_free(
+        space.map,
+        lower.tolist(),
+        upper.tolist(),
+        point,
+        radius_m + 10.0**-_DECIMALS,
+        _NEAREST_M,
+        _NEAREST_CELLS,
+    )
+    if found is None:
+        return None
+    short = np.clip(np.round(found, _DECIMALS), lower, upper)
+    best = short if space.map.distance(short[None], radius_m)[0] >= radius_m else np.array(found)
+    x, y, z = best.tolist()
+    return x, y, z
+
+
+def free_points(
+    config: PlanConfig, space: PlanSpace, count: int, *, seed: int = 0, progress: Progress | None = None
+) -> FloatArray:
+    """Free points of the largest connected part of a map, far from one another.
+
+    Candidates are the points of a lattice in the box around the obstacles, or in `bounds`, with the distance
+    to keep and a millimetre from all obstacles; two neighbours are connected where the segment between them
+    keeps the distance, exactly. The first point is drawn from the largest connected set, and each further one
+    is the candidate of that set that is farthest from all before.
+
+    Args:
+        config: of the plan; start and goal are not needed.
+        space: obstacles.
+        count: number of points.
+        seed: of the draw.
+        progress: called with (points, count).
+
+    Returns:
+        Shape (count, 3), multiples of a millimetre [m].
+
+    Raises:
+        InfeasibleError: there are fewer candidates.
+    """
+    box = space.box()
+    if config.bounds is not None:
+        box = np.array(config.bounds[:3]), np.array(config.bounds[3:])
+    if box is None:
+        raise InfeasibleError("the map has no obstacles; set --bounds to the box to choose points from")
+    point = _largest_part(space, *box)
+    if len(point) < count:
+        raise InfeasibleError(
+            f"the largest connected part of the map has {len(point)} candidates that keep "
+            f"{space.keep_m:g} m, not {count}; ask for fewer points or set --bounds to a smaller box"
+        )
+    chosen = [int(np.random.default_rng(seed).integers(len(point)))]
+    apart = np.linalg.norm(point - point[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(point - point[chosen[-1]], axis=1))
+        if progress is not None:
+            progress(len(chosen), count)
+    found: FloatArray = point[chosen]
+    return found
+
+
+def _largest_part(space: PlanSpace, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Free lattice points of the largest connected set, shape (N, 3) [m]."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    grain = 10.0**-_DECIMALS
+    least = float(np.prod(upper - lower) / _MOST_POINTS) ** (1 / 3)
+    spacing = grain * np.ceil(max(_LEAST_SPACING * space.keep_m, least) / grain)
+    axes = [
+        np.round(np.arange(np.ceil(a / grain) * grain, b, spacing), _DECIMALS)
+        for a, b in zip(lower, upper, strict=True)
+    ]
+    shape = tuple(len(axis) for axis in axes)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    radius, upto = space.keep_m + grain, space.keep_m + grain + spacing
+    distance = space.map.distance(np.ascontiguousarray(grid), upto)
+    free = np.flatnonzero(distance >= radius)
+    number = np.full(len(grid), -1)
+    number[free] = np.arange(len(free))
+    cube, ends = number.reshape(shape), []
+    for axis in range(3):
+        a = np.delete(cube, -1, axis=axis).reshape(-1)
+        b = np.delete(cube, 0, axis=axis).reshape(-1)
+        both = (a >= 0) & (b >= 0)
+        ends.append(np.stack([a[both], b[both]]))
+    a, b = np.concatenate(ends, axis=1)
+    here, there = distance[free[a]], distance[free[b]]
+    clear = 0.5 * (here + there - spacing) >= space.keep_m  # distances are 1-Lipschitz
+    doubt = np.flatnonzero(~clear)
+    clear[doubt] = space.map.is_clear(grid[free[a[doubt]]], grid[free[b[doubt]]], space.keep_m)
+    a, b = a[clear], b[clear]
+    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(free), len(free)))
+    if len(free) == 0:
+        return np.empty((0, 3))
+    _, part = connected_components(graph, directed=False)
+    return np.ascontiguousarray(grid[free[part == np.bincount(part).argmax()]])

@@ -1,0 +1,274 @@
+"""Obstacles of a plan: hulls of a cover, ellipsoids of a scene, an onboard map, or several."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from alula import _core
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.errors import InputError
+from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
+from alula.stages.compression.hulls import Hulls, image_hulls
+from alula.stages.compression.onboard.image import decode_map
+from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.compression.voxelize import sigma_of_confidence
+from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
+from alula.stages.planning.corridor import Kept, Obstacles
+
+IMAGE_FRAME = "world"  # an onboard map does not name its frame
+_WORDS = {"cover": "hull of the cover", "scene": "ellipsoid of the scene", "image": "hull of the onboard map"}
+_FAR_M = 1e3  # distances of maps are measured up to this
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """One map among the obstacles of a plan.
+
+    Attributes:
+        role: cover, scene or image.
+        keep_m: distance that the plan keeps from it [m].
+        obstacles: what the proof of the plan is about.
+        map: the same as a native map.
+        lower, upper: corners of a box around all obstacles, shape (3,) [m]; None without any.
+        facts: for the manifest.
+        solids: the same as hulls or ellipsoids.
+        short_m: maximum by which distances in `map` are smaller than those of `solids` [m].
+    """
+
+    role: str
+    keep_m: float
+    solids: Obstacles
+    obstacles: _core.PolytopeSet | _core.ObstacleMap
+    map: _core.ObstacleMap
+    lower: FloatArray | None
+    upper: FloatArray | None
+    facts: dict[str, Any]
+    short_m: float = 0.0
+
+    @property
+    def extent_m(self) -> float:
+        """Largest coordinate of the box around the obstacles [m]."""
+        corners = [each for each in (self.lower, self.upper) if each is not None]
+        return float(np.abs(corners).max(initial=0.0))
+
+    @property
+    def words(self) -> str:
+        """The obstacles in words, for guarantees."""
+        return _WORDS[self.role]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanSpace:
+    """The obstacles of a plan.
+
+    Attributes:
+        parts: maps, at least one.
+        frame: name of their frame.
+        keep_m: the least distance that a plan keeps from a part [m].
+        map: all obstacles, where those that need a larger distance have grown by the difference.
+    """
+
+    parts: tuple[Part, ...]
+    frame: str
+    keep_m: float
+    map: _core.ObstacleMap
+
+    @classmethod
+    def of(cls, parts: Sequence[Part], frame: str) -> PlanSpace:
+        """Join maps in one frame.
+
+        Args:
+            parts: maps, at least one.
+            frame: name of their frame.
+        """
+        keep = min(part.keep_m for part in parts)
+        grown = [
+            part.map if part.keep_m == keep else _core.GrownMap(part.map, part.keep_m - keep)
+            for part in parts
+        ]
+        joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
+        return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined)
+
+    def solids(self) -> list[Kept]:
+        """Obstacles of all parts, with the distance to keep from them beyond `keep_m`."""
+        return [Kept(part.solids, part.keep_m - self.keep_m + part.short_m) for part in self.parts]
+
+    def box(self) -> tuple[FloatArray, FloatArray] | None:
+        """Corners of a box around all obstacles, each of shape (3,) [m]; None without any."""
+        boxes = [(part.lower, part.upper) for part in self.parts if part.lower is not None]
+        if not boxes:
+            return None
+        lower, upper = (np.array(each) for each in zip(*boxes, strict=True))
+        return lower.min(axis=0), upper.max(axis=0)
+
+    def is_free(self, points: ArrayLike, radius_m: float) -> Any:
+        """Whether balls at points are free, shape (N,); never wrongly true.
+
+        Args:
+            points: shape (N, 3) [m].
+            radius_m: of the balls, where obstacles have not grown [m].
+        """
+        at = np.ascontiguousarray(points, np.float64)
+        return self.map.is_clear(at, at, radius_m)
+
+    def clearance_m(self, points: ArrayLike, jobs: int = 0) -> float | None:
+        """Distance of a path from the nearest obstacle, ungrown [m]; None if there is nothing within 1 km.
+
+        Args:
+            points: shape (T, 3), T > 1 [m].
+            jobs: threads.
+        """
+        path = np.ascontiguousarray(points, np.float64)
+        least = _FAR_M
+        for part in self.parts:
+            # What is farther than one of the points does not matter, and is passed over quickly.
+            least = min(least, float(part.map.distance(path[::16], least).min()) + 1e-9)
+            if isinstance(part.obstacles, _core.PolytopeSet):
+                found = segment_clearance(path[:-1], path[1:], part.obstacles, jobs, least)
+            else:
+                found = part.map.segment_distance(path[:-1], path[1:], least)
+            least = min(least, float(found.min()))
+        return least if least < _FAR_M else None
+
+
+def plan_space(
+    config: PlanConfig,
+    cover: Artifact | None = None,
+    scene: Artifact | None = None,
+    image: bytes | None = None,
+    *,
+    jobs: int = 0,
+) -> PlanSpace:
+    """Make the obstacles of a plan, each with the distance to keep from it.
+
+    Of a configuration with a margin, this is `radius_m` and what filters add to it: among ellipsoids
+    `inflation_m`, or else the inflation that the scene's alignment suggests; for hulls what of that the
+    cover lacks. Of a configuration without a margin `radius_m` is the whole distance.
+
+    Args:
+        config: complete, see `resolve_plan`.
+        cover: an `alula/cover`.
+        scene: an `alula/scene`.
+        image: an onboard map.
+        jobs: threads.
+
+    Raises:
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
+            is damaged.
+        InputError: a map is not metric, or cover and scene are in different frames.
+        UsageError: the level is invalid for these ellipsoids.
+    """
+    given = {"cover": cover, "scene": scene}
+    maps = {role: each for role, each in given.items() if each is not None}
+    for role, each in maps.items():
+        require_metric(role, each)
+    frames = {role: each.manifest.frame for role, each in maps.items()}
+    if len(set(frames.values())) > 1:
+        raise InputError(f"the cover is in frame {frames['cover']!r}, the scene in {frames['scene']!r}")
+    suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+    is_whole = config.margin_m is None
+    inflation = suggested if config.inflation_m is None else config.inflation_m
+    parts = []
+    if cover is not None:
+        beyond = 0.0 if is_whole else beyond_hulls(config.inflation_m, cover, suggested)
+        parts.append(_cover_part(cover, config.keep_m, beyond, jobs))
+    if image is not None:
+        parts.append(_image_part(image, config.keep_m, config.inflation_m or 0.0))
+    if scene is not None:
+        sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
+        parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
+    return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME))
+
+
+def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> Part:
+    require_solid_hulls(cover, jobs=jobs)
+    hulls = Hulls.from_cover(cover)
+    obstacles = hull_obstacles(hulls)
+    points = hulls.vertices_world
+    return Part(
+        role="cover",
+        keep_m=keep_m + beyond_m,
+        solids=obstacles,
+        obstacles=obstacles,
+        map=_core.HullMap(obstacles),
+        lower=points.min(axis=0) if len(points) else None,
+        upper=points.max(axis=0) if len(points) else None,
+        facts={"map": "cover", "inflation_m": beyond_m, "keep_m": keep_m + beyond_m},
+    )
+
+
+def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float = 0.0) -> Part:
+    """The ellipsoids of a scene.
+
+    Args:
+        scene: an `alula/scene`.
+        sigma: level of the ellipsoids, in standard deviations.
+        keep_m: distance to keep, without the inflation [m].
+        inflation_m: distance to keep beyond that [m].
+
+    Raises:
+        UsageError: the level or the distance is invalid for these ellipsoids.
+    """
+    among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
+    mean = np.asarray(scene["mean"], np.float64)
+    reach = sigma * np.asarray(scene["scale"], np.float64).max(axis=1, initial=0.0)[:, None]
+    return Part(
+        role="scene",
+        keep_m=keep_m + inflation_m,
+        solids=scene_obstacles(scene, sigma),
+        obstacles=among,
+        map=among,
+        lower=(mean - reach).min(axis=0) if len(mean) else None,
+        upper=(mean + reach).max(axis=0) if len(mean) else None,
+        facts={"map": "scene", "sigma": sigma, "inflation_m": inflation_m, "keep_m": keep_m + inflation_m},
+    )
+
+
+def _image_part(image: bytes, keep_m: float, inflation_m: float) -> Part:
+    decoded = decode_map(image)
+    among = _core.ImageMap(image[: decoded.image_bytes])
+    edge = decoded.voxel_size_m
+    return Part(
+        role="image",
+        keep_m=keep_m + inflation_m,
+        solids=hull_obstacles(image_hulls(decoded)),
+        short_m=2 * decoded.margin_m,
+        obstacles=among,
+        map=among,
+        lower=edge * decoded.lower.min(axis=0) if len(decoded) else None,
+        upper=edge * decoded.upper.max(axis=0) if len(decoded) else None,
+        facts={
+            "map": "image",
+            "cover_hash": decoded.cover_hash.hex(),
+            "inflation_m": inflation_m,
+            "keep_m": keep_m + inflation_m,
+        },
+    )
+
+
+def room_around(
+    config: PlanConfig, space: PlanSpace, points: Sequence[Sequence[float]]
+) -> tuple[FloatArray, FloatArray]:
+    """Corners of the box to plan in: the given one, or one around obstacles and points with room to pass.
+
+    Args:
+        config: of the plan.
+        space: obstacles.
+        points: of the flight [m].
+    """
+    if config.bounds is not None:
+        return np.array(config.bounds[:3]), np.array(config.bounds[3:])
+    corners = [np.array(points, np.float64).reshape(-1, 3), *(space.box() or ())]
+    every = np.concatenate([np.atleast_2d(each) for each in corners])
+    room = 3 * max(part.keep_m for part in space.parts)
+    if not math.isfinite(room + float(np.abs(every).max())):
+        raise InputError("the map has no finite bounds")
+    return every.min(axis=0) - room, every.max(axis=0) + room
