@@ -13,17 +13,12 @@ import argparse
 import dataclasses
 import json
 import os
-import queue
-import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +29,7 @@ sys.path.sort(key=lambda path: path in sys.path[-2:])  # last: modules of the sa
 import numpy as np
 from fly import GOAL, OTHERS, START, VIA, make_world
 from measure import FloatArray
+from real_autopilot import FlyProcess, fly_batches, timed, vehicle, with_section
 from scipy.spatial import cKDTree
 
 from alula.cli.main import run as alula
@@ -58,8 +54,6 @@ FILTERS = {
     "shield": ("body rates", "cover"),
 }
 REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
-_INDOORS = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home in an emergency
-_TIMED = re.compile(r" *\d+\.\d+ s  ")
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
 
@@ -157,48 +151,22 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
 
 
 class Vehicles:
-    """Runs the real program several times at once; each flies there and back until its batch is over."""
+    """Flies cells on the real program; each vehicle flies there and back until its batch is over."""
 
     def __init__(self, folder: Path, cells: list[Cell], jobs: int, keep: Path) -> None:
         self.folder, self.keep, self.judge = folder, keep, Judge(folder)
-        self.batches: queue.Queue[list[Cell]] = queue.Queue()
         even, odd = ([cell for cell in cells if cell.number % 2 == back] for back in (0, 1))
         alternating = [cell for pair in zip(even, odd, strict=False) for cell in pair]
-        for first in range(0, len(alternating), _BATCH):
-            self.batches.put(alternating[first : first + _BATCH])
+        self.batches = [alternating[i : i + _BATCH] for i in range(0, len(alternating), _BATCH)]
         self.jobs = jobs
-        self.lock, self.starting = threading.Lock(), threading.Lock()
+        self.lock = threading.Lock()
 
     def run(self) -> None:
         """Fly everything."""
-        threads = [threading.Thread(target=self._work) for _ in range(self.jobs)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-
-    def _work(self) -> None:
-        while True:
-            try:
-                batch = self.batches.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                self._fly(batch)
-            except Exception as error:  # noqa: BLE001  the others go on; it is missing in the table
-                print(f"{batch[0].key}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
-
-    @contextmanager
-    def _vehicle(self, folder: Path) -> Iterator[Any]:
-        from support.ardupilot_sitl import sitl
-
-        self.starting.acquire()  # two programs that start at once would choose the same ports
-        threading.Timer(4.0, self.starting.release).start()
-        with sitl(folder, _INDOORS) as sim:
-            yield sim
+        fly_batches(self.batches, self.jobs, self._fly)
 
     def _fly(self, batch: list[Cell]) -> None:
-        with tempfile.TemporaryDirectory() as name, self._vehicle(Path(name)) as sim:
+        with tempfile.TemporaryDirectory() as name, vehicle(Path(name)) as sim:
             for cell in batch:
                 found = self._flight(Path(name), sim, cell)
                 with self.lock, self.keep.open("a") as lines:
@@ -207,18 +175,13 @@ class Vehicles:
                     return  # the vehicle is not where the next plan begins
 
     def _flight(self, folder: Path, sim: Any, cell: Cell) -> dict[str, Any]:
-        words = [sys.executable, "-P", "-m", "alula.cli", "fly", str(cell.plan(self.folder)), "-f"]
-        words += ["--map", str(cell.map(self.folder)), "--filter", cell.name, "--vehicle", str(VEHICLE)]
+        words = [str(cell.plan(self.folder)), "-f", "--map", str(cell.map(self.folder))]
+        words += ["--filter", cell.name, "--vehicle", str(VEHICLE)]
         words += ["--link", f"udpin:127.0.0.1:{sim.port}", "--origin", f"{-START[0]} {-START[1]} 0"]
         words += ["--stale", "0.4", "--latency", "0.05", "-o", str(folder / "f.run.mcap")]
-        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
-            timer = threading.Timer(_SAFE_S, process.terminate)
-            timer.start()
-            assert process.stderr is not None
-            heard = [(time.monotonic(), line.rstrip()) for line in process.stderr]
-            code = process.wait()
-            timer.cancel()
-        lines = timed(heard)
+        with FlyProcess(*words) as process:
+            code = process.end(_SAFE_S)
+        lines = timed(process.heard)
         begin = next((at for at, line in lines if "flying the plan" in line), None)
         end = next(
             (at for at, line in lines if begin is not None and at > begin and ": landing" in line), None
@@ -240,16 +203,6 @@ class Vehicles:
             shutil.copy(folder / "f.run.mcap", f"{kept}.run.mcap")
             np.save(f"{kept}.npy", path)
         return figures
-
-
-def timed(heard: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Lines with their times [s] on this machine's clock: those that `fly` printed, "   3.21 s  words".
-
-    The line that arrived with the smallest delay gives the difference of the clocks.
-    """
-    printed = {line: float(line.split(" s  ")[0]) for _, line in heard if _TIMED.match(line)}
-    offset = min((at - printed[line] for at, line in heard if line in printed), default=0.0)
-    return [(offset + printed[line] if line in printed else at, line) for at, line in heard]
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
@@ -359,9 +312,8 @@ def main() -> int:
     shown = table(found)
     if options.markdown is not None:
         page = options.markdown.read_text() if options.markdown.exists() else ""
-        before = page.split(OTHERS)[0].rstrip("\n")
         preface = _PREFACE.format(real=REAL, simulated=SIMULATED)
-        options.markdown.write_text(f"{before}\n\n{OTHERS}{preface}{shown}")
+        options.markdown.write_text(with_section(page, f"{OTHERS}{preface}{shown}"))
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
 

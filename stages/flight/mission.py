@@ -27,9 +27,10 @@ from alula.stages.filtering.polytope_cbf import without_filter
 from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import complete_parameters, make_filter
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
+from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
-from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
@@ -38,7 +39,7 @@ from alula.stages.planning.curve_certificate import certify
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
-from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2, stop_m
+from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
@@ -416,13 +417,8 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
         mission: to fly.
         accepts: kinds of set-points that the link accepts.
     """
-    return FenceGuard(
-        mission.fence,
-        mission.vehicle,
-        dt_s=1 / mission.config.rate_hz,
-        takes_rates=RatesSetpoint in accepts,
-        reserve_m=mission.config.fence_reserve_m,
-        latency_s=mission.config.latency_s,
+    return guard_of(
+        mission.config, mission.vehicle, mission.fence, accepts, reserve_m=mission.config.fence_reserve_m
     )
 
 
@@ -434,29 +430,18 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         setpoints: kinds of set-points; the link must accept one of them.
     """
     config = mission.config
-    model = rates_model(mission.vehicle)
-    speed = config.speed_m_s
-    assert speed is not None
-    return Needs(
-        setpoints=frozenset(setpoints),
-        start=mission.start,
-        goal=mission.goal,
+    assert config.speed_m_s is not None
+    return needs_of(
+        config,
+        mission.vehicle,
+        setpoints=setpoints,
+        ends=(mission.start, mission.goal),
         path=sample_plan(mission.plan, _FAILSAFE_STEP_S).position_world,
         obstacles=mission.obstacles,
-        radius_m=mission.vehicle.body.radius_m,
         margin_m=config.margin_m,
         fence=mission.fence,
         plan=mission.is_clear,
-        speed_m_s=speed,
-        stop_m=stop_m(mission.vehicle.following, speed),
-        near_m=config.near_m,
-        state_hz=min(20.0, 0.5 * config.rate_hz),
-        loop_hz=config.rate_hz,
-        stale_s=config.stale_s,
-        latency_s=config.latency_s,
-        battery_share=config.battery,
-        max_thrust_m_s2=sum(model.thrust),
-        gravity_m_s2=model.gravity,
+        speed_m_s=config.speed_m_s,
     )
 
 
@@ -468,10 +453,9 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         dry_run: end after the pre-flight checks.
     """
     assert config.max_time_s is not None
-    limits = SupervisorLimits(
-        stale_s=config.stale_s,
+    limits = limits_of(
+        config,
         fallback_s=config.fallback_s,
-        battery_share=config.battery * 2 / 3,
         flight_s=config.max_time_s,
         checks_s=_CARRYING_S if config.frame_check == "hand" else SupervisorLimits.checks_s,
     )

@@ -15,15 +15,15 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
+from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
-from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.preflight import Needs
-from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import Steps, plan_steps
 from alula.stages.vehicles.fence import fence
-from alula.stages.vehicles.velocity_lag import LAG_MARGIN, stop_time_s
+from alula.stages.vehicles.velocity_lag import stop_m, stop_time_s
 
 # Parameters that give a first guess, and those of the rate loop, for people.
 GUESSES = ("WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER")
@@ -127,9 +127,8 @@ def make_step_flight(
     following, box = vehicle.following, np.array(config.box)
     fastest = max(config.speeds_m_s)
 
-    def stop_m(speed_m_s: float, axis: int) -> float:
-        law = following.vertical_lag if axis == 2 else following.horizontal_lag
-        return LAG_MARGIN * stop_time_s(law, speed_m_s) * speed_m_s
+    def stop_along_m(speed_m_s: float, axis: int) -> float:
+        return stop_m(following.vertical_lag if axis == 2 else following.horizontal_lag, speed_m_s)
 
     return StepFlight(
         survey.steps.flown,
@@ -138,7 +137,7 @@ def make_step_flight(
         lag_s=max(
             stop_time_s(law, min(fastest, 1.0)) for law in (following.horizontal_lag, following.vertical_lag)
         ),
-        stop_m=stop_m,
+        stop_m=stop_along_m,
         gravity_m_s2=vehicle.body.gravity_m_s2,
         throttle=throttle,
         say=say,
@@ -152,14 +151,7 @@ def make_step_guard(survey: Survey, accepts: frozenset[type[Setpoint]]) -> Fence
         survey: to fly.
         accepts: kinds of set-points that the link accepts.
     """
-    return FenceGuard(
-        survey.fence,
-        survey.vehicle,
-        dt_s=1 / survey.config.rate_hz,
-        takes_rates=RatesSetpoint in accepts,
-        reserve_m=_FENCE_RESERVE_M,
-        latency_s=survey.config.latency_s,
-    )
+    return guard_of(survey.config, survey.vehicle, survey.fence, accepts, reserve_m=_FENCE_RESERVE_M)
 
 
 def make_step_needs(survey: Survey) -> Needs:
@@ -168,30 +160,18 @@ def make_step_needs(survey: Survey) -> Needs:
     Args:
         survey: to fly.
     """
-    config, model = survey.config, rates_model(survey.vehicle)
-    low, high = config.box[:3], config.box[3:]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    fastest = max(config.speeds_m_s)
-    return Needs(
-        setpoints=frozenset(survey.setpoints),
-        start=survey.centre,
-        goal=survey.centre,
-        path=corners,
+    low, high = survey.config.box[:3], survey.config.box[3:]
+    return needs_of(
+        survey.config,
+        survey.vehicle,
+        setpoints=survey.setpoints,
+        ends=(survey.centre, survey.centre),
+        path=np.array(list(itertools.product(*zip(low, high, strict=True)))),
         obstacles=[],
-        radius_m=survey.vehicle.body.radius_m,
         margin_m=0.0,
         fence=survey.fence,
         plan=(True, f"{len(survey.steps.flown)} steps in a box that is free, as the user says"),
-        speed_m_s=fastest,
-        stop_m=LAG_MARGIN * stop_time_s(survey.vehicle.following.horizontal_lag, fastest) * fastest,
-        near_m=config.near_m,
-        state_hz=min(20.0, 0.5 * config.rate_hz),
-        loop_hz=config.rate_hz,
-        stale_s=config.stale_s,
-        latency_s=config.latency_s,
-        battery_share=config.battery,
-        max_thrust_m_s2=sum(model.thrust),
-        gravity_m_s2=model.gravity,
+        speed_m_s=max(survey.config.speeds_m_s),
     )
 
 
@@ -203,7 +183,5 @@ def make_step_options(survey: Survey, *, dry_run: bool) -> LoopOptions:
         dry_run: end after the pre-flight checks.
     """
     longest_s = sum(step.duration_s + _BETWEEN_S for step in survey.steps.flown)
-    limits = SupervisorLimits(
-        stale_s=survey.config.stale_s, battery_share=survey.config.battery * 2 / 3, flight_s=longest_s
-    )
+    limits = limits_of(survey.config, flight_s=longest_s)
     return LoopOptions(rate_hz=survey.config.rate_hz, limits=limits, dry_run=dry_run, margin_m=0.3)
