@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 
 from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, Vehicle, VelocitiesTable
-from alula.stages.identification.fit import Estimate, Identification
+from alula.stages.identification.estimates import Estimate
+from alula.stages.identification.fit import Identification
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _DISAGREES = 1.25  # factor between a measurement and the first guess that is worth a warning

@@ -7,8 +7,10 @@ import pytest
 
 from alula.schemas.errors import CheckError
 from alula.schemas.vehicle import VelocitiesTable
-from alula.stages.identification.fit import crossing, fit, line_of, mean_of, smoothed
+from alula.stages.identification.estimates import line_of, mean_of
+from alula.stages.identification.fit import fit
 from alula.stages.identification.recording import Phase, Recording
+from alula.stages.identification.responses import crossing, smoothed
 from alula.stages.identification.steps import Step, plan_steps
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
