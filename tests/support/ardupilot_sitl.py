@@ -7,6 +7,7 @@ sensors, and reads the true motion (SIM_STATE) and all texts.
 import math
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -40,6 +41,7 @@ class Sitl:
 
     def __init__(self, instance, port):
         self.port = port
+        self._sticks_port = 5501 + 10 * instance
         self._socket = until(lambda: self._connected(second_port(instance)))
         self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
         self._parser.robust_parsing = True
@@ -49,7 +51,8 @@ class Sitl:
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
         until(lambda: "HEARTBEAT" in self.newest)
-        for name, rate_hz in (("SIM_STATE", 20), ("EKF_STATUS_REPORT", 5), ("SYS_STATUS", 5)):
+        rates = {"SIM_STATE": 20, "EKF_STATUS_REPORT": 5, "SYS_STATUS": 5, "HEARTBEAT": 5}
+        for name, rate_hz in (rates | {"LOCAL_POSITION_NED": 5}).items():
             number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
 
@@ -103,6 +106,12 @@ class Sitl:
         for name, value in parameters.items():
             self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), float(value), 9))
             time.sleep(0.02)
+
+    def sticks(self, throttle):
+        """Put the pilot's throttle stick at a pulse width [us]; the other sticks and switches stay."""
+        pulses = (1500, 1500, throttle, 1500, 1800, 1000, 1000, 1800)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+            line.sendto(struct.pack("<8H", *pulses), ("127.0.0.1", self._sticks_port))
 
     def close(self):
         """Disconnect the other station."""
