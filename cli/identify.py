@@ -163,6 +163,7 @@ def _identify(
                 float(survey.centre[2]),
                 recorder,
                 make_step_options(survey, dry_run=common.dry_run),
+                watchdog=contact.watchdog,
                 interrupts=lambda: interrupts.number,
             )
             with signals(interrupts.count):

@@ -1,4 +1,4 @@
-"""How all commands that fly reach the vehicle: options of the link, opening, and preparing."""
+"""How all commands that fly reach the vehicle: options of the link, opening, preparing, and the watchdog."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from alula.schemas.errors import LinkError
 if TYPE_CHECKING:
     from alula.schemas.vehicle import Vehicle
     from alula.stages.flight.links.protocol import Link
+    from alula.stages.flight.watchdog.watchdog import Watchdog
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -124,15 +125,17 @@ class Contact(NamedTuple):
         said: description of the vehicle.
         changed: parameters that were set, a line each.
         trouble: why they could not be set; empty if they could.
+        watchdog: of the flight, which runs; None for a link that has none.
     """
 
     said: str
     changed: list[str]
     trouble: str
+    watchdog: Watchdog | None
 
 
 def reach(link: Link, address: str, *, quiet: bool) -> Contact:
-    """Open a link and prepare the vehicle; the failure to prepare it is left to the checks.
+    """Open a link, prepare the vehicle and start the watchdog; the checks judge a failure to prepare it.
 
     Args:
         link: to the vehicle; not yet open.
@@ -140,14 +143,18 @@ def reach(link: Link, address: str, *, quiet: bool) -> Contact:
         quiet: say nothing.
 
     Raises:
-        LinkError: no vehicle answers, or it cannot be flown.
+        LinkError: no vehicle answers, or it cannot be flown; or the watchdog does not run.
     """
+    from alula.stages.flight.watchdog.watchdog import guard
+
     if not quiet and not address.startswith("sim:"):  # sim: needs no wait
         echo(f"link: waiting for the vehicle at {address}, at most {OPEN_S:g} s", err=True)
     said = link.open(OPEN_S)
     if not quiet:
         echo(f"link: {said}", err=True)
+    changed, trouble = list[str](), ""
     try:
-        return Contact(said, link.prepare(), "")
+        changed = link.prepare()
     except LinkError as error:
-        return Contact(said, [], str(error))
+        trouble = str(error)
+    return Contact(said, changed, trouble, guard(link))

@@ -102,6 +102,7 @@ def fly(
                 float(mission.start[2]),
                 recorder,
                 make_options(mission.config, dry_run=common.dry_run),
+                watchdog=contact.watchdog,
                 interrupts=lambda: interrupts.number,
             )
             with signals(interrupts.count):

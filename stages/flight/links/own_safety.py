@@ -87,6 +87,7 @@ class OwnSafety:
         fence: the parameters of its fence, with their values.
         unknown: parameters that the vehicle did not report although they decide.
         alone_s: longest time from this program's last message until it begins to stop [s]; NaN if unknown.
+        watched_s: the same if only this program ends or stalls, and a watchdog acts; NaN without one.
     """
 
     failsafes: tuple[Failsafe, ...]
@@ -96,3 +97,4 @@ class OwnSafety:
     fence: str = ""
     unknown: tuple[str, ...] = ()
     alone_s: float = math.nan
+    watched_s: float = math.nan

@@ -50,9 +50,11 @@ from alula.stages.flight.recorder.samples import (
     level_of,
     tick_sample,
 )
+from alula.stages.flight.watchdog.watchdog import Watchdog
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
+_WATCHED = frozenset({State.TAKE_OFF, State.FLY, State.HOLD, State.LAND})
 _EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
 
 
@@ -124,6 +126,7 @@ class ControlLoop:
         height_m: height of the plan's start, world frame [m].
         recorder: receives samples and messages.
         options: see `LoopOptions`.
+        watchdog: takes the vehicle over when this loop ends or stalls; `run` closes it. None for none.
         interrupts: returns how often the operator has interrupted the program.
         clock: returns monotonic time [s].
         sleep: waits for a time [s].
@@ -140,12 +143,13 @@ class ControlLoop:
         recorder: Recorder,
         options: LoopOptions,
         *,
+        watchdog: Watchdog | None = None,
         interrupts: Callable[[], int] = lambda: 0,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.link, self.commander, self.guard, self.plan, self.checks = link, commander, guard, plan, checks
-        self.recorder, self.options = recorder, options
+        self.recorder, self.options, self._watchdog = recorder, options, watchdog
         self.supervision = Supervision()
         self.counters = Counters()
         self.taken: list[tuple[float, Taken]] = []
@@ -168,6 +172,8 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
+        self._beat_s, self._stalled_s, self._is_unwatched = 0.0, 0.0, False
+        self._taken_s: float | None = None  # when it was found that the watchdog had taken over
         self._cause: Event | None = None
         self._cause_detail = ""  # reason of the cause in words
 
@@ -207,6 +213,8 @@ class ControlLoop:
             raise
         finally:
             gc.enable()
+            if self._watchdog is not None:
+                self._watchdog.close()
 
     def _loop(self) -> None:
         period, counters = 1 / self.options.rate_hz, self.counters
@@ -244,6 +252,9 @@ class ControlLoop:
             spent_s: duration of the tick before [s].
         """
         self._sent = None
+        if self._watchdog is not None and self._taken_s is None and self._watchdog.has_taken_over:
+            self._taken_s, self._stalled_s = now_s, now_s - self._beat_s
+            self._supervise(now_s, late_s)  # before an order that is still pending is repeated
         self._poll(now_s)
         state = self.link.state
         self._observe(state, now_s, late_s)
@@ -254,6 +265,19 @@ class ControlLoop:
             if self._filter is not FilterHealth.GOOD or self._fence_m == -math.inf:
                 self._supervise(now_s, late_s)
         self._record(state, now_s, late_s, spent_s, sample)
+        self._beat()
+
+    def _beat(self) -> None:
+        """Tell the watchdog that the loop lives, and whether the vehicle depends on it."""
+        watchdog, status = self._watchdog, self.link.status
+        if watchdog is None:
+            return
+        self._beat_s = self._clock()
+        is_in_control = self.state in _WATCHED and (status.obeys or not status.mode)
+        watchdog.beat(self._beat_s, is_in_control=is_in_control)
+        if watchdog.has_ended and not self._is_unwatched:
+            self._is_unwatched = True
+            self.say(self._beat_s, WARNING, "the watchdog has ended; the vehicle's own failsafes remain")
 
     def _poll(self, now_s: float) -> None:
         try:
@@ -307,7 +331,9 @@ class ControlLoop:
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
         ground, start = self._ground_m, self._start_height_m
-        silence = math.inf if status.heard_s is None or self._link_failed else now_s - status.heard_s
+        silence = math.inf
+        if status.heard_s is not None and not self._link_failed:  # until then the watchdog may have read all
+            silence = now_s - max(status.heard_s, self._taken_s or -math.inf)
         return Facts(
             now_s=now_s,
             state_age_s=math.inf if state is None else state.age_s(now_s),
@@ -343,6 +369,7 @@ class ControlLoop:
             model_off_s=self._model.off_s(now_s),
             fence_m=self._fence_m,
             plan_done=self._has_arrived,
+            watchdog=self._taken_s is not None,
             interrupts=self._interrupts(),
         )
 
@@ -369,6 +396,8 @@ class ControlLoop:
         """Reason of an event in words, as far as it is known; empty if the event's name says it all."""
         if taken.event is Event.FRAME_WRONG:
             return self._motion.wrong
+        if taken.event is Event.WATCHDOG:
+            return f"the loop stalled for {self._stalled_s:.2f} s"
         if taken.event in _TOLD_LATE:
             return self.link.status.failsafe
         if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
@@ -537,5 +566,6 @@ class ControlLoop:
                     self.link.order(Order.LAND, now)
                     is_ordered = True
                 self.link.poll(now)
+                self._beat()
             self._sleep(0.02)
             now = self._clock()

@@ -105,6 +105,7 @@ class Facts:
         model_off_s: time for which the motion has contradicted the vehicle's model, see `ModelWatch` [s].
         fence_m: distance to the fence [m]; None without a state.
         plan_done: the vehicle is at the end of the plan.
+        watchdog: the watchdog has taken the vehicle over.
         interrupts: how often the operator has interrupted the program.
     """
 
@@ -142,6 +143,7 @@ class Facts:
     model_off_s: float = 0.0
     fence_m: float | None = None
     plan_done: bool = False
+    watchdog: bool = False
     interrupts: int = 0
 
 
@@ -264,7 +266,9 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     is_moot = state is State.LAND and is_landing_over  # or what led to the landing is worse
     is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not facts.from_goal_m <= limits.landed_m
     for event, is_so in (
-        # Somebody who takes the vehicle over has priority over every other event.
+        # Somebody who takes the vehicle over has priority over every other event; the watchdog changes the
+        # mode, too.
+        (Event.WATCHDOG, facts.watchdog),
         (Event.MODE_CHANGED, not (facts.is_ours or facts.by_failsafe)),
         (Event.FAILSAFE, (facts.is_failsafe and not facts.obeys) or facts.by_failsafe),
         (Event.LANDED_AWAY, is_away),

@@ -60,6 +60,7 @@ class Event(Enum):
     FAILSAFE_IDLE = "failsafe without any action"
     RESTARTED = "vehicle restarted"
     MODE_CHANGED = "mode changed by the pilot"
+    WATCHDOG = "watchdog took over"
     ORDER_REFUSED = "order refused"
     PLAN_FINISHED = "plan finished"
     TIMED_OUT = "took too long"
@@ -125,6 +126,13 @@ def _stay(state: State, action: Action, words: str, *events: Event) -> _Row:
 
 
 _TAKEN_OVER = (_E.MODE_CHANGED, _E.FAILSAFE)
+_WATCHED: _Row = {
+    _E.WATCHDOG: Step(
+        _S.HAND_OVER,
+        _A.LET_GO,
+        f"{_E.WATCHDOG.value}: it stops the vehicle and lands it; Ctrl-C ends this program",
+    )
+}
 
 TABLE: Mapping[State, Mapping[Event, Step]] = {
     _S.IDLE: {_E.START: Step(_S.CHECKS, _A.CHECK, "pre-flight checks begin")} | _done(_E.INTERRUPT),
@@ -154,6 +162,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.TAKE_OFF: {_E.AIRBORNE: Step(_S.FLY, _A.ENGAGE, "take-off height reached: flying the plan")}
+    | _WATCHED
     | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(
@@ -172,7 +181,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _stop(_E.CRASHED)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.FLY: _hand_over(*_TAKEN_OVER)
+    _S.FLY: _WATCHED
+    | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     # The vehicle levels itself out in its landing mode; on the ground no thrust may be commanded.
     | _land(_E.TURNED_OVER, _E.FALLEN)
@@ -193,6 +203,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
+    | _WATCHED
     | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(_E.TURNED_OVER, _E.FALLEN)
@@ -212,7 +223,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.DRIFTS, _E.NOT_OBEYED)
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.LAND: _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
+    _S.LAND: _WATCHED
+    | _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
     | _done(_E.LANDED_AWAY, _E.DISARMED)
     | _stop(_E.CRASHED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
@@ -255,9 +267,11 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     _S.CHECKS: frozenset(
         {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
         | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_TAKEN_OVER}
+        | {_E.WATCHDOG}
     ),
+    # The watchdog acts while this program is in control only; from arming it becomes so in a take-off.
     _S.ARMING: frozenset(
-        {_E.START, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        {_E.START, _E.WATCHDOG, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
         | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS, _E.LANDED_AWAY, *_CRASHES}
     ),
     _S.TAKE_OFF: frozenset(
@@ -279,10 +293,20 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     _S.HAND_OVER: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
         | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE}
-        | {*_POSITION, *_CRASHES, *_TAKEN_OVER}
+        | {*_POSITION, *_CRASHES, *_TAKEN_OVER, _E.WATCHDOG}
     ),
     _S.ABORT: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        {
+            _E.START,
+            _E.WATCHDOG,
+            *_OF_CHECKS,
+            _E.ARMED,
+            _E.AIRBORNE,
+            _E.LANDED,
+            *_OF_FLIGHT,
+            *_OF_HOLD,
+            *_HEALTH,
+        }
         | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),

@@ -84,7 +84,7 @@ def test_what_it_coasts_is_said_before_take_off():
     made = mission("cone-backup", scene=BALL, is_clear=True, speed_m_s=SPEED)
     flown = Flight(made, loop_words={"dry_run": True}).fly()
     words = next(each.words for each in flown.loop.checks.verdicts if each.name == "failsafes")
-    assert words.endswith("; if this program ends, it coasts at most 1.8 m from 1 m/s")
+    assert words.endswith("; from 1 m/s it coasts at most 1.8 m when this program dies")
 
 
 def test_a_file_with_a_faster_yaw_than_the_vehicles_own_filter_is_pointed_out():

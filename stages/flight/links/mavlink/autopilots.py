@@ -63,11 +63,13 @@ class Autopilot:
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
+        stopping: main and sub mode that brake and hold the position; None if it cannot.
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
         reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
         mode_of: function from custom_mode to main mode, sub mode and name.
+        custom_of: function from main and sub mode to custom_mode.
         accepts: kinds of set-points that it follows.
     """
 
@@ -84,11 +86,13 @@ class Autopilot:
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
+    stopping: tuple[int, int] | None
     streams_first: bool
     takes_off_by_command: bool
     reports_arming: bool
     has_odometry: bool
     mode_of: Callable[[int], tuple[int, int, str]]
+    custom_of: Callable[[tuple[int, int]], int]
     accepts: frozenset[type[Setpoint]] = ALL_SETPOINTS
 
     @property
@@ -188,11 +192,13 @@ ARDUPILOT = Autopilot(
     is_bytewise=False,
     control=(4, 0),
     landing=(9, 0),
+    stopping=(17, 0),  # BRAKE
     streams_first=False,
     takes_off_by_command=True,
     reports_arming=True,
     has_odometry=False,
     mode_of=_copter_mode,
+    custom_of=lambda mode: mode[0],
 )
 
 PX4 = Autopilot(
@@ -216,11 +222,13 @@ PX4 = Autopilot(
     is_bytewise=True,
     control=(6, 0),
     landing=(4, 6),
+    stopping=(4, 3),  # AUTO.LOITER
     streams_first=True,
     takes_off_by_command=False,
     reports_arming=False,
     has_odometry=True,
     mode_of=_px4_mode,
+    custom_of=lambda mode: mode[0] << 16 | mode[1] << 24,
 )
 
 _BY_NUMBER = {dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, dialect.MAV_AUTOPILOT_PX4: PX4}

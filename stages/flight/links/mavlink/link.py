@@ -12,7 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
+from alula.stages.flight.links.mavlink.autopilots import (
+    ALL_SETPOINTS,
+    ARDUPILOT,
+    Autopilot,
+    autopilot_of,
+    mode_command,
+)
 from alula.stages.flight.links.mavlink.estimate import Estimate
 from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.orders import Addressee, Orders
@@ -28,6 +34,7 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
     VehicleStatus,
+    Ward,
     check_height,
 )
 
@@ -46,6 +53,7 @@ _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
+_LINK_OF_WATCHDOG = 1  # its packets are a stream of their own, whose time stamps cannot make others look old
 
 
 def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
@@ -164,6 +172,29 @@ class MavlinkLink:
             except LinkError as error:
                 self._telemetry.say(f"parameters could not be put back: {error}")
             raise
+
+    def guarded(self) -> Ward:
+        """What a watchdog process needs to stop and land the vehicle; after `open`."""
+        autopilot, session = self._autopilot, self._session
+        orders = [mode for mode in (autopilot.landing, autopilot.stopping) if mode is not None]
+        customs = [autopilot.custom_of(mode) for mode in orders]
+        names = [autopilot.mode_of(custom)[2] for custom in customs]
+        heartbeat, *sent = session.parts(*(mode_command(mode) for mode in orders))
+        signer = session.signer
+        settings = {
+            **{"system": session.source, "component": COMPONENT, "vehicle": session.target[0]},
+            **{"key": None if signer is None else signer.key, "link": _LINK_OF_WATCHDOG},
+            **{"heartbeat": heartbeat, "land": sent[0], "stop": sent[-1]},
+            **{"land_name": names[0], "stop_name": names[-1]},
+            **{"control": autopilot.custom_of(autopilot.control), "landing": customs[0]},
+            "stopping": None if autopilot.stopping is None else customs[-1],
+        }
+        return Ward(settings, lambda: session.place, self._reported)
+
+    def _reported(self) -> tuple[int, float, int]:
+        beat, signer = self._telemetry.heartbeat, self._session.signer
+        mode = 0 if beat is None else beat.custom_mode
+        return mode, self._telemetry.beat_s, 0 if signer is None else signer.newest
 
     def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
         """Values of parameters of a vehicle that was opened; those that it does not report are left out.
@@ -292,7 +323,7 @@ class MavlinkLink:
         if self._is_without_position:
             if autopilot is not ARDUPILOT:
                 raise LinkError(f"{autopilot.name} has no mode guided_nogps")
-            autopilot = dataclasses.replace(autopilot, control=_GUIDED_NOGPS)
+            autopilot = dataclasses.replace(autopilot, control=_GUIDED_NOGPS, stopping=None)
         self._autopilot = telemetry.autopilot = autopilot
         telemetry.read_mode()
         if session.wait(lambda: bool(session.others), _OTHERS_S):

@@ -14,6 +14,7 @@ from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.transport import Transport, open_transport
 from alula.stages.flight.links.mavlink.wire import Packet, Wire
 from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import Place
 
 GROUND_STATION = 255  # autopilots monitor the heartbeats of this system by default
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
@@ -24,6 +25,7 @@ _MAX_BYTES = 1 << 15
 _HEARTBEAT_S = 1.0
 _RATES_HEARTBEAT_S = 0.1  # where the vehicle lands after half a second without one
 _WAIT_S = 0.005
+_NOWHERE = Place(None, "")
 _DESERTED_S = 3.0  # after this time without packets another address may take the vehicle's place
 
 WANTED = (
@@ -149,16 +151,7 @@ class Session:
                 break
         if now_s - self._beat_s >= self._period_s:
             self._beat_s = now_s
-            self.send(
-                dialect.MAVLink_heartbeat_message(
-                    dialect.MAV_TYPE_ONBOARD_CONTROLLER,
-                    dialect.MAV_AUTOPILOT_INVALID,
-                    0,
-                    0,
-                    dialect.MAV_STATE_ACTIVE,
-                    3,
-                )
-            )
+            self.send(_heartbeat())
             if self.signer is not None:
                 self.signer.keep_up()
 
@@ -171,6 +164,16 @@ class Session:
         assert self._transport is not None
         if not self._transport.send(self._wire.pack(message)):
             self.unsent += 1
+
+    @property
+    def place(self) -> Place:
+        """Where the vehicle is reached."""
+        return _NOWHERE if self._transport is None else self._transport.place
+
+    def parts(self, *commands: tuple[int, tuple[float, ...]]) -> list[tuple[int, int, bytes]]:
+        """A heartbeat, and COMMAND_LONGs by number and parameters, for frames of another process."""
+        messages = (_heartbeat(), *(self.command(*each) for each in commands))
+        return [self._wire.parts(message) for message in messages]
 
     def command(self, number: int, values: tuple[float, ...], confirmation: int = 0) -> Any:
         """A COMMAND_LONG to the vehicle.
@@ -265,6 +268,17 @@ class Session:
                 return
             self.lost += gap
         self._sequence = sequence
+
+
+def _heartbeat() -> Any:
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+        dialect.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        dialect.MAV_STATE_ACTIVE,
+        3,
+    )
 
 
 def _is_autopilot(packet: Packet) -> bool:
