@@ -116,8 +116,8 @@ def _identify(
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.flight.recorder.samples import INFO
+    from alula.stages.identification.own_limits import PARAMETERS
     from alula.stages.identification.survey import (
-        GUESSES,
         make_step_flight,
         make_step_guard,
         make_step_needs,
@@ -143,7 +143,7 @@ def _identify(
             if not {VelocitySetpoint, *([RatesSetpoint] if config.rates else [])} <= link.accepts:
                 raise LinkError("identify needs a link that accepts velocities, with --rates also body rates")
             read: Any = getattr(link, "read_parameters", None)
-            parameters: dict[str, float] = {} if read is None else read(GUESSES)
+            parameters: dict[str, float] = {} if read is None else read(PARAMETERS)
             survey = make_survey(config, guess, parameters)
             if not common.quiet:
                 for words in survey.steps.skipped:
@@ -194,6 +194,7 @@ def _conclude(
     from alula.schemas.vehicle import check_vehicle, contents, vehicle_text
     from alula.stages.flight.loop.supervisor import Event
     from alula.stages.identification.fit import fit
+    from alula.stages.identification.own_limits import rate_notes
     from alula.stages.identification.result import disagreements, identified_vehicle
 
     cause = loop.supervision.cause
@@ -223,6 +224,7 @@ def _conclude(
     )
     check_vehicle(vehicle)
     notes = disagreements(found, survey.vehicle, parameters)
+    notes += rate_notes(parameters) if config.rates else []
     notes += [f"without a usable response: {name}" for name in found.left_out]
     if cause is not Event.PLAN_FINISHED:
         notes.append(f"all steps were flown, but: {loop.ending}")

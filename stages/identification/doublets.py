@@ -1,8 +1,9 @@
-"""Loops of rates and thrust, from short steps of the body rates and of the thrust."""
+"""Loops and limits of rates, and thrust, from short steps of the body rates and of the thrust."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,31 +13,112 @@ from alula.stages.identification.responses import FALLEN, crossing
 from alula.stages.identification.steps import Step
 
 _LEVEL_S = 0.05  # of the climb before a thrust step
+_LAST = 0.25  # part of a fast step over whose end the rate is averaged
+_WHOLE = 0.9  # a fast step that ended before this part of its duration shows no rate
+_RISING = (0.2, 0.6)  # parts of the reached rate between which its acceleration is measured
+REACHED = 0.9  # part of an asked value below which it counts as limited
+
+
+class RateLimit(NamedTuple):
+    """How fast the vehicle rotated about an axis when it was asked to rotate fast.
+
+    Attributes:
+        asked_rad_s: rate of the set-points [rad/s].
+        reached_rad_s: mean rate at the end of the steps [rad/s].
+        acceleration_rad_s2: mean from 20 to 60 % of the reached rate [rad/s^2].
+    """
+
+    asked_rad_s: float
+    reached_rad_s: Estimate
+    acceleration_rad_s2: Estimate | None
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether the vehicle stayed below the rate that was asked."""
+        return self.reached_rad_s.value < REACHED * self.asked_rad_s
+
+
+RateLimits = tuple[RateLimit | None, RateLimit | None, RateLimit | None]
 
 
 def rate_lags(recording: Recording) -> tuple[Estimate, Estimate, Estimate] | None:
-    """Times to 63 % of steps of the body rates; None unless all axes have one."""
+    """Times to 63 % of steps of the body rates; None unless all axes have one.
 
-    def time_of(number: int, step: Step) -> float | None:
-        out = recording.rows(number, Phase.OUT)
-        begin_s = recording.begins[number][Phase.OUT]
-        rows = np.concatenate([recording.rows(number, Phase.REST)[-1:], out])
-        return crossing(
-            recording.time_s[rows] - begin_s, recording.omega[rows, step.axis] / step.size, FALLEN
-        )
+    Args:
+        recording: of the flight.
+    """
 
     def about(axis: int) -> Estimate | None:
         return _means_of(
-            recording, "rate", lambda number, step: time_of(number, step) if step.axis == axis else None
+            recording,
+            "rate",
+            lambda number, step: (
+                _rises_at(recording, number, step, FALLEN) if step.axis == axis and not step.is_fast else None
+            ),
         )
 
-    axes = [about(axis) for axis in range(3)]
-    roll, pitch, yaw = axes
+    roll, pitch, yaw = (about(axis) for axis in range(3))
     return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
 
 
+def rate_limits(recording: Recording) -> RateLimits:
+    """How fast the vehicle rotated in fast steps, about x, y, z of the body.
+
+    Args:
+        recording: of the flight.
+    """
+
+    def is_about(step: Step, axis: int) -> bool:
+        return step.is_fast and step.axis == axis
+
+    def reached(number: int, step: Step) -> float | None:
+        begins = recording.begins[number]
+        lasted_s = begins.get(Phase.BACK, begins[Phase.OUT]) - begins[Phase.OUT]
+        rows = recording.rows(number, Phase.OUT)
+        last = rows[recording.time_s[rows] >= begins[Phase.OUT] + (1 - _LAST) * step.out_s]
+        if lasted_s < _WHOLE * step.out_s or len(last) < 2:
+            return None
+        return float(np.sign(step.size) * recording.omega[last, step.axis].mean())
+
+    def rising(number: int, step: Step) -> float | None:
+        rate = reached(number, step)
+        if rate is None or rate <= 0:
+            return None
+        low, high = (_rises_at(recording, number, step, part * rate / abs(step.size)) for part in _RISING)
+        if low is None or high is None or high <= low:
+            return None
+        return (_RISING[1] - _RISING[0]) * rate / (high - low)
+
+    def about(axis: int) -> RateLimit | None:
+        rate = _means_of(
+            recording, "rate", lambda number, step: reached(number, step) if is_about(step, axis) else None
+        )
+        if rate is None:
+            return None
+        asked = max(abs(step.size) for step in recording.steps if is_about(step, axis))
+        gained = _means_of(
+            recording, "rate", lambda number, step: rising(number, step) if is_about(step, axis) else None
+        )
+        return RateLimit(asked, rate, gained)
+
+    return about(0), about(1), about(2)
+
+
+def _rises_at(recording: Recording, number: int, step: Step, level: float) -> float | None:
+    """When the rate of a step first passes a part of what was asked [s]."""
+    out = recording.rows(number, Phase.OUT)
+    rows = np.concatenate([recording.rows(number, Phase.REST)[-1:], out])
+    times = recording.time_s[rows] - recording.begins[number][Phase.OUT]
+    return crossing(times, recording.omega[rows, step.axis] / step.size, level)
+
+
 def thrust_lag(recording: Recording, gravity: float) -> Estimate | None:
-    """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb."""
+    """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb.
+
+    Args:
+        recording: of the flight.
+        gravity: g [m/s^2].
+    """
 
     def lag_of(number: int, step: Step) -> float | None:
         out = recording.rows(number, Phase.OUT)

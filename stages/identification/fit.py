@@ -10,13 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from alula.schemas.errors import CheckError
-from alula.stages.identification.doublets import rate_lags, thrust_lag
+from alula.stages.identification.doublets import REACHED, RateLimits, rate_lags, rate_limits, thrust_lag
 from alula.stages.identification.drag import drag_and_residual, hover_throttle
 from alula.stages.identification.estimates import Estimate, line_of, mean_of
 from alula.stages.identification.recording import Recording
 from alula.stages.identification.responses import Response, step_responses
-
-_REACHED = 0.9  # part of an asked speed below which it counts as limited
 
 
 class Law(NamedTuple):
@@ -40,6 +38,7 @@ class Identification:
         drag_per_s: linear, along x and y of the heading and z; None where it could not be measured [1/s].
         residual_m_s2: 99 % quantile of |model - measured| acceleration, means over 0.25 s [m/s^2].
         rate_s: times to 63 % of a step in roll, pitch and yaw; None without such steps [s].
+        rate_limits: how fast it rotated about x, y, z; None where no step showed it.
         thrust_s: time constant of the thrust; None without such steps [s].
         left_out: steps without a usable response, in words.
     """
@@ -55,6 +54,7 @@ class Identification:
     drag_per_s: tuple[Estimate | None, Estimate | None, Estimate | None] = (None, None, None)
     residual_m_s2: float = math.nan
     rate_s: tuple[Estimate, Estimate, Estimate] | None = None
+    rate_limits: RateLimits = (None, None, None)
     thrust_s: Estimate | None = None
     left_out: list[str] = field(default_factory=list)
 
@@ -96,6 +96,7 @@ def fit(recording: Recording, gravity_m_s2: float) -> Identification:
         drag_per_s=drag,
         residual_m_s2=residual,
         rate_s=rate_lags(recording),
+        rate_limits=rate_limits(recording),
         thrust_s=thrust_lag(recording, gravity_m_s2),
         left_out=[name for name, has_stop in usable.items() if not has_stop],
     )
@@ -146,6 +147,6 @@ def _limit(responses: Sequence[Response], sign: float) -> float | None:
         each.speed_m_s
         for each in responses
         if (each.axis, each.sign, each.kind) == (2, sign, "rise")
-        and each.speed_m_s < _REACHED * each.asked_m_s
+        and each.speed_m_s < REACHED * each.asked_m_s
     ]
     return min(limited) if limited else None

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from alula import _core
@@ -20,13 +19,12 @@ from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, Velocity
 from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.preflight import Needs
+from alula.stages.identification.own_limits import first_guess, own_limits
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import Steps, plan_steps
 from alula.stages.vehicles.fence import fence
 from alula.stages.vehicles.velocity_lag import stop_m, stop_time_s
 
-# Parameters that give a first guess, and those of the rate loop, for people.
-GUESSES = ("WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER")
 _BETWEEN_S = 20.0  # maximum time from the end of a step to the start of the next
 _FENCE_RESERVE_M = 0.05
 
@@ -76,13 +74,15 @@ def make_survey(
     if vehicle.model != "quadrotor":
         raise UsageError(f"{vehicle.name} is a {vehicle.model}; only a quadrotor is identified")
     guess = first_guess(vehicle, parameters or {})
+    limits = own_limits(parameters or {})
     steps = plan_steps(
-        guess.following,
+        guess,
         config.speeds_m_s,
         config.box,
-        radius_m=vehicle.body.radius_m,
         reserve_m=config.reserve_m,
         rates=config.rates,
+        lean_rad=limits["lean"].value if "lean" in limits else math.inf,
+        turns_rad_s2=limits["yaw acceleration"].value if "yaw acceleration" in limits else math.inf,
     )
     if len({abs(step.size) for step in steps.flown if step.kind == "velocity" and step.axis != 2}) < 2:
         raise UsageError(
@@ -91,23 +91,6 @@ def make_survey(
         )
     low, high = config.box[:3], config.box[3:]
     return Survey(config, guess, steps, fence(box=(low, high), cover=None))
-
-
-def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
-    """The vehicle's file with the limits of velocities that its parameters give.
-
-    Args:
-        vehicle: contents of the file.
-        parameters: of the vehicle, by name.
-    """
-    following = vehicle.following
-    names = {
-        "max_up_m_s": "WPNAV_SPEED_UP",
-        "max_down_m_s": "WPNAV_SPEED_DN",
-        "deceleration_m_s2": "WPNAV_ACCEL",
-    }
-    given = {key: parameters[name] / 100 for key, name in names.items() if parameters.get(name, 0.0) > 0}
-    return msgspec.structs.replace(vehicle, velocities=msgspec.structs.replace(following, **given))
 
 
 def make_step_flight(

@@ -45,6 +45,10 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     },
     # Gains of yaw are those for ArduPilot's own simulation, P and I 1.67 and 1.11 times the firmware's.
     **{f"ATC_RAT_YAW_{part}": (_F, value) for part, value in (_RATE_GAINS | _YAW_GAINS).items()},
+    "ATC_RATE_FF_ENAB": (_B, 1),
+    "ATC_RATE_P_MAX": (_F, 0),  # degrees/s, of corrections of the attitude; 0 for no limit
+    "ATC_RATE_R_MAX": (_F, 0),
+    "ATC_RATE_Y_MAX": (_F, 0),
     "ATC_SLEW_YAW": (_F, 6000),  # centidegrees/s
     "BATT_CAPACITY": (_I, 3300),
     "BATT_CRT_MAH": (_F, 0),
@@ -120,6 +124,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "PSC_ACCZ_I": (_F, 1),
     "PSC_ACCZ_IMAX": (_F, 800),
     "PSC_ACCZ_P": (_F, 0.5),
+    "PSC_ANGLE_MAX": (_F, 0),  # degrees; 0 for ANGLE_MAX
     "PSC_JERK_XY": (_F, 5),  # m/s^3
     "PSC_JERK_Z": (_F, 5),
     "PSC_POSXY_P": (_F, 1),

@@ -33,12 +33,19 @@ class Parameter:
         required: the required value as a function of the present one.
         why: the reason, for the user.
         is_required: whether a vehicle without the parameter is refused.
+        since: its name in later versions; empty if it is the same.
     """
 
     name: str
     required: Callable[[float], float]
     why: str
     is_required: bool = True
+    since: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its possible names."""
+        return (self.name, self.since) if self.since else (self.name,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +107,7 @@ class Autopilot:
         """Names of all parameters whose values must not change in flight."""
         source = () if self.position_source is None else (self.position_source[0],)
         set_or_checked = (
-            *(each.name for each in self.needed(flies_rates=True)),
+            *(name for each in self.needed(flies_rates=True) for name in each.names),
             *(name for name, _ in self.fixed),
         )
         return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
@@ -175,7 +182,13 @@ ARDUPILOT = Autopilot(
     for_rates=(
         Parameter("FS_GCS_TIMEOUT", lambda value: min(value, 0.5), "it lands 0.5 s after the last heartbeat"),
         *(
-            Parameter(f"ATC_ACCEL_{axis}_MAX", _always(0.0), "rates are followed at once", is_required=False)
+            Parameter(
+                f"ATC_ACCEL_{axis}_MAX",
+                _always(0.0),
+                "rates are followed at once",
+                is_required=False,
+                since=f"ATC_ACC_{axis}_MAX",
+            )
             for axis in "RP"
         ),
     ),

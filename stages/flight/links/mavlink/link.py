@@ -202,10 +202,7 @@ class MavlinkLink:
         Args:
             names: of the parameters.
         """
-        if self._parameters is None:
-            return {}
-        found = {name: self._parameters.read(name, _OPTIONAL_S) for name in names}
-        return {name: value for name, value in found.items() if value is not None}
+        return {} if self._parameters is None else self._parameters.read_all(names, _ANSWER_S)
 
     def poll(self, now_s: float) -> None:
         """Receive all that has arrived, and send periodic messages."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -50,11 +51,37 @@ class Parameters:
 
     def read(self, name: str, timeout_s: float = _ANSWER_S) -> float | None:
         """Read a parameter within `timeout_s` [s]; None if the vehicle does not report it."""
-        self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
-        self._values.pop(name, None)
-        request = dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
-        self._session.wait(lambda: name in self._values, timeout_s, again=lambda: self._session.send(request))
-        return self._values.get(name)
+        return self._ask((name,), timeout_s, all).get(name)
+
+    def read_all(self, names: Iterable[str], timeout_s: float = _ANSWER_S) -> dict[str, float]:
+        """Read parameters together within `timeout_s` [s]; those that are not reported are left out."""
+        return self._ask(tuple(names), timeout_s, all)
+
+    def read_any(self, names: Iterable[str], timeout_s: float = _ANSWER_S) -> tuple[str, float] | None:
+        """Name and value of the parameter that is reported first within `timeout_s` [s]; None if none is.
+
+        Args:
+            names: of one parameter, in versions of the autopilot.
+            timeout_s: maximum time [s].
+        """
+        return next(iter(self._ask(tuple(names), timeout_s, any).items()), None)
+
+    def _ask(
+        self, names: tuple[str, ...], timeout_s: float, are_enough: Callable[[Iterable[bool]], bool]
+    ) -> dict[str, float]:
+        for name in names:
+            self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
+            self._values.pop(name, None)
+
+        def ask() -> None:
+            for name in names:
+                if name not in self._values:
+                    self._session.send(
+                        dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
+                    )
+
+        self._session.wait(lambda: are_enough(name in self._values for name in names), timeout_s, again=ask)
+        return {name: self._values[name] for name in names if name in self._values}
 
     def change(self, parameter: Parameter) -> str | None:
         """Set a parameter to the value that flights need; a line, or None if nothing was changed.
@@ -65,19 +92,20 @@ class Parameters:
         Raises:
             LinkError: the vehicle does not have it, or does not accept the value.
         """
-        present = self.read(parameter.name)
-        if present is None:
+        found = self.read_any(parameter.names)
+        if found is None:
             if parameter.is_required:
                 raise LinkError(f"the vehicle does not report its parameter {parameter.name}")
             return None
+        name, present = found
         required = parameter.required(present)
         if _is_same(present, required):
             return None
         # Remembered before writing: a value that may or may not have been accepted is restored too.
-        self._changed.setdefault(parameter.name, (present, required))
-        if not self._write(parameter.name, required, _ANSWER_S):
-            raise LinkError(f"the vehicle did not take {parameter.name} = {required:g}")
-        return f"{parameter.name}: {present:g} -> {required:g} ({parameter.why})"
+        self._changed.setdefault(name, (present, required))
+        if not self._write(name, required, _ANSWER_S):
+            raise LinkError(f"the vehicle did not take {name} = {required:g}")
+        return f"{name}: {present:g} -> {required:g} ({parameter.why})"
 
     def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
         """Check that parameters have allowed values.

@@ -194,6 +194,20 @@ def test_parameters_are_set_verified_and_put_back():
     assert "ARMING_CHECK" not in {e.param_id for e in peer.of("PARAM_SET")}
 
 
+@pytest.mark.parametrize("name", ["ATC_ACCEL_{}_MAX", "ATC_ACC_{}_MAX"])  # before 4.7, and since
+def test_a_parameter_is_set_and_put_back_under_the_name_that_the_vehicle_has(name):
+    peer = Peer()
+    peer.parameters["FS_GCS_TIMEOUT"] = (5.0, m.MAV_PARAM_TYPE_REAL32)
+    accelerations = {name.format(axis): (1100.0, m.MAV_PARAM_TYPE_REAL32) for axis in "RP"}
+    peer.parameters |= accelerations
+    before = dict(peer.parameters)
+    with vehicle(peer=peer, ready=False, flies_rates=True) as (peer, _, link):
+        lines = link.prepare()
+        assert [line.split(":")[0] for line in lines[-2:]] == list(accelerations)
+        assert [peer.parameters[each][0] for each in accelerations] == [0.0, 0.0]
+    assert peer.parameters == before
+
+
 def test_parameters_of_a_vehicle_that_somebody_flies_are_not_touched():
     peer = Peer()
     peer.armed, peer.landed = True, m.MAV_LANDED_STATE_IN_AIR
