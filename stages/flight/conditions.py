@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.flight import FlightConfig
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint
+from alula.stages.flight.loop.failsafe_check import coasts
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.loop.preflight import Needs, Obstacles
 from alula.stages.flight.loop.supervisor import SupervisorLimits
@@ -55,6 +57,7 @@ def needs_of(
     fence: Fence,
     plan: tuple[bool, str],
     speed_m_s: float,
+    step_s: float = math.inf,
 ) -> Needs:
     """Requirements of a flight for the pre-flight checks.
 
@@ -69,7 +72,9 @@ def needs_of(
         fence: volume to fly in, world frame.
         plan: whether the flight is proven clear of the map, and how, in words.
         speed_m_s: limit of the speed [m/s].
+        step_s: time between the points [s]; infinite for points that are not flown through in turn.
     """
+    law = vehicle.following.horizontal_lag
     model = rates_model(vehicle)
     return Needs(
         setpoints=frozenset(setpoints),
@@ -82,7 +87,10 @@ def needs_of(
         fence=fence,
         plan=plan,
         speed_m_s=speed_m_s,
-        stop_m=stop_m(vehicle.following.horizontal_lag, speed_m_s),
+        coast=coasts(path, step_s, speed_m_s, lambda speed: stop_m(law, speed))
+        if math.isfinite(step_s)
+        else None,
+        stop_m=stop_m(law, speed_m_s),
         near_m=config.near_m,
         state_hz=min(20.0, 0.5 * config.rate_hz),
         loop_hz=config.rate_hz,

@@ -452,6 +452,7 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         config: complete configuration, see `resolve_fly`.
         dry_run: end after the pre-flight checks.
     """
+        step_s=_FAILSAFE_STEP_S,
     assert config.max_time_s is not None
     limits = limits_of(
         config,

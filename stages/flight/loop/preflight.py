@@ -34,6 +34,7 @@ class Needs:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
         path: points of the plan, shape (T, 3), world frame [m].
+        coast: way to rest from each of these points, shape (T, 3) [m]; None if it is not known.
         speed_m_s: limit of the speed [m/s].
         stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
@@ -62,6 +63,7 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    coast: FloatArray | None = None
     speed_m_s: float = math.nan
     stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
@@ -250,7 +252,13 @@ def _failsafes(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("failsafes", False, "no state")
     foot_m = _FOOT * (needs.radius_m + needs.margin_m)  # as for the landing path, to leave out the ground
     faults, found = failsafe_faults(
-        own, needs.path, seen.state.position, needs.obstacles, radius_m=needs.radius_m, foot_m=foot_m
+        own,
+        needs.path,
+        seen.state.position,
+        needs.obstacles,
+        radius_m=needs.radius_m,
+        foot_m=foot_m,
+        coast=needs.coast,
     )
     return Verdict("failsafes", not faults, "; ".join(faults) or found + _coasting(own, needs))
 

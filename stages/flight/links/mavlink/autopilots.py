@@ -9,7 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.mavlink.ardupilot_failsafes import ardupilot_safety
+from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
+from alula.stages.flight.links.mavlink.px4_failsafes import PX4_SAFETY, px4_safety
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -66,7 +67,7 @@ class Autopilot:
         hover: name of the parameter with the hover throttle.
         yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
             there is none.
-        own_safety: as `ardupilot_safety`; None if the failsafes are not judged.
+        own_safety: as `ardupilot_safety`, from the values of `safety_parameters`.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
@@ -89,7 +90,8 @@ class Autopilot:
     position_source: tuple[str, float] | None
     hover: str
     yaw_filter: str
-    own_safety: Callable[..., OwnSafety] | None
+    own_safety: Callable[..., OwnSafety]
+    safety_parameters: tuple[str, ...]
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
@@ -202,6 +204,7 @@ ARDUPILOT = Autopilot(
     hover="MOT_THST_HOVER",
     yaw_filter="ATC_RAT_YAW_FLTE",
     own_safety=ardupilot_safety,
+    safety_parameters=ARDUPILOT_SAFETY,
     is_bytewise=False,
     control=(4, 0),
     landing=(9, 0),
@@ -231,7 +234,8 @@ PX4 = Autopilot(
     position_source=None,
     hover="MPC_THR_HOVER",
     yaw_filter="",
-    own_safety=None,
+    own_safety=px4_safety,
+    safety_parameters=PX4_SAFETY,
     is_bytewise=True,
     control=(6, 0),
     landing=(4, 6),

@@ -40,6 +40,7 @@ from alula.stages.flight.links.protocol import (
 
 _ANSWER_S = 2.0
 _OPTIONAL_S = 0.6  # for the answer of a vehicle that may not have a parameter
+_TOGETHER_S = 1.2  # for the answers to many requests at once, of which each is repeated twice
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat's period, to detect a second vehicle
 _STREAM_S = 0.05
@@ -376,11 +377,10 @@ class MavlinkLink:
             self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
-        if self._autopilot.own_safety is not None:
-            self.status.own_safety = self._autopilot.own_safety(
-                lambda name: parameters.read(name, _OPTIONAL_S),
-                flies_rates=self._options.flies_rates,
-            )
+        self.status.own_safety = self._autopilot.own_safety(
+            parameters.read_all(self._autopilot.safety_parameters, _TOGETHER_S),
+            flies_rates=self._options.flies_rates,
+        )
         parameters.watch(self._autopilot.relied_on)
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
