@@ -14,6 +14,7 @@ from alula.stages.identification.steps import Step
 
 _LEVEL_S = 0.05  # of the climb before a thrust step
 _LAST = 0.25  # part of a fast step over whose end the rate is averaged
+_RISES = 1.05  # factor from the quarter before: the rate had not settled
 _WHOLE = 0.9  # a fast step that ended before this part of its duration shows no rate
 _RISING = (0.2, 0.6)  # parts of the reached rate between which its acceleration is measured
 REACHED = 0.9  # part of an asked value below which it counts as limited
@@ -25,17 +26,19 @@ class RateLimit(NamedTuple):
     Attributes:
         asked_rad_s: rate of the set-points [rad/s].
         reached_rad_s: mean rate at the end of the steps [rad/s].
+        has_settled: the rate no longer rose at the end of the steps.
         acceleration_rad_s2: mean from 20 to 60 % of the reached rate [rad/s^2].
     """
 
     asked_rad_s: float
     reached_rad_s: Estimate
+    has_settled: bool
     acceleration_rad_s2: Estimate | None
 
     @property
     def is_limited(self) -> bool:
-        """Whether the vehicle stayed below the rate that was asked."""
-        return self.reached_rad_s.value < REACHED * self.asked_rad_s
+        """Whether the vehicle stayed below the rate that was asked, and not for want of time."""
+        return self.has_settled and self.reached_rad_s.value < REACHED * self.asked_rad_s
 
 
 RateLimits = tuple[RateLimit | None, RateLimit | None, RateLimit | None]
@@ -71,14 +74,16 @@ def rate_limits(recording: Recording) -> RateLimits:
     def is_about(step: Step, axis: int) -> bool:
         return step.is_fast and step.axis == axis
 
-    def reached(number: int, step: Step) -> float | None:
+    def reached(number: int, step: Step, quarter: int = 1) -> float | None:
+        """Mean rate over a quarter of a step, counted from its end."""
         begins = recording.begins[number]
         lasted_s = begins.get(Phase.BACK, begins[Phase.OUT]) - begins[Phase.OUT]
         rows = recording.rows(number, Phase.OUT)
-        last = rows[recording.time_s[rows] >= begins[Phase.OUT] + (1 - _LAST) * step.out_s]
-        if lasted_s < _WHOLE * step.out_s or len(last) < 2:
+        part = (recording.time_s[rows] - begins[Phase.OUT]) / step.out_s
+        rows = rows[(part >= 1 - quarter * _LAST) & (part <= 1 - (quarter - 1) * _LAST)]
+        if lasted_s < _WHOLE * step.out_s or len(rows) < 2:
             return None
-        return float(np.sign(step.size) * recording.omega[last, step.axis].mean())
+        return float(np.sign(step.size) * recording.omega[rows, step.axis].mean())
 
     def rising(number: int, step: Step) -> float | None:
         rate = reached(number, step)
@@ -89,17 +94,20 @@ def rate_limits(recording: Recording) -> RateLimits:
             return None
         return (_RISING[1] - _RISING[0]) * rate / (high - low)
 
-    def about(axis: int) -> RateLimit | None:
-        rate = _means_of(
-            recording, "rate", lambda number, step: reached(number, step) if is_about(step, axis) else None
+    def over(axis: int, measure: Callable[[int, Step], float | None]) -> Estimate | None:
+        return _means_of(
+            recording, "rate", lambda number, step: measure(number, step) if is_about(step, axis) else None
         )
+
+    def about(axis: int) -> RateLimit | None:
+        rate = over(axis, reached)
+        before = over(axis, lambda number, step: reached(number, step, 2))
+        gained = over(axis, rising)
         if rate is None:
             return None
         asked = max(abs(step.size) for step in recording.steps if is_about(step, axis))
-        gained = _means_of(
-            recording, "rate", lambda number, step: rising(number, step) if is_about(step, axis) else None
-        )
-        return RateLimit(asked, rate, gained)
+        has_settled = before is not None and rate.value <= _RISES * before.value
+        return RateLimit(asked, rate, has_settled, gained)
 
     return about(0), about(1), about(2)
 

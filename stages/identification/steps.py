@@ -33,7 +33,8 @@ _DOUBLET_M = 1.0  # distance from the box in which doublets of rates and thrust 
 # so fast that the lean is this by then; it ends early before the lean could exceed the maximum.
 LEAN_RAD, MAX_LEAN_RAD = 0.35, 0.6
 _OF_OWN_LEAN = 0.8  # part of the vehicle's own lean angle limit that it may reach
-_RATE_SETTLING, _RATE_DELAY_S, _SHORTEST_S = 4.0, 0.06, 0.15
+_RATE_SETTLING, _RATE_DELAY_S = 4.0, 0.06
+_LEAST_LAG_S = (0.04, 0.04, 0.3)  # rate loops about as slow as ArduPilot's, whatever the first guess says
 _TURNED_RAD_S = 6.0  # fastest turn
 
 Kind = Literal["velocity", "rate", "thrust"]
@@ -170,11 +171,11 @@ def _fastest(
 
     A tilt to an angle a and back in T each gives the speed g a T, which the vehicle then stops.
     """
-    allowed, settling_s = vehicle.rates.max_rad_s[axis], _RATE_SETTLING * vehicle.rates.axes_s[axis]
+    allowed = vehicle.rates.max_rad_s[axis]
+    lasts_s = _RATE_SETTLING * max(vehicle.rates.axes_s[axis], _LEAST_LAG_S[axis]) + _RATE_DELAY_S
     if axis == 2:
         rate = min(allowed, _TURNED_RAD_S)
-        return (rate, settling_s + rate / turns_rad_s2 + _RATE_DELAY_S, 0.0) if rate > RATE_RAD_S else None
-    lasts_s = max(settling_s + _RATE_DELAY_S, _SHORTEST_S)
+        return (rate, lasts_s + rate / turns_rad_s2, 0.0) if rate > RATE_RAD_S else None
     lean = min(LEAN_RAD, _OF_OWN_LEAN * lean_rad)
     rate = min(allowed, lean / lasts_s)
     speed = vehicle.body.gravity_m_s2 * rate * lasts_s * lasts_s

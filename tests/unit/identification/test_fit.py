@@ -304,6 +304,17 @@ def test_a_rate_that_is_not_reached_and_an_acceleration_that_is_not_given_are_fo
     ]
 
 
+def test_a_rate_that_still_rises_is_no_limit():
+    """A step too short for the vehicle says nothing of its limit."""
+    found = fit(
+        rotated(lambda step, since: follows(step, since / 6) if step.is_fast else follows(step, since)), G
+    )
+    turn = found.rate_limits[2]
+    assert turn.reached_rad_s.value < 0.9 * turn.asked_rad_s
+    assert not turn.is_limited
+    assert written(found)[0].rates.max_rad_s == BARE.rates.max_rad_s
+
+
 def test_a_fast_step_that_ended_early_shows_no_rate():
     recording = rotated(follows)
     for number, step in enumerate(recording.steps):
