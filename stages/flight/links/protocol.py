@@ -95,6 +95,8 @@ class Order(Enum):
     TAKE_OFF = "take off"
     HOLD = "hold"
     LAND = "land"
+    SETTLE = "lean less"
+    """Helps a vehicle that lands to notice the ground; it cancels no other command. Not all need it."""
     NOTHING = "nothing"
     """Sends nothing; cancels the command that is still being repeated."""
 

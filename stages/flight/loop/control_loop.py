@@ -305,14 +305,15 @@ class ControlLoop:
         self._observe_distances(state)
         self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
         if state is not None and phase in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
-            self._watch_crash(state, is_flown=phase in (State.FLY, State.HOLD))
+            self._watch_crash(state, phase)
         if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
 
-    def _watch_crash(self, state: VehicleState, *, is_flown: bool) -> None:
+    def _watch_crash(self, state: VehicleState, phase: State) -> None:
         height_m = math.inf if self._ground_m is None else float(state.position[2]) - self._ground_m
+        is_flown = phase in (State.FLY, State.HOLD)
         plan_m = float(self.plan.target()[0, 2] - state.position[2]) if is_flown else -math.inf
-        self._crash.update(state, height_m, plan_m)
+        self._crash.update(state, height_m, plan_m, is_landing=phase is State.LAND)
 
     def _observe_distances(self, state: VehicleState | None) -> None:
         phase = self.state
@@ -351,6 +352,7 @@ class ControlLoop:
             is_lying=self._crash.is_lying,
             is_over=self._crash.is_over,
             is_fallen=self._crash.is_down,
+            is_still=self._crash.is_still,
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -458,6 +460,8 @@ class ControlLoop:
             self._order(Order.LAND, now_s)
         elif action is Action.STOP:
             self.link.order(Order.STOP, now_s)
+        elif action is Action.SETTLE:
+            self.link.order(Order.SETTLE, now_s)
         elif action is Action.DISARM and status.landed is not False:
             self.link.order(Order.DISARM, now_s)
         elif action is Action.LET_GO:

@@ -91,7 +91,7 @@ class Facts:
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
         from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
-        is_lying, is_over, is_fallen: as `CrashWatch` found.
+        is_lying, is_over, is_fallen, is_still: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
         dry_run: the flight ends after the checks.
@@ -126,6 +126,7 @@ class Facts:
     is_lying: bool = False
     is_over: bool = False
     is_fallen: bool = False
+    is_still: bool = False
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
@@ -302,6 +303,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.CHECKS_PASSED_DRY, facts.checks is True and facts.dry_run),
         (Event.CHECKS_PASSED, facts.checks is True),
         (Event.LANDED, facts.landed is True),
+        (Event.STILL, facts.is_still and facts.landed is False),
         (Event.ARMED, facts.armed is True),
         (Event.AIRBORNE, facts.landed is not True and _has_climbed(facts)),
         (Event.PLAN_FINISHED, facts.plan_done),

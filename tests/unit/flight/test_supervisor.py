@@ -41,6 +41,7 @@ SHOWN = {
     Event.LANDED_AWAY: {"armed": False, "from_goal_m": 0.51},
     Event.AIRBORNE: {"climbed_m": 0.96},
     Event.LANDED: {"landed": True},
+    Event.STILL: {"is_still": True, "landed": False},
     Event.FRAME_WRONG: {"frame_wrong": True},
     Event.STATE_STALE: {"state_age_s": 0.16},
     Event.STATE_JUMPED: {"jump_m": 0.41},

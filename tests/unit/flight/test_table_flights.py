@@ -383,6 +383,12 @@ PLOTS = {
         {},
         False,
     ),
+    "land: leaning on the ground": Plot(
+        [(S.LAND, E.STILL)],
+        on(S.LAND, blow(12.0, 0.0, 0.0)),
+        {"landed_m": 9.0, "jump_m": 9.0},
+        seen_is_true=False,
+    ),
     "land: away": Plot([(S.LAND, E.LANDED_AWAY)], [], limits={"landed_m": 0.0}),
     "land: too slow": Plot([(S.LAND, E.TIMED_OUT)], on(S.FLY, interrupt(1)), limits={"landing_s": 0.5}),
     "land: silence": Plot(

@@ -67,6 +67,8 @@ class Autopilot:
         hover: name of the parameter with the hover throttle.
         yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
             there is none.
+        settling: parameter that lets it lean less in a landing, so that it notices the ground; None if there
+            is none.
         own_safety: as `ardupilot_safety`, from the values of `safety_parameters`.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
@@ -90,6 +92,7 @@ class Autopilot:
     position_source: tuple[str, float] | None
     hover: str
     yaw_filter: str
+    settling: Parameter | None
     own_safety: Callable[..., OwnSafety]
     safety_parameters: tuple[str, ...]
     is_bytewise: bool
@@ -173,6 +176,8 @@ def _always(value: float) -> Callable[[float], float]:
     return lambda _: value
 
 
+_SETTLING_DEG = 10.0
+
 ARDUPILOT = Autopilot(
     name="ArduPilot",
     parameters=(
@@ -203,6 +208,12 @@ ARDUPILOT = Autopilot(
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     yaw_filter="ATC_RAT_YAW_FLTE",
+    settling=Parameter(
+        "PSC_ANGLE_MAX",
+        lambda value: min(value or _SETTLING_DEG, _SETTLING_DEG),
+        "it takes the ground for the air while it leans by more than 15 degrees",
+        is_required=False,
+    ),
     own_safety=ardupilot_safety,
     safety_parameters=ARDUPILOT_SAFETY,
     is_bytewise=False,
@@ -234,6 +245,7 @@ PX4 = Autopilot(
     position_source=None,
     hover="MPC_THR_HOVER",
     yaw_filter="",
+    settling=None,
     own_safety=px4_safety,
     safety_parameters=PX4_SAFETY,
     is_bytewise=True,

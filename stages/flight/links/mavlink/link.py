@@ -265,8 +265,12 @@ class MavlinkLink:
         Raises:
             LinkError: the command is not possible now.
         """
-        if self._orders is None or self._encoder is None:
+        if self._orders is None or self._encoder is None or self._parameters is None:
             raise LinkError("a command before the vehicle was prepared")
+        if order is Order.SETTLE:
+            if self._autopilot.settling is not None:
+                self._parameters.start(self._autopilot.settling)
+            return
         if order is Order.HOLD and self._is_without_position:
             raise LinkError("hold is refused: the mode guided_nogps has no position")
         is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
@@ -377,6 +381,8 @@ class MavlinkLink:
             self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
+        if self._autopilot.settling is not None:
+            parameters.read(self._autopilot.settling.name, _OPTIONAL_S)
         self.status.own_safety = self._autopilot.own_safety(
             parameters.read_all(self._autopilot.safety_parameters, _TOGETHER_S),
             flies_rates=self._options.flies_rates,

@@ -14,6 +14,7 @@ from alula.stages.flight.links.mavlink.autopilots import Parameter
 from alula.stages.flight.links.mavlink.session import Session
 
 _ANSWER_S = 3.0
+_AGAIN_S = 0.5  # between attempts of a change in flight
 _ROUND_S = 1.0  # all watched parameters are read once in this time
 _FORMATS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE of integers
 _LEFT = struct.Struct("<f")
@@ -34,7 +35,8 @@ class Parameters:
         self._changed: dict[str, tuple[float, float]] = {}  # old value, value that was set
         self._watched: dict[str, float] = {}  # value that each must keep
         self._asked = self._answers = self._judged = 0
-        self._asked_s = -math.inf
+        self._asked_s = self._again_s = -math.inf
+        self._started: tuple[str, float] | None = None  # a change that is sent until it is confirmed
 
     def take(self, message: Any) -> None:
         """Process a PARAM_VALUE."""
@@ -107,6 +109,21 @@ class Parameters:
             raise LinkError(f"the vehicle did not take {name} = {required:g}")
         return f"{name}: {present:g} -> {required:g} ({parameter.why})"
 
+    def start(self, parameter: Parameter) -> None:
+        """Begin to set a parameter that was read before; `poll` repeats it until the vehicle confirms it.
+
+        Without effect for a vehicle that does not report the parameter, or has the value.
+
+        Args:
+            parameter: the parameter.
+        """
+        present = self._values.get(parameter.name)
+        if present is None or _is_same(present, parameter.required(present)):
+            return
+        required = parameter.required(present)
+        self._changed.setdefault(parameter.name, (present, required))
+        self._started = parameter.name, required
+
     def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
         """Check that parameters have allowed values.
 
@@ -145,6 +162,12 @@ class Parameters:
             self._session.send(
                 dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
             )
+        if self._started is not None and now_s - self._again_s >= _AGAIN_S:
+            self._again_s, (name, value) = now_s, self._started
+            if _is_same(self._values.get(name, math.nan), value):
+                self._started = None
+            else:
+                self._session.send(self._set(name, value))
         if self._answers == self._judged:
             return None
         self._judged = self._answers
@@ -183,18 +206,21 @@ class Parameters:
         return lines
 
     def _write(self, name: str, value: float, timeout_s: float) -> bool:
-        kind = self._types[name]
-        format_ = _FORMATS.get(kind)
-        sent = value
-        if self._is_bytewise and format_ is not None:
-            (sent,) = _LEFT.unpack(struct.pack(f"<{format_}", round(value)).ljust(4, b"\0"))
         self._values.pop(name, None)
-        message = dialect.MAVLink_param_set_message(*self._session.target, name.encode(), sent, kind)
+        message = self._set(name, value)
         return self._session.wait(
             lambda: name in self._values and _is_same(self._values[name], value),
             timeout_s,
             again=lambda: self._session.send(message),
         )
+
+    def _set(self, name: str, value: float) -> Any:
+        """PARAM_SET of a parameter that was read before."""
+        kind = self._types[name]
+        format_ = _FORMATS.get(kind)
+        if self._is_bytewise and format_ is not None:
+            (value,) = _LEFT.unpack(struct.pack(f"<{format_}", round(value)).ljust(4, b"\0"))
+        return dialect.MAVLink_param_set_message(*self._session.target, name.encode(), value, kind)
 
 
 def _is_same(a: float, b: float) -> bool:
