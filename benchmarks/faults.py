@@ -50,7 +50,9 @@ from alula.stages.vehicles.velocity_lag import stop_time_s
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE = ROOT / "examples" / "vehicles" / "arducopter.toml"
 HEADING = "## Faults on the real autopilot\n"
+# Filters by the set-points that carry their output, and the map that they fly in.
 FILTERS = {"polytope-cbf": "velocities", "cone-di": "accelerations", "cone-backup": "body rates"}
+MAPS = {"polytope-cbf": "cover", "cone-di": "scene", "cone-backup": "cover"}
 # A corridor of 2 m with a corner, walls 4 m high, no ceiling and no floor: corners of boxes [0.1 m].
 CORRIDOR = [
     ((-20, -14, 0), (70, -10, 40)),
@@ -73,6 +75,7 @@ _FLIGHT_S, _AFTER_S, _PILOT_S = 150.0, 100.0, 6.0
 _STOPPED_S, _FLOOD_S, _FLOOD_HZ, _STATION_S, _STATION_HZ = 3.0, 3.0, 5000.0, 3.0, 10.0
 _GOOD, _BAD = 1 | 2 | 4 | 16 | 32, 128 | 1024 | 1 << 15  # flags of EKF_STATUS_REPORT
 _ATTEMPTS = 2
+_TILE_M = 0.1  # between ellipsoids; their union lies at most 0.015 m within the walls' faces
 _BATCH = 8  # flights of one vehicle before the next is started
 _LATE_S = 0.05  # of a tick, from which the machine is said to have disturbed a flight
 
@@ -241,7 +244,7 @@ PERTURBED = (FINISHED, AWRY, HELD, (4, "fallback for too long|filter has no safe
 FAULTS: dict[str, Fault] = {
     "fly killed": Fault(kill, ((-signal.SIGKILL, ""),)),
     "fly stopped for 3 s": Fault(
-        stop_and_go, (FINISHED, AWRY, HELD, (6, OWN), (4, "mode changed")), stops=True
+        stop_and_go, (FINISHED, AWRY, HELD, (6, OWN), (4, "watchdog took over")), stops=True
     ),
     "satellites lost": Fault(lambda scene: scene.set(SIM_GPS1_ENABLE=0), BLIND),
     "satellites 22 m off": Fault(lambda scene: scene.set(SIM_GPS1_GLTCH_X=0.0002), BLIND, is_lasting=True),
@@ -339,41 +342,62 @@ class Judge:
             "rose_m": float(where[:, 2].max() - at[2]),
         }
 
-    def untrue(self, fault: Fault, code: int | None, said: str, path: FloatArray, least_m: float) -> str:
-        """Why an outcome is not true; empty if it is.
-
-        Args:
-            fault: that was made.
-            code: exit code; None if `fly` did not end.
-            said: its last line.
-            path: true path of the flight along the plan, shape (T, 3).
-            least_m: least distance from the walls [m].
-        """
-        if code is None:
-            return "it did not end"
-        if not any(code == one and re.search(words, said) for one, words in fault.true):
-            return f"exit code {code}: {said}"
-        if code == 0 and least_m <= 0:
-            return "exit code 0 after a contact"
+    def strays(self, path: FloatArray) -> bool:
+        """Whether a path, shape (T, 3), leaves the tube about the plan or misses its via point."""
         tolerance = via_tolerance(None, self.radius_m)
-        if re.search(AWRY[1], said):
-            found = PlanJudge(self.plan, [self.walls], self.radius_m, tolerance).result(path)
-            if found.outside_m <= 0 and not found.missed:
-                return f"it followed its plan, but: {said}"
-        return ""
+        found = PlanJudge(self.plan, [self.walls], self.radius_m, tolerance).result(
+            np.ascontiguousarray(path)
+        )
+        return bool(found.outside_m > 0 or found.missed)
+
+
+def untrue(fault: Fault, row: dict[str, Any]) -> str:
+    """Why an outcome is not true; empty if it is.
+
+    Args:
+        fault: that was made.
+        row: figures of the flight.
+    """
+    code, said = row["code"], row["said"]
+    if code is None:
+        return "it did not end"
+    if not any(code == one and re.search(words, said) for one, words in fault.true):
+        return f"exit code {code}: {said}"
+    if code == 0 and row["contact"]:
+        return "exit code 0 after a contact"
+    if re.search(AWRY[1], said) and not row["strays"]:
+        return f"it followed its plan, but: {said}"
+    return ""
 
 
 def make_world(folder: Path) -> None:
     """Write the corridor and the plan around its corner."""
-    from support.small_scenes import box_cover
+    from support.small_scenes import ball_scene, box_cover
 
     write_artifact(folder / "corridor.cover.npz", box_cover(CORRIDOR))
+    write_artifact(folder / "corridor.scene.npz", ball_scene(*_tiles()))
     words = ["plan", str(folder / "corridor.cover.npz"), "-o", str(folder / "corridor.plan.npz"), "-f", "-q"]
     words += ["--speed", "1", "--radius", "0.25", "--bounds", BOUNDS]
     for option, point in (("--start", START), ("--via", VIA), ("--goal", GOAL)):
         words += [option, "{} {} {}".format(*point)]
     if alula(words) != 0:
         raise SystemExit("there is no plan")
+
+
+def _tiles() -> tuple[FloatArray, FloatArray]:
+    """Centres and half-axes [m] of flat ellipsoids just within all upright faces of the walls."""
+    centres, axes = [], []
+    for corners in 0.1 * np.array(CORRIDOR, np.float64):
+        for across in (0, 1):
+            grid = [np.arange(low + _TILE_M / 2, high, _TILE_M) for low, high in corners.T]
+            for face, inward in zip(corners[:, across], (_TILE_M / 2, -_TILE_M / 2), strict=True):
+                grid[across] = np.array([face + inward])
+                tiles = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
+                half = np.full(3, _TILE_M)
+                half[across] = _TILE_M / 2
+                centres.append(tiles)
+                axes.append(np.tile(half, (len(tiles), 1)))
+    return np.concatenate(centres), np.concatenate(axes)
 
 
 class Grounded(Exception):
@@ -430,7 +454,8 @@ class Matrix:
         base = np.array([*START[:2], 0.0]) - stood
         origin = (here.y - START[0], here.x - START[1], -here.z)
         texts, first = len(sim.texts), len(sim.truth)
-        words = [str(self.folder / "corridor.plan.npz"), "--map", str(self.folder / "corridor.cover.npz")]
+        here_map = self.folder / f"corridor.{MAPS[cell.name]}.npz"
+        words = [str(self.folder / "corridor.plan.npz"), "--map", str(here_map)]
         words += ["--filter", cell.name, "--vehicle", str(VEHICLE), "-f", "-o", str(folder / "f.run.mcap")]
         words += ["--link", f"udpin:127.0.0.1:{sim.port}", "--origin", "{} {} {}".format(*origin)]
         words += ["--stale", "0.4", "--latency", "0.05"]
@@ -461,10 +486,10 @@ class Matrix:
         said = next((line for line in reversed(lines) if line and not line.startswith(" ")), "")
         figures = self.judge.figures(flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun)
         airborne = flown[flown[:, 3] > 0.5, 1:]
-        figures["untrue"] = self.judge.untrue(fault, code, said, airborne, figures["least_m"])
         figures |= {"part": part, "code": code, "said": said, "disarmed_s": disarmed}
+        figures["strays"] = self.judge.strays(airborne)
         figures["late_s"] = _lateness(folder / "f.run.mcap", code)
-        if figures["contact"] or figures["untrue"] or disarmed is None:
+        if figures["contact"] or untrue(fault, figures) or disarmed is None:
             figures["lines"] = lines[-14:]
             kept = self.keep.parent / cell.key.replace("/", " ")
             np.save(f"{kept}.npy", flown)
@@ -528,7 +553,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     lines = [heads, ["---"] * len(heads)]
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for key, row in found.items():
-        fault, name, _ = key.split("/")
+        fault, name, _ = key.rsplit("/", 2)
         groups.setdefault((fault, name), []).append(row)
     order, names = list(FAULTS), list(FILTERS)
     for (fault, name), rows in sorted(
@@ -561,7 +586,7 @@ def remarks(found: dict[str, dict[str, Any]]) -> str:
     """Every contact and every untrue outcome, and how often the machine was late."""
     lines = []
     for key, row in sorted(found.items()):
-        fault, name, _ = key.split("/")
+        fault, name, _ = key.rsplit("/", 2)
         what = f"- {fault}, {FILTERS[name]}"
         if row["contact"]:
             lines.append(
@@ -634,8 +659,10 @@ def main() -> int:
 def _read(results: Path, cells: list[Cell]) -> dict[str, dict[str, Any]]:
     wanted = {cell.key for cell in cells}
     lines = results.read_text().splitlines() if results.exists() else []
-    rows = [json.loads(line) for line in lines]
-    return {row.pop("key"): row for row in rows if row["key"] in wanted}
+    found = {row.pop("key"): row for row in map(json.loads, lines) if row["key"] in wanted}
+    for key, row in found.items():
+        row["untrue"] = untrue(FAULTS[key.rsplit("/", 2)[0]], row)
+    return found
 
 
 if __name__ == "__main__":

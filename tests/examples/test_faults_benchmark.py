@@ -69,12 +69,18 @@ def test_a_fall_and_a_climb_are_measured(judge):
     ],
 )
 def test_outcomes_are_compared_with_what_is_true(faults, judge, fault, code, said, is_true):
-    course = judge.course[::20]
-    assert (judge.untrue(faults.FAULTS[fault], code, said, course, 0.3) == "") is is_true
+    row = {"code": code, "said": said, "contact": False, "strays": judge.strays(judge.course[::20])}
+    assert (faults.untrue(faults.FAULTS[fault], row) == "") is is_true
 
 
-def test_success_after_a_contact_is_untrue(faults, judge):
-    assert "after a contact" in judge.untrue(faults.FAULTS["wind of 3 m/s"], 0, "", judge.course, -0.01)
+def test_a_path_off_the_plan_strays(judge):
+    assert judge.strays(judge.course + np.array([0.0, 0.0, 3.0]))
+    assert judge.strays(judge.course[:400])  # before the via point
+
+
+def test_success_after_a_contact_is_untrue(faults):
+    row = {"code": 0, "said": "", "contact": True, "strays": False}
+    assert "after a contact" in faults.untrue(faults.FAULTS["wind of 3 m/s"], row)
 
 
 def test_a_section_of_the_page_is_replaced_and_the_others_stay(faults):
