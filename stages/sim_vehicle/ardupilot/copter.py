@@ -73,6 +73,7 @@ class Copter:
     HOVER: ClassVar[str] = "MOT_THST_HOVER"  # parameter with the hover throttle
     LOCATION: ClassVar[LatLonAlt] = HOME
     POSITION: ClassVar[type[PositionControl]] = PositionControl
+    FLYING: ClassVar[type[Flying]] = Flying
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
 
     def __init__(
@@ -99,7 +100,7 @@ class Copter:
             self.parameters, options, self.airframe.truth, self.LOCATION if home is None else home, seed
         )
         position = self.POSITION(self.attitude, self.parameters, vehicle.body.gravity_m_s2)
-        self.flying = Flying(self.attitude, position, self.parameters, self.pilot)
+        self.flying = self.FLYING(self.attitude, position, self.parameters, self.pilot)
         self._hand = hand
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE

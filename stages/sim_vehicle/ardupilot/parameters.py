@@ -71,9 +71,12 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "EK3_SRC_OPTIONS": (_H, 1),
     "FENCE_ACTION": (_B, 1),
     "FENCE_ALT_MAX": (_F, 100),
+    "FENCE_ALT_MIN": (_F, -10),
+    "FENCE_AUTOENABLE": (_B, 0),
     "FENCE_ENABLE": (_B, 0),
     "FENCE_MARGIN": (_F, 2),
     "FENCE_RADIUS": (_F, 300),
+    "FENCE_TOTAL": (_B, 0),  # points of polygons and circles
     "FENCE_TYPE": (_B, 7),
     "FLTMODE1": (_B, 7),
     "FLTMODE2": (_B, 9),
@@ -141,6 +144,9 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "PSC_VELZ_I": (_F, 0),
     "PSC_VELZ_IMAX": (_F, 1000),
     "PSC_VELZ_P": (_F, 5),
+    "RALLY_INCL_HOME": (_B, 1),
+    "RALLY_LIMIT_KM": (_F, 0.3),
+    "RALLY_TOTAL": (_B, 0),
     "RCMAP_PITCH": (_B, 2),
     "RCMAP_ROLL": (_B, 1),
     "RCMAP_THROTTLE": (_B, 3),
@@ -148,6 +154,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "RC_OVERRIDE_TIME": (_F, 3),
     "RTL_ALT": (_I, 1500),  # cm
     "RTL_ALT_FINAL": (_H, 0),
+    "RTL_ALT_TYPE": (_B, 0),  # 1: above the terrain
     "RTL_CLIMB_MIN": (_H, 0),  # cm
     "RTL_CONE_SLOPE": (_F, 3),  # height over distance
     "RTL_LOIT_TIME": (_I, 5000),  # ms
