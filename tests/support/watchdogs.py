@@ -11,8 +11,8 @@ from alula.stages.flight.watchdog.watchdog import Watchdog
 class Program(Process):
     """The program of the watchdog process; keeps what it prints in `said` and what it sends in `sent`."""
 
-    def __init__(self, loop: socket.socket) -> None:
-        super().__init__(loop)
+    def __init__(self, loop: socket.socket, memory: int) -> None:
+        super().__init__(loop, memory)
         self.said: list[str] = []
         self.sent: set[bytes] = set()
 
@@ -37,8 +37,8 @@ class Program(Process):
 class WatchdogHere(Watchdog):
     """A `Watchdog` whose program runs in this process; a test calls `program.step`."""
 
-    def _start(self, theirs):
-        self.program = Program(theirs.dup())
+    def _start(self, theirs, memory):
+        self.program = Program(theirs.dup(), memory)
 
     def _meet(self):
         self.program.step(0.0)

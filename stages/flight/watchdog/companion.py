@@ -7,6 +7,7 @@ small. `watchdog.py` starts it and describes the messages between the two.
 from __future__ import annotations
 
 import marshal
+import mmap
 import os
 import select
 import signal
@@ -23,11 +24,15 @@ STALL_S = 0.2  # without a sign of life for this long the loop has stalled; ordi
 REACTION_S = STALL_S + 0.05  # maximum time from the last set-point to the order to stop: one repeat included
 STOPPING_S = 2.0  # from the order to stop until the order to land; vehicles brake from 5 m/s in less
 
-# Time [s], whether the loop is in control, reported mode, when that report arrived [s], newest time stamp.
-BEAT = struct.Struct("<dBIdQ")
-SETTINGS, LINE, ALIVE, FAREWELL, READY, TOOK_OVER = b"S", b"L", b"A", b"F", b"R", b"T"
+# Sign of life in the shared memory: number, time [s], whether the loop is in control, reported mode, when
+# that report arrived [s], newest time stamp, and the number again, which differs while it is being written.
+BEAT = struct.Struct("<QdBIdQQ")
+TAKEN_AT = 64  # place of the byte that is not 0 after a takeover
+MEMORY_BYTES = 4096
+SETTINGS, LINE, FAREWELL, READY = b"S", b"L", b"F", b"R"
 MESSAGE_BYTES = 4096
 
+_LOOK_S = 0.02  # between looks at the shared memory: the loop wakes nobody
 _REPEAT_S = 0.05  # between orders until the vehicle reports the mode
 _BEAT_S = 0.1  # between heartbeats
 _UNHEARD_S = 1.0  # to stop is ordered for this long, then to land; heartbeats arrive at least once a second
@@ -200,15 +205,19 @@ class Takeover:
         self._has_stopped = False
         self._seen_s: float | None = None  # since when the ordered mode is reported
 
+    def beat(self, data: bytes) -> None:
+        """Process a sign of life of the loop, `BEAT`; one that is being written is ignored."""
+        number, beat_s, is_in_control, mode, heard_s, stamp, again = BEAT.unpack(data)
+        if number != again:
+            return
+        self._beat_s, self._is_in_control = beat_s, bool(is_in_control)
+        self.frames.stamp = max(self.frames.stamp, stamp)
+        if self.began_s is not None and heard_s > self.began_s:
+            self.frames.mode = mode  # the loop goes on and reads the line again
+
     def take(self, message: bytes) -> None:
-        """Process a message of the loop; an empty one means that it ended without a farewell."""
-        if message[:1] == ALIVE:
-            self._beat_s, is_in_control, mode, heard_s, stamp = BEAT.unpack_from(message, 1)
-            self._is_in_control = bool(is_in_control)
-            self.frames.stamp = max(self.frames.stamp, stamp)
-            if self.began_s is not None and heard_s > self.began_s:
-                self.frames.mode = mode  # the loop goes on and reads the line again
-        elif self.began_s is None and message == FAREWELL:
+        """Process the loop's farewell; an empty message means that it ended without."""
+        if self.began_s is None and message == FAREWELL:
             self.is_over = True
         elif not message:
             self._is_gone = True
@@ -223,12 +232,6 @@ class Takeover:
     def is_loop_alive(self, now_s: float) -> bool:
         """Return whether the loop gives signs of life: then the line is read by it, and not here."""
         return not self._is_gone and now_s - self._beat_s <= STALL_S
-
-    def wait_s(self, now_s: float) -> float:
-        """Longest time until something may have to be done [s]."""
-        if self.began_s is not None:
-            return _REPEAT_S / 2
-        return max(self._beat_s + STALL_S - now_s, 0.0) + 1e-3 if self._is_in_control else 3600.0
 
     def begin(self, now_s: float) -> None:
         """Take over, unless what was heard since the loop's last sign of life shows that somebody has."""
@@ -340,10 +343,11 @@ class Process:
 
     Args:
         loop: socket pair's end.
+        memory: descriptor of the shared memory.
     """
 
-    def __init__(self, loop: socket.socket) -> None:
-        self._loop = loop
+    def __init__(self, loop: socket.socket, memory: int) -> None:
+        self._loop, self._memory = loop, mmap.mmap(memory, MEMORY_BYTES)
         self._line: Line | None = None
         self._takeover: Takeover | None = None
         self._poll = select.poll()
@@ -354,12 +358,11 @@ class Process:
         """Watch until the flight is over or the vehicle lands."""
         now_s = time.monotonic()
         while self._takeover is None or not self._takeover.is_over:
-            wait_s = _CLOSED_S if self._takeover is None else self._takeover.wait_s(now_s)
-            self._wait(wait_s)
+            self._wait(_CLOSED_S if self._takeover is None else _LOOK_S)
             before_s, now_s = now_s, time.monotonic()
             if self._takeover is None:  # nobody is there
                 return
-            if self._takeover.is_missing(now_s) and now_s - before_s > wait_s + _HELD_UP_S:
+            if now_s - before_s > _LOOK_S + _HELD_UP_S:
                 self._wait(_GRACE_S)  # this process was held up; the loop may have been, too, and go on now
                 now_s = time.monotonic()
             self.step(now_s)
@@ -373,12 +376,12 @@ class Process:
         self._wait(0.0)
         if (takeover := self._takeover) is None or takeover.is_over:
             return
+        takeover.beat(self._memory[: BEAT.size])
         if takeover.is_missing(now_s):
             takeover.frames.forget()
             self._hear(takeover)
             takeover.begin(now_s)
-            if takeover.began_s is not None:
-                self._tell(TOOK_OVER)
+            self._memory[TAKEN_AT] = takeover.began_s is not None  # before the first order
         elif takeover.began_s is not None and not takeover.is_loop_alive(now_s):
             self._hear(takeover)
         if self._line is not None:
@@ -414,7 +417,7 @@ class Process:
             if self._line is not None:
                 self._line.close()
             self._line = Line(struct.unpack("i", attached[0][2][:4])[0], marshal.loads(message[1:]))
-            self._tell(READY)
+            self._loop.send(READY)
         elif self._takeover is not None:
             self._takeover.take(message)
 
@@ -424,12 +427,6 @@ class Process:
             if self._line is None or not (data := self._line.receive()):
                 return
             takeover.frames.take(data, is_datagram=self._line.is_datagram)
-
-    def _tell(self, message: bytes) -> None:
-        try:
-            self._loop.send(message, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-        except OSError:  # the loop has ended
-            return
 
     def say(self, words: str) -> None:
         """Print a line."""
@@ -451,11 +448,11 @@ def _run_first() -> None:
 
 
 def main() -> None:
-    """Run the process; its argument is the descriptor of its end of the socket pair."""
+    """Run the process; its arguments are the descriptors of its end of the socket pair and of the memory."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     _run_first()
-    Process(socket.socket(fileno=int(sys.argv[1]))).run()
+    Process(socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])).run()
 
 
 if __name__ == "__main__":

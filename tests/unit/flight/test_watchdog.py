@@ -197,7 +197,7 @@ def test_without_a_position_it_is_landed():
         settings = link.guarded().settings
     assert (settings["control"], settings["stopping"], settings["landing"]) == (20, None, 9)
     takeover = Takeover(settings)
-    takeover.take(companion.ALIVE + companion.BEAT.pack(5.0, True, 20, 5.0, 0))
+    takeover.beat(companion.BEAT.pack(1, 5.0, True, 20, 5.0, 0, 1))
     takeover.begin(5.3)
     assert takeover.words == [
         "watchdog: the loop stalled, 0.30 s after its last tick; taking the vehicle over: LAND"
@@ -221,7 +221,7 @@ SETTINGS = {
 def begun(**changed):
     """A takeover that began at 10 s."""
     takeover = Takeover(SETTINGS | changed)
-    takeover.take(companion.ALIVE + companion.BEAT.pack(9.79, True, 4, 9.7, 0))
+    takeover.beat(companion.BEAT.pack(1, 9.79, True, 4, 9.7, 0, 1))
     assert takeover.is_missing(10.0)
     takeover.begin(10.0)
     return takeover
@@ -266,7 +266,7 @@ def test_it_ends_when_the_landing_is_confirmed_and_soon_if_it_never_is():
 def test_a_farewell_ends_it_and_silence_without_control_does_not_begin_it():
     for messages in ([companion.FAREWELL], [b""]):
         takeover = Takeover(SETTINGS)
-        takeover.take(companion.ALIVE + companion.BEAT.pack(1.0, False, 4, 0.9, 0))
+        takeover.beat(companion.BEAT.pack(1, 1.0, False, 4, 0.9, 0, 1))
         assert not takeover.is_missing(50.0)
         for message in messages:
             takeover.take(message)
@@ -377,11 +377,18 @@ def test_a_watchdog_that_is_held_up_or_gone_holds_nobody_up():
         here.beat(1.0, is_in_control=True)
     assert not here.has_ended
     here.program.close()
-    for _ in range(2):
+    for _ in range(50):
         here.beat(1.0, is_in_control=True)
-        assert here.has_ended
-        assert not here.has_taken_over
+    assert here.has_ended
+    assert not here.has_taken_over
     here.close()
+
+
+def test_a_beat_that_is_being_written_does_not_count():
+    takeover = Takeover(SETTINGS)
+    takeover.beat(companion.BEAT.pack(1, 5.0, True, 4, 5.0, 0, 1))
+    takeover.beat(companion.BEAT.pack(2, 9.0, False, 4, 5.0, 0, 1))
+    assert takeover.is_missing(5.3)
 
 
 def test_a_new_line_is_passed_on(tmp_path):
