@@ -27,7 +27,7 @@ _DIRECTIONS = (
 # Doublets of body rates: rate [rad/s] and duration of each half [s]; of the thrust: fraction of the weight.
 RATE_RAD_S, _TILT_S, _TURN_S = 0.5, 0.3, 1.5
 THRUST_SHARE, _THRUST_S = 0.2, 0.4
-_REPEATS = 2  # of each doublet, in both directions
+_REPEATS = 2  # of each doublet, in both directions; fast ones are not repeated
 _DOUBLET_M = 1.0  # distance from the box in which doublets of rates and thrust end
 # Fast doublets show how fast the vehicle can rotate. One that tilts lasts until the rate has settled, and is
 # so fast that the lean is this by then; it ends early before the lean could exceed the maximum.
@@ -150,12 +150,12 @@ def plan_steps(
 def _doublets(vehicle: Vehicle, centre: FloatArray, lean_rad: float, turns_rad_s2: float) -> list[Step]:
     """Steps of rates and thrust, first the slow ones."""
     slow, fast = list[Step](), list[Step]()
-    for _ in range(_REPEATS):
+    for repeat in range(_REPEATS):
         for sign in (1.0, -1.0):
             for name, axis, seconds in (("roll", 0, _TILT_S), ("pitch", 1, _TILT_S), ("yaw", 2, _TURN_S)):
                 slow.append(_doublet(f"{name} rate", "rate", axis, sign * RATE_RAD_S, seconds, centre))
                 quick = _fastest(vehicle, axis, lean_rad, turns_rad_s2)
-                if quick is not None:
+                if quick is not None and repeat == 0:
                     rate, seconds, travel = quick
                     words = f"{name} rate of {rate:.1f} rad/s"
                     each = _doublet(words, "rate", axis, sign * rate, seconds, centre, travel)
