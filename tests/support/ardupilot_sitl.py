@@ -37,6 +37,7 @@ class Sitl:
         texts: STATUSTEXTs, as the other station receives them.
         truth: true motion: time of this machine [s], east, north, up from the start [m], and the tilt [rad].
         newest: newest message of each kind.
+        modes: time of this machine [s] and custom_mode of each heartbeat.
     """
 
     def __init__(self, instance, port):
@@ -45,7 +46,7 @@ class Sitl:
         self._socket = until(lambda: self._connected(second_port(instance)))
         self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
         self._parser.robust_parsing = True
-        self.texts, self.truth, self.newest = [], [], {}
+        self.texts, self.truth, self.newest, self.modes = [], [], {}, []
         self._home = None
         self._lives = True
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -83,6 +84,8 @@ class Sitl:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             self.texts.append(message.text)
+        elif kind == "HEARTBEAT":
+            self.modes.append((time.monotonic(), message.custom_mode))
         elif kind == "SIM_STATE":
             lat, lon, alt = message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt
             self._home = self._home or (lat, lon, alt)

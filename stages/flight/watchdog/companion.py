@@ -184,7 +184,7 @@ class Takeover:
 
     Args:
         settings: those of `Frames`; `control`, `stopping` and `landing`, values of custom_mode, `stopping`
-            None if the vehicle cannot stop by itself; `stop_name` and `land_name`; `heartbeat`, `stop` and
+            None to land at once; `stop_name` and `land_name`; `heartbeat`, `stop` and
             `land`, arguments of `Frames.pack`.
 
     Attributes:

@@ -75,14 +75,13 @@ class Modes(Flight):
 def test_a_loop_that_stalls_finds_its_vehicle_stopped_and_landing(by_rates):
     flown = Modes(by_rates, [Upset(State.FLY, 2.0, stall(1.5))]).fly()
     flown.judge()
-    assert flown.names[-3:] == ["GUIDED", "BRAKE", "LAND"]
+    assert flown.names[-2:] == ["GUIDED", "LAND"]
     last_s = max(at for at, each in flown.packets() if each.get_type() == "SET_ATTITUDE_TARGET")
-    assert STALL_S < flown.entered_mode("BRAKE") - last_s < REACTION_S
-    assert flown.entered_mode("LAND") - flown.entered_mode("BRAKE") == pytest.approx(STOPPING_S, abs=0.1)
+    assert STALL_S < flown.entered_mode("LAND") - last_s < REACTION_S
     assert flown.cause is Event.WATCHDOG
     assert flown.loop.ending.startswith("watchdog took over (the loop stalled for 1.5")
     assert flown.said == [
-        "watchdog: the loop stalled, 0.21 s after its last tick; taking the vehicle over: BRAKE, then LAND",
+        "watchdog: the loop stalled, 0.21 s after its last tick; taking the vehicle over: LAND",
         "watchdog: the vehicle lands",
     ]
     assert not flown.copter.failsafe  # heartbeats went on
@@ -106,20 +105,20 @@ def test_the_pilot_who_was_faster_keeps_the_vehicle(short):
 
     flown = Modes(short, [Upset(State.FLY, 0.5, both), Upset(State.HAND_OVER, 0.5, interrupt(1))]).fly()
     assert flown.names[-1] == "LOITER"
-    assert "BRAKE" not in flown.names
+    assert "LAND" not in flown.names
     assert flown.cause is Event.MODE_CHANGED
     assert flown.said[0].endswith("somebody else has already taken the vehicle over")
 
 
 def test_the_pilot_takes_it_from_the_watchdog(short):
     def switch(flown):
-        if flown.copter.mode.name == "BRAKE" and flown.time() - flown.entered_mode("BRAKE") > 0.5:
+        if flown.copter.mode.name == "LAND" and flown.time() - flown.entered_mode("LAND") > 0.5:
             flown.copter.switch_to(5)
 
     flown = Modes(short, [Upset(State.FLY, 0.5, stall(3.0)), Upset(State.HAND_OVER, 0.5, interrupt(1))])
     flown.each = switch
     flown.fly()
-    assert flown.names[-2:] == ["BRAKE", "LOITER"]
+    assert flown.names[-2:] == ["LAND", "LOITER"]
     assert flown.said[-1] == "watchdog: somebody else has the vehicle now"
 
 
@@ -168,28 +167,30 @@ def left_alone(served, *, seconds=3.2, before=lambda served, link: None):
 
 def test_the_end_of_the_loop_needs_no_waiting():
     found, said = left_alone(None)
-    assert [name for _, name in found[-2:]] == ["BRAKE", "LAND"]
-    assert found[-2][0] <= 0.03
+    assert found[-1][1] == "LAND"
+    assert found[-1][0] <= 0.03
     assert said[0].startswith("watchdog: the loop ended, 0.01 s after its last tick")
 
 
-def test_px4_holds_and_lands():
-    class Px4(Served):
-        kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
+class Px4(Served):
+    kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
 
+
+def test_px4_holds_and_lands():
     found, _ = left_alone(Px4())
     assert [name for _, name in found[-2:]] == [Px4Mode.HOLD.name, Px4Mode.LAND.name]
     assert found[-2][0] <= 0.03
     assert found[-1][0] == pytest.approx(STOPPING_S, abs=0.1)
 
 
-def test_a_vehicle_that_cannot_brake_lands_at_once():
-    def blind(served, link):
-        served.copter.set_mode = lambda number, inner=served.copter.set_mode: number != 17 and inner(number)
+def test_a_vehicle_that_does_not_hold_lands_at_once():
+    def refusing(served, link):
+        enter = served.copter.set_mode
+        served.copter.set_mode = lambda number: number != Px4Mode.HOLD and enter(number)
 
-    found, _ = left_alone(None, before=blind)
-    assert [name for _, name in found] == ["GUIDED", "LAND"]
-    assert found[1][0] < 0.1
+    found, _ = left_alone(Px4(), before=refusing)
+    assert found[-1][1] == Px4Mode.LAND.name
+    assert found[-1][0] < 0.1
 
 
 def test_without_a_position_it_is_landed():
@@ -367,7 +368,7 @@ def test_a_late_tick_is_no_stall_and_a_flight_without_its_watchdog_goes_on(short
 
     flown = Modes(short, [Upset(State.FLY, 0.5, stall(0.15)), Upset(State.FLY, 0.9, lose)]).fly()
     assert flown.cause is Event.PLAN_FINISHED
-    assert "BRAKE" not in flown.names
+    assert flown.said == []
     assert sum("the watchdog has ended" in words for *_, words in flown.recorder.lines) == 1
 
 

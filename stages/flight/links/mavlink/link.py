@@ -325,7 +325,7 @@ class MavlinkLink:
         if self._is_without_position:
             if autopilot is not ARDUPILOT:
                 raise LinkError(f"{autopilot.name} has no mode guided_nogps")
-            autopilot = dataclasses.replace(autopilot, control=_GUIDED_NOGPS, stopping=None)
+            autopilot = dataclasses.replace(autopilot, control=_GUIDED_NOGPS)
         self._autopilot = telemetry.autopilot = autopilot
         telemetry.read_mode()
         if session.wait(lambda: bool(session.others), _OTHERS_S):
