@@ -37,8 +37,7 @@ def test_a_flight_by_rates_in_a_corridor_stays_clear_in_a_wind_that_rises_on_the
         sim.set(SIM_WIND_SPD=speed_m_s)
         fly.wait_for("plan finished: landing", 120.0)
         path = np.array([(x, y, z) for _, x, y, z, _ in sim.truth if z > 0.5])
-        if speed_m_s < 6:  # in stronger wind the program does not notice that it has landed
-            assert fly.end(90.0) == 0, fly.said
+        assert fly.end(20.0) == 0, fly.said  # in stronger wind it must lean less to notice that it has landed
     assert path[:, 0].max() > 13.0
     (_, walls), *_ = mission(name, cover=CORRIDOR, plan=plan).obstacles
     assert float(path_clearance(path, walls).min()) > FASTBRIDGE.body.radius_m
