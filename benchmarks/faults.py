@@ -67,7 +67,8 @@ BOUNDS = "-2 -1 1 6.5 6.6 2"
 WELL = {
     **INDOORS,
     **{"BATT_FS_LOW_ACT": 1, "BATT_LOW_VOLT": 11.5, "BATT_LOW_TIMER": 1, "SIM_BATT_VOLTAGE": 12.6},
-    **{"SIM_GPS1_ENABLE": 1, "SIM_GPS1_GLTCH_X": 0, "SIM_GPS1_VERR_X": 0, "SIM_RC_FAIL": 0},
+    **{"SIM_GPS1_ENABLE": 1, "SIM_GPS1_GLTCH_X": 0, "SIM_RC_FAIL": 0},
+    **{"SIM_ACC1_BIAS_Y": 0, "SIM_ACC2_BIAS_Y": 0},
     **{"SIM_WIND_SPD": 0, "SIM_WIND_T": 1, "SIM_WIND_T_ALT": 0.1},
 }
 _PART = (0.2, 0.75)  # of the plan's length: where faults happen
@@ -248,8 +249,8 @@ FAULTS: dict[str, Fault] = {
     ),
     "satellites lost": Fault(lambda scene: scene.set(SIM_GPS1_ENABLE=0), BLIND),
     "satellites 22 m off": Fault(lambda scene: scene.set(SIM_GPS1_GLTCH_X=0.0002), BLIND, is_lasting=True),
-    "satellites' velocity 6 m/s off": Fault(
-        lambda scene: scene.set(SIM_GPS1_VERR_X=6), BLIND, is_lasting=True
+    "accelerometers 3 m/s² off": Fault(
+        lambda scene: scene.set(SIM_ACC1_BIAS_Y=3, SIM_ACC2_BIAS_Y=3), BLIND, is_lasting=True
     ),
     "radio lost": Fault(lambda scene: scene.set(SIM_RC_FAIL=1), ((6, f"{OWN} .*Radio"),)),
     "battery low": Fault(
@@ -482,12 +483,12 @@ class Matrix:
             fault.begin(Scene(sim, fly, draws, moved / max(float(np.linalg.norm(moved)), 1e-9)))
             code, disarmed = self._outcome(sim, fly, fault, begun)
         flown = path()
-        lines = [line for _, line in timed(fly.heard)]
+        heard = timed(fly.heard)
+        lines = [line for _, line in heard]
         said = next((line for line in reversed(lines) if line and not line.startswith(" ")), "")
         figures = self.judge.figures(flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun)
-        airborne = flown[flown[:, 3] > 0.5, 1:]
         figures |= {"part": part, "code": code, "said": said, "disarmed_s": disarmed}
-        figures["strays"] = self.judge.strays(airborne)
+        figures["strays"] = self.judge.strays(_along_the_plan(heard, flown))
         figures["late_s"] = _lateness(folder / "f.run.mcap", code)
         if figures["contact"] or untrue(fault, figures) or disarmed is None:
             figures["lines"] = lines[-14:]
@@ -515,6 +516,13 @@ class Matrix:
         if disarmed is None:
             sim.command(176, 1, 9)
         return code, disarmed
+
+
+def _along_the_plan(heard: list[tuple[float, str]], flown: FloatArray) -> FloatArray:
+    """Part of a path, shape (T, 4), in which the plan was flown, by the lines of `fly`; shape (T, 3)."""
+    begin = next(at for at, line in heard if "flying the plan" in line)
+    end = next((at for at, line in heard if at > begin and ": landing" in line), flown[-1, 0])
+    return flown[(flown[:, 0] >= begin) & (flown[:, 0] <= end), 1:]
 
 
 def is_armed(sim: Any) -> bool:
