@@ -442,6 +442,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         fence=mission.fence,
         plan=mission.is_clear,
         speed_m_s=config.speed_m_s,
+        step_s=_FAILSAFE_STEP_S,
     )
 
 
@@ -452,7 +453,6 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         config: complete configuration, see `resolve_fly`.
         dry_run: end after the pre-flight checks.
     """
-        step_s=_FAILSAFE_STEP_S,
     assert config.max_time_s is not None
     limits = limits_of(
         config,
