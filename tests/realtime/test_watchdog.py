@@ -14,10 +14,16 @@ from pathlib import Path
 
 import pytest
 
+from alula.schemas.artifact import write_artifact
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S
+from support.ardupilot_sitl import LOOSE
+from support.autopilot_client import EXACT
+from support.lockstep import _BRISK
 from support.mavlink_peer import m
+from support.served_autopilot import Served
 from support.sim_vehicle_process import free_port
+from support.small_scenes import box_cover, line_plan
 
 GUIDED, LAND, BRAKE, LOITER = 4, 9, 17, 5
 KEY = bytes(range(32))
@@ -306,6 +312,72 @@ def test_it_is_small_and_nearly_idle():
         )
         print(f"{size / 1024:.1f} MiB, {50 * (ticks[1] - ticks[0]):.1f} % of a core")
         assert size < 20_000
+
+
+class Flown(Served):
+    """A simulated ArduPilot that lives in a thread, in real time; keeps when it left GUIDED."""
+
+    def __init__(self, **parameters):
+        super().__init__(EXACT, _BRISK | parameters)
+        self.left_s, self._lives = None, True
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self):
+        was_guided = False
+        while self._lives:
+            self.tick(time.monotonic())
+            is_guided = self.copter.mode.name == "GUIDED"
+            if was_guided and not is_guided and self.left_s is None:
+                self.left_s = time.monotonic()
+            was_guided = is_guided
+            time.sleep(0.003)
+
+    def close(self):
+        self._lives = False
+        self._thread.join(5)
+        self.socket.close()
+
+
+def test_a_flight_that_was_stopped_says_so_and_ends_with_a_code_of_4(tmp_path, monkeypatch):
+    monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.Copter.ARMING_DELAY_S", 0.1)
+    write_artifact(tmp_path / "plan.npz", line_plan((0.0, 0.0, 0.6), (5.0, 0.0, 0.6), 12.0))
+    write_artifact(tmp_path / "cover.npz", box_cover([((0, 30, 0), (50, 34, 30))]))
+    served = Flown()
+    words = ["fly", str(tmp_path / "plan.npz"), "--map", str(tmp_path / "cover.npz"), *LOOSE]
+    words += ["--link", f"udpout:127.0.0.1:{served.port}", "-o", str(tmp_path / "f.run.mcap")]
+    with subprocess.Popen(
+        [sys.executable, "-P", "-m", "alula.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as fly:
+        try:
+            lines = []
+            for line in fly.stderr:
+                lines.append(line)
+                if "flying the plan" in line:
+                    break
+            time.sleep(1.5)
+            fly.send_signal(signal.SIGSTOP)
+            stopped_s = time.monotonic()
+            wait_for(lambda: served.left_s is not None, 2.0)
+            time.sleep(0.8)
+            fly.send_signal(signal.SIGCONT)
+            _, rest = fly.communicate(timeout=60)
+        finally:
+            fly.kill()
+            served.close()
+    said = "".join(lines) + rest
+    assert served.left_s - stopped_s < 0.5, said
+    assert fly.returncode == 4, said
+    assert " m when this program dies, " in said
+    assert "watchdog: the loop stalled, 0.2" in said
+    assert "taking the vehicle over: LAND\n" in said
+    assert "watchdog took over: it stops the vehicle and lands it; Ctrl-C ends this program" in said
+    assert "disarmed: the flight is over" in said
+    assert "the plan was not finished: watchdog took over (the loop stalled for 1." in said.splitlines()[-1]
+    assert not served.copter.is_armed
 
 
 def _cpu_s(pid):
