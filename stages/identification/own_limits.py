@@ -76,7 +76,8 @@ def rate_notes(parameters: Mapping[str, float]) -> list[str]:
 def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
     """The vehicle's file with the limits that its parameters set.
 
-    The horizontal acceleration is also at most that of the largest lean angle, g tan(angle).
+    The horizontal acceleration is also at most that of the largest lean angle, g tan(angle). Body rates stay
+    those of the file where the vehicle allows more, because links send no faster ones.
 
     Args:
         vehicle: contents of the file.
@@ -98,7 +99,7 @@ def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
             given.get("deceleration_m_s2", following.deceleration_m_s2), lean_m_s2
         )
     own_rates = [
-        limits[f"{name} rate"].value if f"{name} rate" in limits else of_file
+        min(limits[f"{name} rate"].value, of_file) if f"{name} rate" in limits else of_file
         for name, of_file in zip(AXES, rates.max_rad_s, strict=True)
     ]
     return msgspec.structs.replace(

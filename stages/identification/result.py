@@ -220,7 +220,8 @@ def _compared_rates(
             continue
         if seen.is_limited:
             limit = limits.get(f"{name} rate")
-            by = "the first guess" if limit is None else limit.parameter
+            is_own = limit is not None and limit.value <= guess.rates.max_rad_s[axis]
+            by = limit.parameter if limit is not None and is_own else "the first guess"
             yield f"fastest {name} rate, by {by}", seen.reached_rad_s.value, seen.asked_rad_s, "rad/s"
         limit, gained = limits.get(f"{name} acceleration"), seen.acceleration_rad_s2
         lag_s = guess.rates.axes_s[axis] if found.rate_s is None else found.rate_s[axis].value

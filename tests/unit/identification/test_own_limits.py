@@ -57,6 +57,7 @@ def test_the_first_guess_takes_rates_and_the_acceleration_of_the_largest_lean():
     flat = first_guess(FASTBRIDGE, SINCE | {"PSC_ANGLE_MAX": 10.0})
     assert flat.velocities.deceleration_m_s2 == pytest.approx(9.81 * math.tan(math.radians(10.0)))
     assert first_guess(FASTBRIDGE, {}).rates == FASTBRIDGE.rates
+    assert first_guess(FASTBRIDGE, {"ATC_RATE_Y_MAX": 720.0}).rates == FASTBRIDGE.rates  # links send 4 rad/s
 
 
 def test_rates_that_are_not_fed_forward_are_named():
