@@ -74,7 +74,7 @@ def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
 class MavlinkLink:
     """A `Link` to an autopilot.
 
-    It sends a heartbeat every second, set-points as they come, commands until they are answered, and with
+    It sends ten heartbeats a second, set-points as they come, commands until they are answered, and with
     motion capture its poses. It changes the parameters of `mavlink.autopilots`; `close` restores them.
 
     Args:

@@ -22,8 +22,9 @@ AUTOPILOT_COMPONENT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 _MAX_READS = 64  # in one poll
 _MAX_BYTES = 1 << 15
-_HEARTBEAT_S = 1.0
-_RATES_HEARTBEAT_S = 0.1  # where the vehicle lands after half a second without one
+# ArduPilot lands half a second after the last one in flights by body rates, and in all later flights, too, if
+# such a flight was killed: its FS_GCS_TIMEOUT stays.
+_HEARTBEAT_S = 0.1
 _WAIT_S = 0.005
 _NOWHERE = Place(None, "")
 _DESERTED_S = 3.0  # after this time without packets another address may take the vehicle's place
@@ -77,7 +78,6 @@ class Session:
         self._transport: Transport | None = None
         self._peer: Any = None
         self._sequence: int | None = None
-        self._period_s = _RATES_HEARTBEAT_S if options.flies_rates else _HEARTBEAT_S
         self._beat_s = -math.inf
         self.start_s = options.clock()
         self.signer: Signer | None = None
@@ -149,7 +149,7 @@ class Session:
             self._receive(data, peer, now_s)
             if size > _MAX_BYTES:
                 break
-        if now_s - self._beat_s >= self._period_s:
+        if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
             self.send(_heartbeat())
             if self.signer is not None:
