@@ -48,6 +48,8 @@ _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
+_RESPONSE_S = 0.2  # the same from the response to velocities and accelerations, which is known less well
+_RESPONSE_ROOM_M_S2 = 0.3  # that such a response may differ from the model by, for noise alone
 _MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
 _SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
 _FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
@@ -399,6 +401,9 @@ def make_commander(
         has_losses=True,  # the age of a state varies
         disturbance_max_m_s2=_MAX_DISTURBANCE_M_S2,
         disturbance_time_s=_DISTURBANCE_S if kind is RatesSetpoint else 0.0,
+        response_time_s=0.0 if kind is RatesSetpoint else _RESPONSE_S,
+        response_room_m_s2=_response_room_m_s2(vehicle),
+        response_max_m_s2=_MAX_DISTURBANCE_M_S2,
     )
     return FlightCommander(
         flight=_core.Flight(flown, options, _core.Mission.given(gain_per_s=config.gain), filters),
@@ -408,6 +413,12 @@ def make_commander(
         dt_s=dt,
         command=None if safety is None else safety.kind,
     )
+
+
+def _response_room_m_s2(vehicle: Vehicle) -> float:
+    """Acceleration by which a response may differ from the model: as identified, at least noise [m/s^2]."""
+    found = None if vehicle.identified is None else vehicle.identified.residual_m_s2
+    return max(found or 0.0, _RESPONSE_ROOM_M_S2)
 
 
 def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:

@@ -77,6 +77,23 @@ struct Fields<flight::DisturbanceOptions> {
 };
 
 template <>
+struct Fields<flight::ResponseOptions> {
+  using Options = flight::ResponseOptions;
+  static constexpr std::tuple all{
+      Field{"time_s", &Options::time_s,
+            "time constant of the estimate of what a vehicle's response leaves out; 0: none [s]"},
+      Field{"room_m_s2", &Options::room_m_s2,
+            "by which the interval of expected accelerations is wider on both sides [m/s^2]"},
+      Field{"delay_s", &Options::delay_s, "a command of this age may be the one that is followed [s]"},
+      Field{"shortest_lag_s", &Options::shortest_lag_s, "shortest lag of a vehicle that follows velocities [s]"},
+      Field{"jerk_m_s3", &Options::jerk_m_s3, "with which accelerations are followed at least [m/s^3]"},
+      Field{"release_s", &Options::release_s, "time constant with which the bound decays [s]"},
+      Field{"max_m_s2", &Options::max_m_s2, "maximum length of the estimate [m/s^2]"},
+      Field{"max_interval_s", &Options::max_interval_s,
+            "after a longer time without a measurement the estimate begins anew [s]"}};
+};
+
+template <>
 struct Fields<flight::FlightOptions> {
   using Options = flight::FlightOptions;
   static constexpr std::tuple all{
@@ -85,7 +102,8 @@ struct Fields<flight::FlightOptions> {
       Field{"filter_ticks", &Options::filter_ticks, "ticks for which the filters' command is held"},
       Field{"stale_s", &Options::stale_s, "a measurement older than this is not predicted any more [s]"},
       Field{"has_losses", &Options::has_losses, "measurements can be missing"},
-      Nested{&Options::disturbance, "disturbance_"}};
+      Nested{&Options::disturbance, "disturbance_"},
+      Nested{&Options::response, "response_"}};
 };
 
 template <>
@@ -281,8 +299,9 @@ struct SteppedFlight {
     d["is_refused"] = decision.is_refused, d["is_stale"] = decision.is_stale;
     d["is_limited"] = decision.is_limited;
     d["estimate"] = to_array(flight.estimate().x);
-    d["disturbance"] = triple_of(flight.disturbance().acceleration());
-    d["disturbance_bound"] = flight.disturbance().bound();
+    d["disturbance"] = triple_of(flight.disturbance());
+    d["disturbance_bound"] = flight.disturbance_bound();
+    d["added_margin_m"] = flight.added_margin();
     nb::list filters;
     for (const FilterRecord& r : flight.records()) {
       LogDict one;

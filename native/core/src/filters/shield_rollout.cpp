@@ -86,6 +86,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   Vec4 rotors = rotors_;
   double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
   tail_ = options_.margin_m / 2, ended_early_ = false;
+  const bool is_still = level_.is_still();
   const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks &&
@@ -96,7 +97,8 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const bool is_first = tick < before;
     const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
     const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
-    const State next = acts_at_once() ? after(now, command) : following(now, rotors, command);
+    State next = acts_at_once() ? after(now, command) : following(now, rotors, command);
+    if (!is_still) next = moved(now, next);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag,
     // thrust and torques go on a straight line from u to those at the end, so the maximum is at one of the ends. A
     // rate loop can have any torque and thrust of the rotors in between.
@@ -118,7 +120,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
       turning = std::max(turning, spin_up(end.torque));
     }
     const double rate = std::max(spin, next_spin) + h * turning;
-    const double change = norm(start) + growth + thrust * rate * h;
+    const double change = level_.scale() * (norm(start) + growth + thrust * rate * h);
     const double next_speed = norm(next.v);
     const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
     path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
