@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,11 @@ from scipy.spatial import cKDTree
 
 from alula.cli.main import run as alula
 from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.plan import MARGIN_M
+from alula.schemas.flights import read_flights
 from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.run import read_run
+from alula.schemas.toml_file import toml_value
 from alula.schemas.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
@@ -53,7 +58,11 @@ FILTERS = {
     "cone-backup": ("body rates", "scene"),
     "shield": ("body rates", "cover"),
 }
-REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
+REAL, SIMULATED, SCENARIO = "ArduPilot's own simulation", "sim-vehicle", "simulate"
+# Where `fly` takes over from the take-off: below the plan by this part of the height, still climbing.
+_BELOW, _CLIMB_M_S = 0.05, 0.4
+_DELAY_S = 0.02  # age of a state on arrival, in `simulate`
+AUTOPILOTS = {"real": REAL, "simulated": SIMULATED, "simulate": SCENARIO}
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
 
@@ -145,6 +154,91 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
         "ended_by": "nothing" if cause is None else cause.value,
         "flight_s": float(path[-1, 0] - path[0, 0]),
     } | Judge(folder)(cell, path[:, 1:])
+
+
+# `alula simulate`, as a user flies it.
+
+_INTERFACES = {"velocities": "velocity", "accelerations": "acceleration", "body rates": "body-rates"}
+
+
+def scenario_of(folder: Path, vehicle: Path, cells: list[Cell]) -> dict[str, Any]:
+    """The scenario of the flights of a filter along a plan, with the noise of the simulated autopilot."""
+    from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+
+    first, noise = cells[0], EstimatorOptions()
+    kind = FILTERS[first.name][1]
+    by_rates = FILTERS[first.name][0] == "body rates"
+    x, y, z = (START, GOAL)[first.number % 2]
+    return {
+        "schema": "alula/scenario",
+        "version": "2.0",
+        "name": first.key,
+        "vehicle": {
+            "file": str(vehicle),
+            "interface": _INTERFACES[FILTERS[first.name][0]],
+            "assumed": {"delay_s": _DELAY_S},
+        },
+        "world": {kind: str(first.map(folder)), "inflation_m": MARGIN_M},
+        "mission": {
+            "kind": "plan",
+            "plan": str(first.plan(folder)),
+            "start_m": (x, y, (1 - _BELOW) * z),
+            "start_velocity_m_s": (0.0, 0.0, _CLIMB_M_S),
+        },
+        "safety": {"filters": [first.name]},
+        "estimation": {
+            "position_noise_m": noise.position_noise_m,
+            "velocity_noise_m_s": noise.velocity_noise_m_s,
+            "noise_time_s": noise.noise_time_s,
+            "attitude_noise_rad": noise.attitude_noise_rad,
+            "rate_noise_rad_s": noise.rate_noise_rad_s,
+            "delay_s": _DELAY_S,
+            "disturbance_time_s": 0.1 if by_rates else 0.0,
+        },
+        "rules": {
+            "trials": len(cells),
+            "logged": len(cells),
+            "log_rate_hz": 100.0,
+            "seed": first.number,
+        },
+    }
+
+
+def fly_scenario(folder: Path, vehicle: Path, cells: list[Cell]) -> list[dict[str, Any]]:
+    """Fly cells along the same plan behind the same filter by `alula simulate`."""
+    judge = Judge(folder)
+    with tempfile.TemporaryDirectory() as name:
+        words, log = Path(name) / "flights.toml", Path(name) / "flights.run.mcap"
+        tables = scenario_of(folder, vehicle, cells)
+        heads = [
+            f"{key} = {toml_value(value)}" for key, value in tables.items() if not isinstance(value, dict)
+        ]
+        words.write_text("\n".join([*heads, *_lines(tables)]) + "\n")
+        code = alula(["simulate", str(words), "-o", str(log), "-q", "--jobs", "1"])
+        if code not in (0, 4):  # 4: off the plan, or a via missed
+            raise SystemExit(f"{cells[0].key}: simulate ends with {code}")
+        flights, trials = read_flights(log).by_trial, read_run(log).trials
+    return [
+        {
+            "is_finished": trial.outcome in ("reached", "missed-via", "off-plan"),
+            "ended_by": trial.outcome,
+            "flight_s": trial.duration_s,
+        }
+        | judge(cell, flights[trial.index].position_world)
+        for cell, trial in zip(cells, trials, strict=True)
+    ]
+
+
+def _lines(tables: dict[str, Any], path: str = "") -> Iterator[str]:
+    for key, table in tables.items():
+        if isinstance(table, dict):
+            values = {name: value for name, value in table.items() if not isinstance(value, dict)}
+            yield from (
+                "",
+                f"[{path}{key}]",
+                *(f"{name} = {toml_value(value)}" for name, value in values.items()),
+            )
+            yield from _lines(table, f"{path}{key}.")
 
 
 # ArduPilot's own simulation.
@@ -268,11 +362,18 @@ def main() -> int:
     parser.add_argument("--speeds", type=float, nargs="+", default=[0.5, 1.0, 2.0], metavar="M_S")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=list(FILTERS))
     parser.add_argument(
-        "--autopilots", nargs="+", default=["real", "simulated"], choices=["real", "simulated"]
+        "--autopilots", nargs="+", default=["real", "simulated", "simulate"], choices=list(AUTOPILOTS)
     )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="vehicles at once: 2")
     parser.add_argument(
         "--keep", type=Path, default=Path("build/autopilots"), help="folder of maps and results"
+    )
+    parser.add_argument(
+        "--identified",
+        type=Path,
+        default=VEHICLE,
+        metavar="FILE",
+        help="vehicle file for simulate, as identify writes it",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table into this page")
     options = parser.parse_args()
@@ -284,11 +385,10 @@ def main() -> int:
     results = folder / "flights.jsonl"
     lines = results.read_text().splitlines() if results.exists() else []
     found = {row.pop("key"): row for row in map(json.loads, lines)}
-    autopilots = {"real": REAL, "simulated": SIMULATED}
     if "ALULA_ARDUCOPTER" not in os.environ:
         options.autopilots = [each for each in options.autopilots if each != "real"]
     cells = [
-        Cell(autopilots[each], name, speed, number)
+        Cell(AUTOPILOTS[each], name, speed, number)
         for number in range(options.flights)
         for speed in options.speeds
         for name in options.filters
@@ -302,6 +402,17 @@ def main() -> int:
                 simulated, pool.map(fly_simulated, [folder] * len(simulated), simulated), strict=True
             ):
                 kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
+                kept.flush()
+    groups: dict[tuple[str, float, int], list[Cell]] = {}
+    for cell in missing:
+        if cell.autopilot == SCENARIO:
+            groups.setdefault((cell.name, cell.speed_m_s, cell.number % 2), []).append(cell)
+    if groups:
+        given = [folder] * len(groups), [options.identified.resolve()] * len(groups), groups.values()
+        with ProcessPoolExecutor(options.jobs) as pool, results.open("a") as kept:
+            for group, flown in zip(groups.values(), pool.map(fly_scenario, *given), strict=True):
+                for cell, figures in zip(group, flown, strict=True):
+                    kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
                 kept.flush()
     real = [cell for cell in missing if cell.autopilot == REAL]
     if real:

@@ -46,7 +46,6 @@ Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 _ROOM_M = 2.0  # between the plan's box and the default fence
 _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
-_NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
 _RESPONSE_S = 0.2  # the same from the response to velocities and accelerations, which is known less well
 _RESPONSE_ROOM_M_S2 = 0.3  # that such a response may differ from the model by, for noise alone
@@ -489,13 +488,8 @@ def make_clock(mission: Mission) -> PlanClock:
     Args:
         mission: to fly.
     """
-    return PlanClock(
-        mission.curve,
-        near_m=_NEAR_M,
-        far_m=_FAR_M,
-        via_s=mission.along.via_s,
-        via_m=mission.along.tolerance_m,
-    )
+    waits = _core.PlanClockOptions(via_s=mission.along.via_s, via_m=mission.along.tolerance_m)
+    return PlanClock(mission.curve, waits)
 
 
 def describe(mission: Mission) -> str:

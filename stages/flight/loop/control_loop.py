@@ -51,6 +51,7 @@ from alula.stages.flight.recorder.samples import (
     tick_sample,
 )
 from alula.stages.flight.watchdog.watchdog import Watchdog
+from alula.stages.planning.adherence import FINISHED_M, FINISHED_M_S
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
@@ -80,8 +81,8 @@ class LoopOptions:
     limits: SupervisorLimits = field(default_factory=SupervisorLimits)
     dry_run: bool = False
     watch_frame: bool = True
-    stop_m: float = 0.2
-    stop_speed_m_s: float = 0.3
+    stop_m: float = FINISHED_M
+    stop_speed_m_s: float = FINISHED_M_S
     margin_m: float = 0.0
     rest_s: float = 1.5
     velocity_lag_s: float = 1.0

@@ -91,6 +91,7 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
     throw std::invalid_argument("the ticks of a flight and the age of its states must be positive");
   if (mission.kind == MissionKind::curve && !mission.curve)
     throw std::invalid_argument("a mission along a curve needs the curve");
+  if (mission.kind == MissionKind::curve && mission.clock) clock_.emplace(mission.curve, *mission.clock);
   CommandKind outer = CommandKind::velocity;
   for (const SafetyFilter* filter : filters) {
     if (filter->kind() < outer)
@@ -112,6 +113,7 @@ void Flight::reset() {
   for (const auto& filter : filters_) filter->reset();
   predictor_.reset();
   observer_.reset(), response_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0;
+  if (clock_) clock_->reset();
   seen_ = {};
   seen_.thrust = vehicle_.body.hover_thrust();
   flown_ = vehicle_.body.limited({vehicle_.body.hover_thrust(), {}});
@@ -232,7 +234,8 @@ void Flight::make_nominal() {
   Vec3 towards = mission_.goal - x.p;
   Vec3 velocity;
   if (mission_.kind != MissionKind::goal) {
-    if (mission_.kind == MissionKind::curve) target_ = mission_.curve->at(mission_.curve->start() + now_);
+    if (mission_.kind == MissionKind::curve)
+      target_ = clock_ ? clock_->target() : mission_.curve->at(mission_.curve->start() + now_);
     velocity = target_.v + mission_.gain / 2 * (target_.p - x.p);
   } else {
     target_ = reference_for(mission_.goal, {}, target_.yaw);
@@ -445,7 +448,13 @@ void Flight::finish() {
   ++tick_;
 }
 
+// The plan's time, after a tick with a command.
+void Flight::go_on() {
+  if (clock_ && !decision_.is_stale) clock_->advance(options_.dt_s, norm(seen_.x.p - target_.p));
+}
+
 void Flight::sent() {
+  go_on();
   const Command& c = decision_.command;
   switch (vehicle_.interface) {
     case Interface::velocity:
@@ -464,6 +473,7 @@ void Flight::sent() {
 }
 
 void Flight::sent(const Command& other) {
+  go_on();
   const bool is_same = other.interface == vehicle_.interface;
   switch (vehicle_.interface) {
     case Interface::velocity:

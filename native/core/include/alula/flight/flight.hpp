@@ -38,6 +38,7 @@
 #include "alula/dynamics/response.hpp"
 #include "alula/dynamics/state_predictor.hpp"
 #include "alula/filters/safety_filter.hpp"
+#include "alula/flight/plan_clock.hpp"
 #include "alula/flight/simulated_vehicle.hpp"
 #include "alula/planning/reference_curve.hpp"
 
@@ -60,6 +61,7 @@ struct Mission {
   double gain = 2;
   double speed = std::numeric_limits<double>::infinity();  // [m/s]
   bool hovers = false;
+  std::optional<PlanClockOptions> clock;  // of a curve: its time waits for the vehicle; else it does not
 
   double duration() const { return kind == MissionKind::curve ? curve->duration() : 0; }
 };
@@ -128,6 +130,7 @@ class Flight {
     return vehicle_.interface == Interface::velocity ? way_before_reaction(bound, vehicle_.velocity_lag_s.most())
                                                      : way_before_reaction(bound);
   }
+  const std::optional<PlanClock>& clock() const { return clock_; }
 
  private:
   bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
@@ -141,10 +144,12 @@ class Flight {
   void stand_in(CommandKind kind);
   void finish();
   void remember(const std::optional<Vec3>& command);
+  void go_on();
 
   VehicleSpec vehicle_;
   FlightOptions options_;
   Mission mission_;
+  std::optional<PlanClock> clock_;
   std::vector<std::unique_ptr<SafetyFilter>> filters_;
   StatePredictor predictor_;
   DisturbanceObserver observer_;
