@@ -13,7 +13,6 @@ from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
 from alula.stages.flight.links.own_safety import Action, OwnSafety
 
-
 _COASTED = (0.0, 0.5, 1.0)  # parts of the way to rest from which ways home are judged
 
 
@@ -139,8 +138,8 @@ def failsafe_faults(
     away_m = float(np.hypot(path[:, 0] - home[0], path[:, 1] - home[1]).max())
     if above_m >= own.highest_m or away_m >= own.farthest_m or low_m <= own.lowest_m:
         faults.append(
-            f"the plan leaves the vehicle's own fence ({own.fence}): it goes {low_m:.1f} to {above_m:.1f} m up "
-            f"and {away_m:.1f} m away; widen or disable that fence"
+            f"the plan leaves the vehicle's own fence ({own.fence}): it goes {low_m:.1f} to {above_m:.1f} m "
+            f"up and {away_m:.1f} m away; widen or disable that fence"
         )
     for each in own.failsafes:
         if each.action is Action.RETRACE:
