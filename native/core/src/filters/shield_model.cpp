@@ -155,15 +155,6 @@ bool Shield::settles() {
   return largest <= kVanished;
 }
 
-// The end of a tick, with the true acceleration instead of that without a disturbance: attitude and rates are the
-// same, because nothing depends on the velocity within a tick.
-State Shield::moved(const State& from, State to) const {
-  const Vec3 by_speed = options_.tick_s * from.v;
-  to.p = from.p + by_speed + level_.acceleration(to.p - from.p - by_speed);
-  to.v = from.v + level_.acceleration(to.v - from.v);
-  return to;
-}
-
 // The wrench of a manoeuvre in a tick.
 Wrench Shield::flown(const State& x, const Manoeuvre& manoeuvre, int tick) const {
   return manoeuvre.is_urgent ? policy_.urgent(x, manoeuvre.at(tick)) : policy_(x, manoeuvre.at(tick));

@@ -175,7 +175,6 @@ class Shield {
   bool has_rate_loop() const { return alula::flight::has_rate_loop(options_.rate_time_constant_s); }
   bool acts_at_once() const { return !lags() && !has_rate_loop(); }
   void bound_motion();
-  State moved(const State& from, State to) const;
   Linear linearised() const;
   bool settles();
   State following(const State& x, Vec4& rotors, const Wrench& u) const;
