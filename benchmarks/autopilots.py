@@ -1,10 +1,10 @@
-"""The same flights through the built-in room on ArduPilot's own simulation and on the simulated autopilot.
+"""The same flights through the built-in room on the real autopilot, on the simulated one, and in `simulate`.
 
 Each filter flies a plan there and back at each speed. On the real program, which ALULA_ARDUCOPTER names,
 `alula fly` runs in a process of its own, in real time, several vehicles at once. On the simulated autopilot
-the same loop and link run in lock-step with it, with the default noise of its estimate. Both are judged by
-the true motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by
-segments.
+the same loop and link run in lock-step with it, with the default noise of its estimate. `alula simulate`
+flies scenarios with that noise and the vehicle that `alula identify` measured. All are judged by the true
+motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by segments.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ REAL, SIMULATED, SCENARIO = "ArduPilot's own simulation", "sim-vehicle", "simula
 _BELOW, _CLIMB_M_S = 0.05, 0.4
 _DELAY_S = 0.02  # age of a state on arrival, in `simulate`
 AUTOPILOTS = {"real": REAL, "simulated": SIMULATED, "simulate": SCENARIO}
+_AGREES = 0.2  # part by which `simulate` may differ from the real autopilot
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
 
@@ -299,8 +300,52 @@ class Vehicles:
         return figures
 
 
+Group = tuple[str, float, str]  # filter, speed, autopilot
+
+
+def groups_of(found: dict[str, dict[str, Any]]) -> dict[Group, list[dict[str, Any]]]:
+    """Flights of each filter, speed and autopilot, in the order of the table."""
+    groups: dict[Group, list[dict[str, Any]]] = {}
+    for key, figures in found.items():
+        autopilot, name, speed, _ = key.split("/")
+        if "via_m" in figures:
+            groups.setdefault((name, float(speed), autopilot), []).append(figures)
+    order = list(FILTERS)
+    return dict(sorted(groups.items(), key=lambda item: (order.index(item[0][0]), *item[0][1:])))
+
+
+def extremes(name: str, flights: list[dict[str, Any]]) -> tuple[float, float, float]:
+    """Least clearance, median of the 95 % of distances from the plan, and the largest one [m]."""
+    clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
+    return (
+        min(each[clear] for each in flights),
+        float(np.median([each["away_p95_m"] for each in flights])),
+        max(each["away_max_m"] for each in flights),
+    )
+
+
+def agreement(figures: dict[Group, tuple[float, float, float]]) -> str:
+    """How the figures of `extremes` in `simulate` compare with those of the real autopilot."""
+    heads = ["filter", "plan, m/s", "95 % from the plan", "max", "least clearance", "differences, m"]
+    lines = [[*heads, "within 20 %"], ["---"] * 7]
+    for (name, speed, autopilot), found in figures.items():
+        real = figures.get((name, speed, REAL))
+        if autopilot != SCENARIO or real is None:
+            continue
+        ratios = [mine / its for mine, its in zip(found, real, strict=True)]
+        apart = [mine - its for mine, its in zip(found, real, strict=True)]
+        order = (1, 2, 0)
+        parts = ("clearance", "95 %", "max")
+        off = [parts[i] for i in order if not 1 - _AGREES <= round(ratios[i], 2) <= 1 + _AGREES]
+        row = [name, f"{speed:g}", *(f"{ratios[i]:.2f}" for i in order)]
+        lines.append(
+            [*row, ", ".join(f"{apart[i]:+.3f}" for i in order), f"not {', '.join(off)}" if off else "yes"]
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
 def table(found: dict[str, dict[str, Any]]) -> str:
-    """Figures of both autopilots side by side, a row for each filter and speed."""
+    """Figures of the autopilots side by side, a row for each filter and speed."""
     heads = ["filter", "set-points", "plan, m/s", "autopilot", "flights", "plan finished", "contacts"]
     heads += [
         "via missed",
@@ -311,17 +356,9 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         "flight, s",
     ]
     lines = [heads, ["---"] * len(heads)]
-    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
-    for key, figures in found.items():
-        autopilot, name, speed, _ = key.split("/")
-        if "via_m" in figures:
-            groups.setdefault((name, float(speed), autopilot), []).append(figures)
-    order = list(FILTERS)
-    for (name, speed, autopilot), flights in sorted(
-        groups.items(), key=lambda item: (order.index(item[0][0]), item[0][1], item[0][2])
-    ):
+    for (name, speed, autopilot), flights in groups_of(found).items():
         clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
-        least = min(each[clear] for each in flights)
+        least, away, most = extremes(name, flights)
         lines.append(
             [
                 name,
@@ -334,8 +371,8 @@ def table(found: dict[str, dict[str, Any]]) -> str:
                 str(sum(each["via_missed"] for each in flights)),
                 str(sum(each["outside_m"] > 0 for each in flights)),
                 f"{least:.3f}",
-                f"{np.median([each['away_p95_m'] for each in flights]):.3f}",
-                f"{max(each['away_max_m'] for each in flights):.3f}",
+                f"{away:.3f}",
+                f"{most:.3f}",
                 f"{np.median([each['flight_s'] for each in flights]):.1f}",
             ]
         )
@@ -345,12 +382,23 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 _PREFACE = """
 The same plans through the built-in room, there and back, with `examples/vehicles/arducopter.toml`.
 "{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
-the default noise of its estimate. Clearances are those of the true motion while set-points were sent, to the
+the default noise of its estimate. "{scenario}" is `alula simulate` with that noise, states 0.02 s old, and
+the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where `fly`
+takes over from the take-off: below the plan by a twentieth of the height, at a climb of 0.4 m/s.
+
+Clearances are those of the true motion while set-points were sent, to the
 hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
 Off the plan is a flight that left the tube about its plan (docs/guide/fly.md), which `fly` reports with exit
 code 4. Made by:
 
-    ALULA_ARDUCOPTER=.../arducopter python benchmarks/autopilots.py --markdown docs/results/benchmarks-fly.md
+    alula identify ... --speeds 0.5,1,2 --rates -o mine.toml
+    ALULA_ARDUCOPTER=.../arducopter python benchmarks/autopilots.py --identified mine.toml \\
+      --markdown docs/results/benchmarks-fly.md
+
+"""
+_COMPARED = """
+`simulate` over {real}, as ratios, and the differences in the same order: median of the 95 % of
+distances from the plan, largest distance, and least clearance of all flights, which is an extreme of few.
 
 """
 
@@ -371,9 +419,8 @@ def main() -> int:
     parser.add_argument(
         "--identified",
         type=Path,
-        default=VEHICLE,
         metavar="FILE",
-        help="vehicle file for simulate, as identify writes it",
+        help="vehicle file that identify wrote, without which simulate is left out",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table into this page")
     options = parser.parse_args()
@@ -387,6 +434,8 @@ def main() -> int:
     found = {row.pop("key"): row for row in map(json.loads, lines)}
     if "ALULA_ARDUCOPTER" not in os.environ:
         options.autopilots = [each for each in options.autopilots if each != "real"]
+    if options.identified is None:
+        options.autopilots = [each for each in options.autopilots if each != "simulate"]
     cells = [
         Cell(AUTOPILOTS[each], name, speed, number)
         for number in range(options.flights)
@@ -421,9 +470,12 @@ def main() -> int:
     wanted = {cell.key for cell in cells}
     found = {row.pop("key"): row for row in rows if row["key"] in wanted}
     shown = table(found)
+    compared = agreement({group: extremes(group[0], each) for group, each in groups_of(found).items()})
+    if compared.count("\n") > 2:
+        shown += _COMPARED.format(real=REAL) + compared
     if options.markdown is not None:
         page = options.markdown.read_text() if options.markdown.exists() else ""
-        preface = _PREFACE.format(real=REAL, simulated=SIMULATED)
+        preface = _PREFACE.format(real=REAL, simulated=SIMULATED, scenario=SCENARIO)
         options.markdown.write_text(with_section(page, f"{OTHERS}{preface}{shown}"))
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
