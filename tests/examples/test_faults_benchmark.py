@@ -43,6 +43,16 @@ def test_there_is_no_room_to_stop_just_before_a_wall(judge):
     assert not found["could_stop"]
 
 
+def test_a_vehicle_that_is_wrong_about_its_velocity_cannot_be_stopped(judge):
+    path = along_x(6.6)
+    told = np.stack([path[::4, 0], 1.0 + 0 * path[::4, 0], 0 * path[::4, 0], 0 * path[::4, 0]], axis=1)
+    assert judge.figures(path, 3.0, told)["could_stop"]
+    told[:, 1] = -0.2
+    found = judge.figures(path, 3.0, told)
+    assert found["estimate_off_m_s"] == pytest.approx(1.2, abs=0.05)
+    assert not found["could_stop"]
+
+
 def test_a_fall_and_a_climb_are_measured(judge):
     path = along_x(4.0)
     path[60:, 3] -= 0.4

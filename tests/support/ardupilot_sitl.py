@@ -36,6 +36,7 @@ class Sitl:
         port: where it sends, for `alula fly`.
         texts: STATUSTEXTs, as the other station receives them.
         truth: true motion: time of this machine [s], east, north, up from the start [m], and the tilt [rad].
+        estimates: estimated velocities: time of this machine [s], east, north, up [m/s].
         newest: newest message of each kind.
         modes: time of this machine [s] and custom_mode of each heartbeat.
     """
@@ -46,7 +47,8 @@ class Sitl:
         self._socket = until(lambda: self._connected(second_port(instance)))
         self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
         self._parser.robust_parsing = True
-        self.texts, self.truth, self.newest, self.modes = [], [], {}, []
+        self.texts, self.truth, self.estimates = [], [], []
+        self.newest, self.modes = {}, []
         self._home = None
         self._lives = True
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -93,6 +95,8 @@ class Sitl:
             north = math.radians(lat - self._home[0]) * _EARTH_M
             tilt = math.acos(max(-1.0, min(1.0, math.cos(message.roll) * math.cos(message.pitch))))
             self.truth.append((time.monotonic(), east, north, alt - self._home[2], tilt))
+        elif kind == "LOCAL_POSITION_NED":
+            self.estimates.append((time.monotonic(), message.vy, message.vx, -message.vz))
         self.newest[kind] = message
 
     def send(self, message):
