@@ -59,8 +59,8 @@ FILTERS = {
     "shield": ("body rates", "cover"),
 }
 REAL, SIMULATED, SCENARIO = "ArduPilot's own simulation", "sim-vehicle", "simulate"
-# Where `fly` takes over from the take-off: below the plan by this part of the height, still climbing.
-_BELOW, _CLIMB_M_S = 0.05, 0.4
+# Where the first set-point of `fly` acts after the take-off: below the plan by this part of the height.
+_BELOW, _CLIMB_M_S = 0.03, 0.4
 _DELAY_S = 0.02  # age of a state on arrival, in `simulate`
 AUTOPILOTS = {"real": REAL, "simulated": SIMULATED, "simulate": SCENARIO}
 _AGREES = 0.2  # part by which `simulate` may differ from the real autopilot
@@ -384,7 +384,8 @@ The same plans through the built-in room, there and back, with `examples/vehicle
 "{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
 the default noise of its estimate. "{scenario}" is `alula simulate` with that noise, states 0.02 s old, and
 the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where `fly`
-takes over from the take-off: below the plan by a twentieth of the height, at a climb of 0.4 m/s.
+takes over from the take-off: below the plan by 0.03 of the height, when the first set-point acts, at a
+climb of 0.4 m/s.
 
 Clearances are those of the true motion while set-points were sent, to the
 hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
