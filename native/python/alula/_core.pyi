@@ -2879,40 +2879,54 @@ class FlightOptions:
         """measurements can be missing"""
 
     @property
-    def time_s(self) -> float:
+    def disturbance_time_s(self) -> float:
+        """time constant of the estimate of disturbances; 0: none [s]"""
+
+    @property
+    def disturbance_max_m_s2(self) -> float:
+        """maximum length of the estimate [m/s^2]"""
+
+    @property
+    def disturbance_max_interval_s(self) -> float:
+        """
+        after a longer time without a measurement the estimate goes on from the next one [s]
+        """
+
+    @property
+    def response_time_s(self) -> float:
         """
         time constant of the estimate of what a vehicle's response leaves out; 0: none [s]
         """
 
     @property
-    def max_m_s2(self) -> float:
-        """maximum length of the estimate [m/s^2]"""
-
-    @property
-    def max_interval_s(self) -> float:
-        """after a longer time without a measurement the estimate begins anew [s]"""
-
-    @property
-    def room_m_s2(self) -> float:
+    def response_room_m_s2(self) -> float:
         """
         by which the interval of expected accelerations is wider on both sides [m/s^2]
         """
 
     @property
-    def delay_s(self) -> float:
+    def response_delay_s(self) -> float:
         """a command of this age may be the one that is followed [s]"""
 
     @property
-    def shortest_lag_s(self) -> float:
+    def response_shortest_lag_s(self) -> float:
         """shortest lag of a vehicle that follows velocities [s]"""
 
     @property
-    def jerk_m_s3(self) -> float:
+    def response_jerk_m_s3(self) -> float:
         """with which accelerations are followed at least [m/s^3]"""
 
     @property
-    def release_s(self) -> float:
+    def response_release_s(self) -> float:
         """time constant with which the bound decays [s]"""
+
+    @property
+    def response_max_m_s2(self) -> float:
+        """maximum length of the estimate [m/s^2]"""
+
+    @property
+    def response_max_interval_s(self) -> float:
+        """after a longer time without a measurement the estimate begins anew [s]"""
 
 class Losses:
     """Losses of measurements and of the pilot's radio."""
