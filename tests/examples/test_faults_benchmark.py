@@ -76,12 +76,13 @@ def test_a_fall_and_a_climb_are_measured(judge):
         ("wind of 3 m/s", 0, "written", True),
         ("wind of 3 m/s", 4, "the plan was flown, but off the plan", False),  # it was not
         ("wind of 3 m/s", 4, "the plan was flown, but the vehicle landed away from", False),  # 0.1 m
+        ("wind of 3 m/s", 4, "the flight came closer to the map than the vehicle's radius", False),
         ("wind of 3 m/s", 6, "estimator not healthy", False),
     ],
 )
 def test_outcomes_are_compared_with_what_is_true(faults, judge, fault, code, said, is_true):
     row = {"code": code, "said": said, "contact": False, "strays": judge.strays(judge.course[::20])}
-    row["from_goal_m"] = 0.1
+    row |= {"from_goal_m": 0.1, "least_m": 0.3}
     assert (faults.untrue(faults.FAULTS[fault], row) == "") is is_true
 
 
