@@ -350,7 +350,8 @@ class Judge:
         at, where = before[-1, 1:], after[:, 1:]
         soon = after[after[:, 0] < begun_s + 1.0, 3]
         least = self.clearance(where)
-        until = after[int(np.argmin(path_clearance(np.ascontiguousarray(where), self.walls))), 0]
+        away = path_clearance(np.ascontiguousarray(where), self.walls) - self.radius_m
+        until = after[int(np.argmax(away <= 0) if least <= 0 else np.argmin(away)), 0]  # the first contact
         wrong = 0.0
         for at_s, *claimed in () if estimates is None else estimates:
             if begun_s <= at_s <= until:
