@@ -1,10 +1,10 @@
-"""The same flights through the built-in room on ArduPilot's own simulation and on the simulated autopilot.
+"""The same flights through the built-in room on the real autopilot, on the simulated one, and in `simulate`.
 
 Each filter flies a plan there and back at each speed. On the real program, which ALULA_ARDUCOPTER names,
 `alula fly` runs in a process of its own, in real time, several vehicles at once. On the simulated autopilot
-the same loop and link run in lock-step with it, with the default noise of its estimate. Both are judged by
-the true motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by
-segments.
+the same loop and link run in lock-step with it, with the default noise of its estimate. `alula simulate`
+flies scenarios with that noise and the vehicle that `alula identify` measured. All are judged by the true
+motion while set-points were sent: SIM_STATE at 20 Hz, or the simulated truth at 100 Hz, joined by segments.
 """
 
 from __future__ import annotations
@@ -13,17 +13,13 @@ import argparse
 import dataclasses
 import json
 import os
-import queue
-import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +30,16 @@ sys.path.sort(key=lambda path: path in sys.path[-2:])  # last: modules of the sa
 import numpy as np
 from fly import GOAL, OTHERS, START, VIA, make_world
 from measure import FloatArray
+from real_autopilot import FlyProcess, fly_batches, timed, vehicle, with_section
 from scipy.spatial import cKDTree
 
 from alula.cli.main import run as alula
 from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.plan import MARGIN_M
+from alula.schemas.flights import read_flights
 from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.run import read_run
+from alula.schemas.toml_file import toml_value
 from alula.schemas.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
@@ -57,9 +58,12 @@ FILTERS = {
     "cone-backup": ("body rates", "scene"),
     "shield": ("body rates", "cover"),
 }
-REAL, SIMULATED = "ArduPilot's own simulation", "sim-vehicle"
-_INDOORS = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home in an emergency
-_TIMED = re.compile(r" *\d+\.\d+ s  ")
+REAL, SIMULATED, SCENARIO = "ArduPilot's own simulation", "sim-vehicle", "simulate"
+# Where the first set-point of `fly` acts after the take-off: below the plan by this part of the height.
+_BELOW, _CLIMB_M_S = 0.03, 0.4
+_DELAY_S = 0.02  # age of a state on arrival, in `simulate`
+AUTOPILOTS = {"real": REAL, "simulated": SIMULATED, "simulate": SCENARIO}
+_AGREES = 0.2  # part by which `simulate` may differ from the real autopilot
 _BATCH = 6  # flights of one vehicle before the next is started
 _SAFE_S = 150.0  # a flight ends before
 
@@ -153,52 +157,111 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
     } | Judge(folder)(cell, path[:, 1:])
 
 
+# `alula simulate`, as a user flies it.
+
+_INTERFACES = {"velocities": "velocity", "accelerations": "acceleration", "body rates": "body-rates"}
+
+
+def scenario_of(folder: Path, vehicle: Path, cells: list[Cell]) -> dict[str, Any]:
+    """The scenario of the flights of a filter along a plan, with the noise of the simulated autopilot."""
+    from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+
+    first, noise = cells[0], EstimatorOptions()
+    kind = FILTERS[first.name][1]
+    by_rates = FILTERS[first.name][0] == "body rates"
+    x, y, z = (START, GOAL)[first.number % 2]
+    return {
+        "schema": "alula/scenario",
+        "version": "2.0",
+        "name": first.key,
+        "vehicle": {
+            "file": str(vehicle),
+            "interface": _INTERFACES[FILTERS[first.name][0]],
+            "assumed": {"delay_s": _DELAY_S},
+        },
+        "world": {kind: str(first.map(folder)), "inflation_m": MARGIN_M},
+        "mission": {
+            "kind": "plan",
+            "plan": str(first.plan(folder)),
+            "start_m": (x, y, (1 - _BELOW) * z),
+            "start_velocity_m_s": (0.0, 0.0, _CLIMB_M_S),
+        },
+        "safety": {"filters": [first.name]},
+        "estimation": {
+            "position_noise_m": noise.position_noise_m,
+            "velocity_noise_m_s": noise.velocity_noise_m_s,
+            "noise_time_s": noise.noise_time_s,
+            "attitude_noise_rad": noise.attitude_noise_rad,
+            "rate_noise_rad_s": noise.rate_noise_rad_s,
+            "delay_s": _DELAY_S,
+            "disturbance_time_s": 0.1 if by_rates else 0.0,
+        },
+        "rules": {
+            "trials": len(cells),
+            "logged": len(cells),
+            "log_rate_hz": 100.0,
+            "seed": first.number,
+        },
+    }
+
+
+def fly_scenario(folder: Path, vehicle: Path, cells: list[Cell]) -> list[dict[str, Any]]:
+    """Fly cells along the same plan behind the same filter by `alula simulate`."""
+    judge = Judge(folder)
+    with tempfile.TemporaryDirectory() as name:
+        words, log = Path(name) / "flights.toml", Path(name) / "flights.run.mcap"
+        tables = scenario_of(folder, vehicle, cells)
+        heads = [
+            f"{key} = {toml_value(value)}" for key, value in tables.items() if not isinstance(value, dict)
+        ]
+        words.write_text("\n".join([*heads, *_lines(tables)]) + "\n")
+        code = alula(["simulate", str(words), "-o", str(log), "-q", "--jobs", "1"])
+        if code not in (0, 4):  # 4: off the plan, or a via missed
+            raise SystemExit(f"{cells[0].key}: simulate ends with {code}")
+        flights, trials = read_flights(log).by_trial, read_run(log).trials
+    return [
+        {
+            "is_finished": trial.outcome in ("reached", "missed-via", "off-plan"),
+            "ended_by": trial.outcome,
+            "flight_s": trial.duration_s,
+        }
+        | judge(cell, flights[trial.index].position_world)
+        for cell, trial in zip(cells, trials, strict=True)
+    ]
+
+
+def _lines(tables: dict[str, Any], path: str = "") -> Iterator[str]:
+    for key, table in tables.items():
+        if isinstance(table, dict):
+            values = {name: value for name, value in table.items() if not isinstance(value, dict)}
+            yield from (
+                "",
+                f"[{path}{key}]",
+                *(f"{name} = {toml_value(value)}" for name, value in values.items()),
+            )
+            yield from _lines(table, f"{path}{key}.")
+
+
 # ArduPilot's own simulation.
 
 
 class Vehicles:
-    """Runs the real program several times at once; each flies there and back until its batch is over."""
+    """Flies cells on the real program; each vehicle flies there and back until its batch is over."""
 
     def __init__(self, folder: Path, cells: list[Cell], jobs: int, keep: Path) -> None:
         self.folder, self.keep, self.judge = folder, keep, Judge(folder)
-        self.batches: queue.Queue[list[Cell]] = queue.Queue()
         even, odd = ([cell for cell in cells if cell.number % 2 == back] for back in (0, 1))
         alternating = [cell for pair in zip(even, odd, strict=False) for cell in pair]
-        for first in range(0, len(alternating), _BATCH):
-            self.batches.put(alternating[first : first + _BATCH])
+        self.batches = [alternating[i : i + _BATCH] for i in range(0, len(alternating), _BATCH)]
         self.jobs = jobs
-        self.lock, self.starting = threading.Lock(), threading.Lock()
+        self.lock = threading.Lock()
 
     def run(self) -> None:
         """Fly everything."""
-        threads = [threading.Thread(target=self._work) for _ in range(self.jobs)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-
-    def _work(self) -> None:
-        while True:
-            try:
-                batch = self.batches.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                self._fly(batch)
-            except Exception as error:  # noqa: BLE001  the others go on; it is missing in the table
-                print(f"{batch[0].key}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
-
-    @contextmanager
-    def _vehicle(self, folder: Path) -> Iterator[Any]:
-        from support.ardupilot_sitl import sitl
-
-        self.starting.acquire()  # two programs that start at once would choose the same ports
-        threading.Timer(4.0, self.starting.release).start()
-        with sitl(folder, _INDOORS) as sim:
-            yield sim
+        fly_batches(self.batches, self.jobs, self._fly)
 
     def _fly(self, batch: list[Cell]) -> None:
-        with tempfile.TemporaryDirectory() as name, self._vehicle(Path(name)) as sim:
+        with tempfile.TemporaryDirectory() as name, vehicle(Path(name)) as sim:
             for cell in batch:
                 found = self._flight(Path(name), sim, cell)
                 with self.lock, self.keep.open("a") as lines:
@@ -207,18 +270,13 @@ class Vehicles:
                     return  # the vehicle is not where the next plan begins
 
     def _flight(self, folder: Path, sim: Any, cell: Cell) -> dict[str, Any]:
-        words = [sys.executable, "-P", "-m", "alula.cli", "fly", str(cell.plan(self.folder)), "-f"]
-        words += ["--map", str(cell.map(self.folder)), "--filter", cell.name, "--vehicle", str(VEHICLE)]
+        words = [str(cell.plan(self.folder)), "-f", "--map", str(cell.map(self.folder))]
+        words += ["--filter", cell.name, "--vehicle", str(VEHICLE)]
         words += ["--link", f"udpin:127.0.0.1:{sim.port}", "--origin", f"{-START[0]} {-START[1]} 0"]
         words += ["--stale", "0.4", "--latency", "0.05", "-o", str(folder / "f.run.mcap")]
-        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
-            timer = threading.Timer(_SAFE_S, process.terminate)
-            timer.start()
-            assert process.stderr is not None
-            heard = [(time.monotonic(), line.rstrip()) for line in process.stderr]
-            code = process.wait()
-            timer.cancel()
-        lines = timed(heard)
+        with FlyProcess(*words) as process:
+            code = process.end(_SAFE_S)
+        lines = timed(process.heard)
         begin = next((at for at, line in lines if "flying the plan" in line), None)
         end = next(
             (at for at, line in lines if begin is not None and at > begin and ": landing" in line), None
@@ -242,18 +300,52 @@ class Vehicles:
         return figures
 
 
-def timed(heard: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Lines with their times [s] on this machine's clock: those that `fly` printed, "   3.21 s  words".
+Group = tuple[str, float, str]  # filter, speed, autopilot
 
-    The line that arrived with the smallest delay gives the difference of the clocks.
-    """
-    printed = {line: float(line.split(" s  ")[0]) for _, line in heard if _TIMED.match(line)}
-    offset = min((at - printed[line] for at, line in heard if line in printed), default=0.0)
-    return [(offset + printed[line] if line in printed else at, line) for at, line in heard]
+
+def groups_of(found: dict[str, dict[str, Any]]) -> dict[Group, list[dict[str, Any]]]:
+    """Flights of each filter, speed and autopilot, in the order of the table."""
+    groups: dict[Group, list[dict[str, Any]]] = {}
+    for key, figures in found.items():
+        autopilot, name, speed, _ = key.split("/")
+        if "via_m" in figures:
+            groups.setdefault((name, float(speed), autopilot), []).append(figures)
+    order = list(FILTERS)
+    return dict(sorted(groups.items(), key=lambda item: (order.index(item[0][0]), *item[0][1:])))
+
+
+def extremes(name: str, flights: list[dict[str, Any]]) -> tuple[float, float, float]:
+    """Least clearance, median of the 95 % of distances from the plan, and the largest one [m]."""
+    clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
+    return (
+        min(each[clear] for each in flights),
+        float(np.median([each["away_p95_m"] for each in flights])),
+        max(each["away_max_m"] for each in flights),
+    )
+
+
+def agreement(figures: dict[Group, tuple[float, float, float]]) -> str:
+    """How the figures of `extremes` in `simulate` compare with those of the real autopilot."""
+    heads = ["filter", "plan, m/s", "95 % from the plan", "max", "least clearance", "differences, m"]
+    lines = [[*heads, "within 20 %"], ["---"] * 7]
+    for (name, speed, autopilot), found in figures.items():
+        real = figures.get((name, speed, REAL))
+        if autopilot != SCENARIO or real is None:
+            continue
+        ratios = [mine / its for mine, its in zip(found, real, strict=True)]
+        apart = [mine - its for mine, its in zip(found, real, strict=True)]
+        order = (1, 2, 0)
+        parts = ("clearance", "95 %", "max")
+        off = [parts[i] for i in order if not 1 - _AGREES <= round(ratios[i], 2) <= 1 + _AGREES]
+        row = [name, f"{speed:g}", *(f"{ratios[i]:.2f}" for i in order)]
+        lines.append(
+            [*row, ", ".join(f"{apart[i]:+.3f}" for i in order), f"not {', '.join(off)}" if off else "yes"]
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
-    """Figures of both autopilots side by side, a row for each filter and speed."""
+    """Figures of the autopilots side by side, a row for each filter and speed."""
     heads = ["filter", "set-points", "plan, m/s", "autopilot", "flights", "plan finished", "contacts"]
     heads += [
         "via missed",
@@ -264,17 +356,9 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         "flight, s",
     ]
     lines = [heads, ["---"] * len(heads)]
-    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
-    for key, figures in found.items():
-        autopilot, name, speed, _ = key.split("/")
-        if "via_m" in figures:
-            groups.setdefault((name, float(speed), autopilot), []).append(figures)
-    order = list(FILTERS)
-    for (name, speed, autopilot), flights in sorted(
-        groups.items(), key=lambda item: (order.index(item[0][0]), item[0][1], item[0][2])
-    ):
+    for (name, speed, autopilot), flights in groups_of(found).items():
         clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
-        least = min(each[clear] for each in flights)
+        least, away, most = extremes(name, flights)
         lines.append(
             [
                 name,
@@ -287,8 +371,8 @@ def table(found: dict[str, dict[str, Any]]) -> str:
                 str(sum(each["via_missed"] for each in flights)),
                 str(sum(each["outside_m"] > 0 for each in flights)),
                 f"{least:.3f}",
-                f"{np.median([each['away_p95_m'] for each in flights]):.3f}",
-                f"{max(each['away_max_m'] for each in flights):.3f}",
+                f"{away:.3f}",
+                f"{most:.3f}",
                 f"{np.median([each['flight_s'] for each in flights]):.1f}",
             ]
         )
@@ -298,12 +382,24 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 _PREFACE = """
 The same plans through the built-in room, there and back, with `examples/vehicles/arducopter.toml`.
 "{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
-the default noise of its estimate. Clearances are those of the true motion while set-points were sent, to the
+the default noise of its estimate. "{scenario}" is `alula simulate` with that noise, states 0.02 s old, and
+the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where `fly`
+takes over from the take-off: below the plan by 0.03 of the height, when the first set-point acts, at a
+climb of 0.4 m/s.
+
+Clearances are those of the true motion while set-points were sent, to the
 hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
 Off the plan is a flight that left the tube about its plan (docs/guide/fly.md), which `fly` reports with exit
 code 4. Made by:
 
-    ALULA_ARDUCOPTER=.../arducopter python benchmarks/autopilots.py --markdown docs/results/benchmarks-fly.md
+    alula identify ... --speeds 0.5,1,2 --rates -o mine.toml
+    ALULA_ARDUCOPTER=.../arducopter python benchmarks/autopilots.py --identified mine.toml \\
+      --markdown docs/results/benchmarks-fly.md
+
+"""
+_COMPARED = """
+`simulate` over {real}, as ratios, and the differences in the same order: median of the 95 % of
+distances from the plan, largest distance, and least clearance of all flights, which is an extreme of few.
 
 """
 
@@ -315,11 +411,17 @@ def main() -> int:
     parser.add_argument("--speeds", type=float, nargs="+", default=[0.5, 1.0, 2.0], metavar="M_S")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=list(FILTERS))
     parser.add_argument(
-        "--autopilots", nargs="+", default=["real", "simulated"], choices=["real", "simulated"]
+        "--autopilots", nargs="+", default=["real", "simulated", "simulate"], choices=list(AUTOPILOTS)
     )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="vehicles at once: 2")
     parser.add_argument(
         "--keep", type=Path, default=Path("build/autopilots"), help="folder of maps and results"
+    )
+    parser.add_argument(
+        "--identified",
+        type=Path,
+        metavar="FILE",
+        help="vehicle file that identify wrote, without which simulate is left out",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table into this page")
     options = parser.parse_args()
@@ -331,11 +433,12 @@ def main() -> int:
     results = folder / "flights.jsonl"
     lines = results.read_text().splitlines() if results.exists() else []
     found = {row.pop("key"): row for row in map(json.loads, lines)}
-    autopilots = {"real": REAL, "simulated": SIMULATED}
     if "ALULA_ARDUCOPTER" not in os.environ:
         options.autopilots = [each for each in options.autopilots if each != "real"]
+    if options.identified is None:
+        options.autopilots = [each for each in options.autopilots if each != "simulate"]
     cells = [
-        Cell(autopilots[each], name, speed, number)
+        Cell(AUTOPILOTS[each], name, speed, number)
         for number in range(options.flights)
         for speed in options.speeds
         for name in options.filters
@@ -350,6 +453,17 @@ def main() -> int:
             ):
                 kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
                 kept.flush()
+    groups: dict[tuple[str, float, int], list[Cell]] = {}
+    for cell in missing:
+        if cell.autopilot == SCENARIO:
+            groups.setdefault((cell.name, cell.speed_m_s, cell.number % 2), []).append(cell)
+    if groups:
+        given = [folder] * len(groups), [options.identified.resolve()] * len(groups), groups.values()
+        with ProcessPoolExecutor(options.jobs) as pool, results.open("a") as kept:
+            for group, flown in zip(groups.values(), pool.map(fly_scenario, *given), strict=True):
+                for cell, figures in zip(group, flown, strict=True):
+                    kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
+                kept.flush()
     real = [cell for cell in missing if cell.autopilot == REAL]
     if real:
         Vehicles(folder, real, options.jobs, results).run()
@@ -357,11 +471,13 @@ def main() -> int:
     wanted = {cell.key for cell in cells}
     found = {row.pop("key"): row for row in rows if row["key"] in wanted}
     shown = table(found)
+    compared = agreement({group: extremes(group[0], each) for group, each in groups_of(found).items()})
+    if compared.count("\n") > 2:
+        shown += _COMPARED.format(real=REAL) + compared
     if options.markdown is not None:
         page = options.markdown.read_text() if options.markdown.exists() else ""
-        before = page.split(OTHERS)[0].rstrip("\n")
-        preface = _PREFACE.format(real=REAL, simulated=SIMULATED)
-        options.markdown.write_text(f"{before}\n\n{OTHERS}{preface}{shown}")
+        preface = _PREFACE.format(real=REAL, simulated=SIMULATED, scenario=SCENARIO)
+        options.markdown.write_text(with_section(page, f"{OTHERS}{preface}{shown}"))
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
 

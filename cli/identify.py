@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.fly.conduct import (
-    OPEN_S,
-    failed_checks,
-    is_of_vehicle,
-    link_options,
-    of_link,
-    priority,
-    signals,
-    stop,
-)
+from alula.cli.fly.conduct import Interrupts, failed_checks, is_of_vehicle, priority, signals, stop
+from alula.cli.fly.contact import Route, of_link, reach
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.present import echo
 from alula.schemas.configs.identify import IdentifyConfig
@@ -76,11 +68,7 @@ def command(
     address: str,
     vehicle_path: Path | None,
     speeds_m_s: tuple[float, ...],
-    allow_remote: bool,
-    mocap: str | None,
-    key_path: Path | None,
-    yaw: float,
-    origin: tuple[float, float, float],
+    route: Route,
     config: IdentifyConfig,
     common: options.Common,
 ) -> None:
@@ -102,7 +90,6 @@ def command(
     from alula.schemas.manifest import VERSION
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.vehicle import FASTBRIDGE, VEHICLE_SCHEMA, contents, read_vehicle
-    from alula.stages.flight.links.open_link import open_link
     from alula.stages.identification.survey import make_survey
 
     config = dataclasses.replace(config, speeds_m_s=speeds_m_s)
@@ -112,26 +99,10 @@ def command(
     if common.output.exists() and not (common.force or common.dry_run):
         raise UsageError(f"{common.output}: exists; use -f to replace it")
     make_survey(config, guess)  # before anything is sent
-    link = open_link(
-        address,
-        link_options(
-            guess,
-            allow_remote=allow_remote,
-            mocap=mocap,
-            key_path=key_path,
-            yaw=yaw,
-            origin=origin,
-            state_rate_hz=config.rate_hz,
-            flies_rates=config.rates,
-            watches_throttle=True,
-        ),
+    link = route.link(
+        address, guess, state_rate_hz=config.rate_hz, flies_rates=config.rates, watches_throttle=True
     )
-    parameters = parameters_of(config) | {
-        "vehicle": contents(guess),
-        "link": address,
-        "yaw_deg": yaw,
-        "origin_m": list(origin),
-    }
+    parameters = parameters_of(config) | {"vehicle": contents(guess)} | route.parameters(address)
     refs = [input_ref(role, path) for role, path in paths.items()]
     _identify(config, guess, link, Provenance.now(VEHICLE_SCHEMA, VERSION, parameters, None, refs), common)
 
@@ -145,8 +116,8 @@ def _identify(
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.flight.recorder.samples import INFO
+    from alula.stages.identification.own_limits import PARAMETERS
     from alula.stages.identification.survey import (
-        GUESSES,
         make_step_flight,
         make_step_guard,
         make_step_needs,
@@ -154,12 +125,7 @@ def _identify(
         make_survey,
     )
 
-    interrupts = 0
-
-    def count(number: int, frame: object) -> None:
-        nonlocal interrupts
-        interrupts += 1
-
+    interrupts = Interrupts()
     head = FlightHead(
         name="identify",
         filter="none",
@@ -173,20 +139,11 @@ def _identify(
     recorder = FlightRecorder(None, head, echo=not common.quiet, rate_hz=config.rate_hz)
     try:
         with signals(stop):
-            if not common.quiet:
-                echo(f"link: waiting for the vehicle, at most {OPEN_S:g} s", err=True)
-            said = link.open(OPEN_S)
-            if not common.quiet:
-                echo(f"link: {said}", err=True)
-            trouble, changed = "", list[str]()
-            try:
-                changed = link.prepare()
-            except LinkError as error:
-                trouble = str(error)
+            contact = reach(link, str(provenance.parameters["link"]), quiet=common.quiet)
             if not {VelocitySetpoint, *([RatesSetpoint] if config.rates else [])} <= link.accepts:
                 raise LinkError("identify needs a link that accepts velocities, with --rates also body rates")
             read: Any = getattr(link, "read_parameters", None)
-            parameters: dict[str, float] = {} if read is None else read(GUESSES)
+            parameters: dict[str, float] = {} if read is None else read(PARAMETERS)
             survey = make_survey(config, guess, parameters)
             if not common.quiet:
                 for words in survey.steps.skipped:
@@ -202,24 +159,25 @@ def _identify(
                 steps,
                 make_step_guard(survey, link.accepts),
                 steps,
-                FlightChecks(make_step_needs(survey), changed=changed, trouble=trouble),
+                FlightChecks(make_step_needs(survey), changed=contact.changed, trouble=contact.trouble),
                 float(survey.centre[2]),
                 recorder,
                 make_step_options(survey, dry_run=common.dry_run),
-                interrupts=lambda: interrupts,
+                watchdog=contact.watchdog,
+                interrupts=lambda: interrupts.number,
             )
-            with signals(count):
+            with signals(interrupts.count):
                 with priority():
                     loop.run()
                 link.close()
     finally:
-        with signals(count):  # an interrupt here would leave the vehicle's parameters changed
+        with signals(interrupts.count):  # an interrupt here would leave the vehicle's parameters changed
             link.close()
             recorder.finish(None)
             recorder.discard()
         for text in link.status.texts:
             echo(f"vehicle: {text}", err=True)
-    _conclude(survey, steps, loop, (said, parameters), provenance, common)
+    _conclude(survey, steps, loop, (contact.said, parameters), provenance, common)
 
 
 def _conclude(
@@ -236,6 +194,7 @@ def _conclude(
     from alula.schemas.vehicle import check_vehicle, contents, vehicle_text
     from alula.stages.flight.loop.supervisor import Event
     from alula.stages.identification.fit import fit
+    from alula.stages.identification.own_limits import rate_notes
     from alula.stages.identification.result import disagreements, identified_vehicle
 
     cause = loop.supervision.cause
@@ -265,6 +224,7 @@ def _conclude(
     )
     check_vehicle(vehicle)
     notes = disagreements(found, survey.vehicle, parameters)
+    notes += rate_notes(parameters) if config.rates else []
     notes += [f"without a usable response: {name}" for name in found.left_out]
     if cause is not Event.PLAN_FINISHED:
         notes.append(f"all steps were flown, but: {loop.ending}")

@@ -196,7 +196,9 @@ class IdentifiedTable(_Table, frozen=True, kw_only=True):
     `delay_s` is the time from a velocity set-point to the first response. The lag laws have the interval of
     a and of b. Drag is linear, along x and y of the heading and z. `residual_m_s2` is the 99 % quantile of
     the difference between the acceleration of the model and the measured one, means over 0.25 s.
-    `time_constant_interval_s` is that of `rates.axis_time_constant_s`.
+    `time_constant_interval_s` is that of `rates.axis_time_constant_s`. `reached_rad_s` are the fastest body
+    rates that were flown, 0 about an axis without such a step; they bound `rates.max_rad_s` only where more
+    was asked.
     """
 
     autopilot: str = ""
@@ -213,6 +215,10 @@ class IdentifiedTable(_Table, frozen=True, kw_only=True):
     drag_interval_per_s: Intervals | None = None
     residual_m_s2: Size | None = None
     time_constant_interval_s: Intervals | None = None
+    reached_rad_s: Sizes | None = None
+    reached_interval_rad_s: Intervals | None = None
+    yaw_acceleration_rad_s2: Size | None = None
+    yaw_acceleration_interval_rad_s2: Interval | None = None
     thrust_time_constant_s: Size | None = None
     thrust_time_constant_interval_s: Interval | None = None
 

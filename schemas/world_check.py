@@ -95,6 +95,18 @@ def _wrong_deviation(given: WorldScenario, full: WorldScenario, vehicle: Vehicle
                 f"`$.vehicle.{key}`: is a limit of a {' or '.join(models)}, and {vehicle.name} is a "
                 f"{vehicle.model}; leave it out, or set vehicle.type={models[-1]}"
             )
+    if table.autopilot and vehicle.model != "quadrotor":
+        return f"`$.vehicle.autopilot`: is for a quadrotor, and {vehicle.name} is none; leave it out"
+    if table.autopilot and full.vehicle.interface not in ("velocity", "acceleration"):
+        return (
+            "`$.vehicle.autopilot`: it follows velocities and accelerations, and the vehicle takes "
+            f"{full.vehicle.interface}; leave it out, or set vehicle.interface=velocity"
+        )
+    if table.autopilot and table.velocity_gain_per_s is not None:
+        return (
+            "`$.vehicle.velocity_gain_per_s`: an autopilot has none; leave it out, or set "
+            "vehicle.autopilot=false"
+        )
     rotor = "is for rotors, which {} has not; leave it out, or fly a quadrotor, as vehicle.type=fastbridge"
     if vehicle.model != "quadrotor":
         for name in ("disturbance", "assumed"):

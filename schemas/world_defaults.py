@@ -46,6 +46,20 @@ def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:
     return "velocity" if vehicle.model == "single-integrator" else "acceleration"
 
 
+def has_autopilot(scenario: WorldScenario, vehicle: Vehicle) -> bool:
+    """Whether a vehicle follows velocities or accelerations as its own autopilot does.
+
+    Args:
+        scenario: any.
+        vehicle: of the scenario.
+    """
+    table = scenario.vehicle
+    if table.autopilot is not None:
+        return table.autopilot
+    by_autopilot = interface_of(scenario, vehicle) in ("velocity", "acceleration")
+    return by_autopilot and vehicle.velocities is not None and table.velocity_gain_per_s is None
+
+
 def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
     """Replace None by the values of the vehicle, where they apply to it.
 
@@ -54,6 +68,7 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
         vehicle: of the scenario.
     """
     table, own = scenario.vehicle, vehicle.disturbance
+    measured, mission_kind = vehicle.velocities is not None, scenario.mission.kind
     values: dict[str, Any] = {
         "type": None if table.file is not None else table.type or vehicle.name,
         "interface": interface_of(scenario, vehicle),
@@ -61,9 +76,11 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
         "max_speed_m_s": vehicle.limits.max_speed_m_s,
         "max_acceleration_m_s2": vehicle.limits.max_acceleration_m_s2,
     }
-    if vehicle.model != "single-integrator":
-        values["velocity_gain_per_s"] = _velocity_gain_per_s(vehicle, table.max_speed_m_s or 1.0)
-        gain = table.velocity_gain_per_s or values["velocity_gain_per_s"]
+    if has_autopilot(scenario, vehicle):
+        values["autopilot"] = True
+    elif vehicle.model != "single-integrator":
+        values["velocity_gain_per_s"] = vehicle.tracking.kv_per_s
+        gain = table.velocity_gain_per_s or vehicle.tracking.kv_per_s
         values["velocity_lag_s"] = 1 / gain + _ATTITUDE_LAG_S
     if vehicle.model == "double-integrator":
         values["actuation_delay_s"] = 0.0
@@ -78,16 +95,8 @@ def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
         scenario,
         vehicle=_filled(table, values),
         estimation=_filled(scenario.estimation, known),
+        mission=_filled(scenario.mission, {"waits": True} if measured and mission_kind == "plan" else {}),
     )
-
-
-def _velocity_gain_per_s(vehicle: Vehicle, speed_m_s: float) -> float:
-    """Gain of the loop that follows velocities: of a stop as `identify` measured it, else the vehicle's."""
-    measured = vehicle.velocities
-    if measured is None:
-        return vehicle.tracking.kv_per_s
-    a, b = measured.horizontal_lag
-    return 1 / max(a + b * speed_m_s, _ATTITUDE_LAG_S)  # the attitude loop adds little to a stop
 
 
 def _filled(table: Any, values: dict[str, Any]) -> Any:

@@ -34,13 +34,13 @@ _STARTS = ("goal", "waypoints", "hover", "pilot")
 _WAYS = ("pairs", "goal", "waypoints")
 # The missions that use a key; all use the others.
 USED: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("start_m", "start_velocity_m_s"), _STARTS),
+    **dict.fromkeys(("start_m", "start_velocity_m_s"), (*_STARTS, "plan")),
     "start_speed_m_s": ("goal", "waypoints", "pilot"),
     "start_yaw_deg": ("hover", "pilot"),
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
     **dict.fromkeys(("start_box_m", "start_tilt_deg", "pilot"), ("pilot",)),
-    **dict.fromkeys(("plan", "allow_tight"), ("plan",)),
+    **dict.fromkeys(("plan", "allow_tight", "waits"), ("plan",)),
     **dict.fromkeys(("pairs_from", "bounds_m", "margin_m", "separation", "which"), ("pairs",)),
     "planned": _WAYS,
     **dict.fromkeys(("via_tolerance_m", "stop_fraction"), (*_WAYS, "plan")),

@@ -127,15 +127,24 @@ class VehicleTable(Table, frozen=True, kw_only=True):
     velocity_gain_per_s: Annotated[
         Positive | None,
         about(
-            "gain of the loop that follows velocities; default: of a stop from max_speed_m_s, or 1 m/s, as "
-            "`identify` measured it, else the vehicle's tracking.kv_per_s [1/s]"
+            "gain of the loop that follows velocities; default: the vehicle's tracking.kv_per_s, none with "
+            "an autopilot [1/s]"
+        ),
+    ] = None
+    autopilot: Annotated[
+        bool | None,
+        about(
+            "a quadrotor follows velocities and accelerations as its own autopilot does: with the "
+            "acceleration and jerk for which stops take as long as its table [velocities] says; default: "
+            "with that table, which `identify` writes, and without velocity_gain_per_s"
         ),
     ] = None
     velocity_lag_s: Annotated[
         Delay | None,
         about(
             "lag with which velocities are followed; filters of velocities keep the way to a stop clear too; "
-            "default: 1 / velocity_gain_per_s plus 0.15 s for the attitude loop; single integrator: 0 [s]"
+            "default: 1 / velocity_gain_per_s plus 0.15 s for the attitude loop; with an autopilot by axis, "
+            "as in `fly`; single integrator: 0 [s]"
         ),
     ] = None
     mass_scale: Annotated[Scale, about("true mass over the vehicle's, which filters assume")] = 1.0
@@ -230,11 +239,21 @@ class MissionTable(Table, frozen=True, kw_only=True):
             "pilot: sticks of a simulated pilot"
         ),
     ] = "pairs"
-    start_m: Annotated[Vector | None, about("start (goal, waypoints, hover, pilot) [m]")] = None
+    start_m: Annotated[
+        Vector | None,
+        about(
+            "start (goal, waypoints, hover, pilot); of a plan: where the vehicle is when its time begins, as "
+            "at the end of a climb, default: on it [m]"
+        ),
+    ] = None
     goal_m: Annotated[Vector | None, about("goal (goal) [m]")] = None
     waypoints_m: Annotated[tuple[Vector, ...], about("points to fly through, the last one the goal [m]")] = ()
     start_velocity_m_s: Annotated[
-        Vector | None, about("velocity at start_m; default: by start_speed_m_s [m/s]")
+        Vector | None,
+        about(
+            "velocity at start_m, or at the plan's start, where `fly` takes over from a climb; default: by "
+            "start_speed_m_s [m/s]"
+        ),
     ] = None
     start_speed_m_s: Annotated[
         float,
@@ -290,6 +309,14 @@ class MissionTable(Table, frozen=True, kw_only=True):
     allow_tight: Annotated[
         bool, about("fly a plan that is nearer to the map than the filters let the vehicle be (plan)")
     ] = False
+    waits: Annotated[
+        bool | None,
+        about(
+            "time along a plan slows down for a vehicle that falls behind, and stops at via points, and the "
+            "plan is finished, as in `fly`; default: for a vehicle with a table [velocities], which "
+            "`identify` writes (plan)"
+        ),
+    ] = None
     receded_s: Annotated[
         NotNegative | None,
         about(
@@ -326,6 +353,10 @@ class EstimationTable(Table, frozen=True, kw_only=True):
         NotNegative | None,
         about("standard deviation of the measured body rates; default: the vehicle's [rad/s]"),
     ] = None
+    noise_time_s: Annotated[
+        NotNegative,
+        about("correlation time of the errors of position and velocity; 0: white noise of each step [s]"),
+    ] = 0.0
     delay_s: Annotated[Delay | None, about("age of a measurement; default: the vehicle's [s]")] = None
     lost_share: Annotated[Share, about("probability that a measurement is lost, each on its own")] = 0.0
     lost_from_s: Annotated[

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
-from alula.cli.fly.conduct import link_options, of_link
+from alula.cli.fly.contact import Route, of_link
 from alula.cli.present import echo
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
@@ -63,11 +63,7 @@ def command(
     scene_path: Path | None,
     vehicle_path: Path | None,
     address: str | None,
-    allow_remote: bool,
-    mocap: str | None,
-    key_path: Path | None,
-    yaw: float,
-    origin: tuple[float, float, float],
+    route: Route,
     settings: tuple[str, ...],
     live: int | None,
     config: FlyConfig,
@@ -95,7 +91,6 @@ def command(
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
-    from alula.stages.flight.links.open_link import open_link
     from alula.stages.flight.mission import make_mission
     from alula.stages.flight.recorder.live_view import require_viser
 
@@ -112,19 +107,7 @@ def command(
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
     vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
-    link = open_link(
-        address,
-        link_options(
-            vehicle,
-            allow_remote=allow_remote,
-            mocap=mocap,
-            key_path=key_path,
-            yaw=yaw,
-            origin=origin,
-            state_rate_hz=config.rate_hz,
-            flies_rates=is_splat,
-        ),
-    )
+    link = route.link(address, vehicle, state_rate_hz=config.rate_hz, flies_rates=is_splat)
     check_output(common.output, paths)
     check_output(record_path(common.output), paths)
     for old in (common.output, record_path(common.output)):
@@ -141,7 +124,7 @@ def command(
     )
     unused = ("filter_parameters",) if not mission.config.filter_parameters else ()
     parameters = {key: value for key, value in parameters_of(mission.config).items() if key not in unused}
-    parameters |= {"vehicle": contents(vehicle), "link": address, "yaw_deg": yaw, "origin_m": list(origin)}
+    parameters |= {"vehicle": contents(vehicle)} | route.parameters(address)
     provenance = Provenance.now(
         RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
     )

@@ -1,100 +1,17 @@
-"""What all commands that fly share: options of the link, signals, priority, and errors of early ends."""
+"""What all commands that fly share: signals, priority, and errors of early ends."""
 
 from __future__ import annotations
 
-import math
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-import click
-
-from alula.cli import options
 from alula.schemas.errors import AlulaError, CheckError, LinkError
 
 if TYPE_CHECKING:
-    from alula.schemas.vehicle import Vehicle
-    from alula.stages.flight.links.options import LinkOptions
     from alula.stages.flight.loop.control_loop import ControlLoop
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-OPEN_S = 15.0  # maximum time until the first message of the vehicle
-
-
-def of_link(function: F) -> F:
-    """Add the options of a link besides its address; the function gets them by name, see `link_options`."""
-    for option in (
-        click.option(
-            "--origin",
-            type=options.POINT,
-            cls=options.NumbersOption,
-            default="0 0 0",
-            show_default=True,
-            help="Origin of the map in the vehicle's local frame, east north up [m].",
-        ),
-        click.option(
-            "--yaw",
-            type=options.FINITE_FLOAT,
-            default=0.0,
-            show_default=True,
-            help="Angle from east to the map's x axis, counter-clockwise [degrees].",
-        ),
-        click.option(
-            "--signing-key",
-            "key_path",
-            type=options.input_path(),
-            help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
-        ),
-        click.option(
-            "--mocap",
-            metavar="ADDRESS",
-            help="Address at which motion capture is received, udp:HOST:PORT; it is forwarded to the "
-            "vehicle.",
-        ),
-        click.option("--allow-remote", is_flag=True, help="Allow links to other machines than this one."),
-    ):
-        function = option(function)
-    return function
-
-
-def link_options(
-    vehicle: Vehicle,
-    *,
-    allow_remote: bool,
-    mocap: str | None,
-    key_path: Path | None,
-    yaw: float,
-    origin: tuple[float, float, float],
-    **more: Any,
-) -> LinkOptions:
-    """Options of a link from those of the command line.
-
-    Args:
-        vehicle: the vehicle file.
-        allow_remote: see `of_link`, as for the next four.
-        mocap: address of motion capture.
-        key_path: file with the key.
-        yaw: of the map [degrees].
-        origin: of the map [m].
-        more: further fields of `LinkOptions`.
-    """
-    from alula.stages.flight.links.mavlink.signing import read_key
-    from alula.stages.flight.links.options import LinkOptions
-    from alula.stages.vehicles.frames import LocalFrame
-
-    return LinkOptions(
-        frame=LocalFrame(math.radians(yaw), origin),
-        vehicle=vehicle,
-        key=None if key_path is None else read_key(key_path),
-        signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
-        mocap=mocap,
-        allow_remote=allow_remote,
-        **more,
-    )
 
 
 def stop(number: int, frame: object) -> None:
@@ -105,6 +22,22 @@ def stop(number: int, frame: object) -> None:
         frame: unused.
     """
     raise KeyboardInterrupt
+
+
+class Interrupts:
+    """Counter of signals that ask to end the flight; `count` is their handler, see `signals`."""
+
+    def __init__(self) -> None:
+        self.number = 0
+
+    def count(self, number: int, frame: object) -> None:
+        """Count a signal.
+
+        Args:
+            number: of the signal.
+            frame: unused.
+        """
+        self.number += 1
 
 
 @contextmanager

@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from alula.cli.fly.conduct import OPEN_S, failed_checks, is_of_vehicle, priority, signals, stop
+from alula.cli.fly.conduct import Interrupts, failed_checks, is_of_vehicle, priority, signals, stop
+from alula.cli.fly.contact import reach
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.cli.present import echo
@@ -65,15 +66,7 @@ def fly(
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.runlog.maps import map_message
 
-    interrupts = 0
-
-    def count_interrupts() -> int:
-        return interrupts
-
-    def count(number: int, frame: object) -> None:
-        nonlocal interrupts
-        interrupts += 1
-
+    interrupts = Interrupts()
     safety = make_safety(mission)
     frame = mission.map.manifest.frame
     head = FlightHead(
@@ -93,21 +86,11 @@ def fly(
     # From here on messages are sent to the vehicle; everything that takes long has been done.
     try:
         with signals(stop):
-            address = str(provenance.parameters.get("link", ""))
-            if address and not common.quiet and not address.startswith("sim:"):  # sim: needs no wait
-                echo(f"link: waiting for the vehicle at {address}, at most {OPEN_S:g} s", err=True)
-            vehicle = link.open(OPEN_S)
-            if not common.quiet:
-                echo(f"link: {vehicle}", err=True)
-            trouble, changed = "", list[str]()
-            try:
-                changed = link.prepare()
-            except LinkError as error:
-                trouble = str(error)
+            contact = reach(link, str(provenance.parameters.get("link", "")), quiet=common.quiet)
             checks = FlightChecks(
                 make_needs(mission, wanted_setpoints(mission, safety)),
-                changed=changed,
-                trouble=trouble,
+                changed=contact.changed,
+                trouble=contact.trouble,
                 by_hand=mission.config.frame_check == "hand",
             )
             loop = ControlLoop(
@@ -119,16 +102,17 @@ def fly(
                 float(mission.start[2]),
                 recorder,
                 make_options(mission.config, dry_run=common.dry_run),
-                interrupts=count_interrupts,
+                watchdog=contact.watchdog,
+                interrupts=lambda: interrupts.number,
             )
-            with signals(count):
+            with signals(interrupts.count):
                 with priority():
                     loop.run()
                 link.close()
                 _report_texts(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
                 flown = _finish(mission, loop, recorder, provenance, common)
     except BaseException:
-        with signals(count):  # an interrupt here would leave the vehicle's parameters changed
+        with signals(interrupts.count):  # an interrupt here would leave the vehicle's parameters changed
             link.close()
         _report_texts(link, recorder, 0.0)
         recorder.finish(None)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from alula.schemas.configs.flight import FlightConfig, require_between
 from alula.schemas.configs.plan import MARGIN_M, AlongPlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
@@ -14,7 +14,7 @@ from alula.schemas.filters.values import config_field, entries, limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlyConfig(AlongPlanConfig):
+class FlyConfig(AlongPlanConfig, FlightConfig):
     """Parameters of `fly`; None stands for a value of the plan or the vehicle, or for a default."""
 
     name: str = field(default="flight", metadata={"help": "Name of the flight, for reports."})
@@ -28,9 +28,6 @@ class FlyConfig(AlongPlanConfig):
             "state [m].",
             "option": "--margin",
         },
-    )
-    rate_hz: float = field(
-        default=100.0, metadata={"help": "Rate of the control loop [Hz].", "option": "--rate"}
     )
     fence: tuple[float, float, float, float, float, float] | None = field(
         default=None,
@@ -49,13 +46,6 @@ class FlyConfig(AlongPlanConfig):
         metadata={
             "help": "Distance that the geofence keeps beyond the radius, for errors of its model [m].",
             "option": "--fence-reserve",
-        },
-    )
-    latency_s: float = field(
-        default=0.03,
-        metadata={
-            "help": "Latency of states and commands, for the geofence [s].",
-            "option": "--latency",
         },
     )
     gain: float = field(
@@ -107,20 +97,6 @@ class FlyConfig(AlongPlanConfig):
             "also before take-off, by moves of the vehicle by hand along the map's axes."
         },
     )
-    near_m: float = field(
-        default=0.5,
-        metadata={
-            "help": "Maximum horizontal distance of the vehicle from the plan's start at take-off [m].",
-            "option": "--near",
-        },
-    )
-    battery: float = field(
-        default=0.3,
-        metadata={"help": "Minimum charge at take-off, from 0 to 1; the vehicle lands at two thirds of it."},
-    )
-    stale_s: float = field(
-        default=0.15, metadata={"help": "Maximum age of a state in flight [s].", "option": "--stale"}
-    )
     fallback_s: float = field(
         default=3.0,
         metadata={
@@ -145,23 +121,19 @@ class FlyConfig(AlongPlanConfig):
     def __post_init__(self) -> None:
         """Refuse values that are out of range."""
         AlongPlanConfig.__post_init__(self)
+        FlightConfig.__post_init__(self)
         parameters = entries(PolytopeCbfParameters)
         for option, value, low, high in (
             ("--margin", self.margin_m, 0.0, 100.0),
-            ("--rate", self.rate_hz, 10.0, 500.0),
             ("--fence-reserve", self.fence_reserve_m, 0.0, 10.0),
-            ("--latency", self.latency_s, 0.0, 0.3),
             ("--gain", self.gain, 1e-6, 2 * self.rate_hz),
             ("--beta", self.beta, limits(parameters["beta"].meta)[0], self.rate_hz),
             ("--kappa", self.kappa_per_m, *limits(parameters["kappa_per_m"].meta)),
             ("--sigma", self.sigma, 0.01, 100.0),
-            ("--near", self.near_m, 0.01, 100.0),
-            ("--battery", self.battery, 0.0, 0.9),
-            ("--stale", self.stale_s, 0.02, 2.0),
             ("--fallback", self.fallback_s, 0.1, 60.0),
             ("--log-rate", self.log_rate_hz, 0.1, 500.0),
         ):
-            _between(option, value, low, high)
+            require_between(option, value, low, high)
         for option, given, low, high in (
             ("--speed", self.speed_m_s, 1e-3, 100.0),
             ("--inflate", self.inflation_m, 0.0, 100.0),
@@ -169,18 +141,13 @@ class FlyConfig(AlongPlanConfig):
             ("--max-time", self.max_time_s, 1.0, 1e5),
         ):
             if given is not None:
-                _between(option, given, low, high)
+                require_between(option, given, low, high)
         lags = self.velocity_lag_s
         for lag in () if lags is None else lags if isinstance(lags, tuple) else (lags,):
-            _between("--velocity-lag", lag, 0.0, 5.0)
+            require_between("--velocity-lag", lag, 0.0, 5.0)
         if self.fence is not None and not all(self.fence[i] < self.fence[i + 3] for i in range(3)):
             raise UsageError("--fence needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         if self.frame_check not in ("motion", "hand", "none"):
             raise UsageError(f"--frame-check must be motion, hand or none, not {self.frame_check!r}")
         if not self.name.strip():
             raise UsageError("--name must not be empty")
-
-
-def _between(option: str, value: float, low: float, high: float) -> None:
-    if not (low <= value <= high) or not math.isfinite(value):
-        raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")

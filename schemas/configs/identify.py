@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
+from alula.schemas.configs.flight import FlightConfig, require_between
 from alula.schemas.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyConfig:
+class IdentifyConfig(FlightConfig):
     """Parameters of `identify`."""
 
     box: tuple[float, float, float, float, float, float] = field(
@@ -37,44 +37,19 @@ class IdentifyConfig:
     date: str = field(
         default="", metadata={"help": "Date of the flight, to be recorded in the file; default: none."}
     )
-    rate_hz: float = field(
-        default=100.0, metadata={"help": "Rate of the control loop [Hz].", "option": "--rate"}
-    )
-    latency_s: float = field(
-        default=0.03,
-        metadata={"help": "Latency of states and commands, for the geofence [s].", "option": "--latency"},
-    )
-    near_m: float = field(
-        default=0.5,
-        metadata={
-            "help": "Maximum horizontal distance of the vehicle from the box's centre at take-off [m].",
-            "option": "--near",
-        },
-    )
-    battery: float = field(
-        default=0.3,
-        metadata={"help": "Minimum charge at take-off, from 0 to 1; the vehicle lands at two thirds of it."},
-    )
-    stale_s: float = field(
-        default=0.15, metadata={"help": "Maximum age of a state in flight [s].", "option": "--stale"}
-    )
     speeds_m_s: tuple[float, ...] = field(default=(0.5, 1.0, 2.0), metadata={"internal": True})
 
     def __post_init__(self) -> None:
         """Refuse values that are out of range."""
+        FlightConfig.__post_init__(self)
         if not all(self.box[i] < self.box[i + 3] for i in range(3)):
             raise UsageError("--box needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         for option, value, low, high in (
             ("--reserve", self.reserve_m, 0.0, 100.0),
             ("--rate", self.rate_hz, 20.0, 500.0),
-            ("--latency", self.latency_s, 0.0, 0.3),
-            ("--near", self.near_m, 0.01, 100.0),
-            ("--battery", self.battery, 0.0, 0.9),
-            ("--stale", self.stale_s, 0.02, 2.0),
             *(("--speeds", speed, 0.1, 15.0) for speed in self.speeds_m_s),
         ):
-            if not (low <= value <= high) or not math.isfinite(value):
-                raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
+            require_between(option, value, low, high)
         if len(set(self.speeds_m_s)) < 2 or len(set(self.speeds_m_s)) != len(self.speeds_m_s):
             raise UsageError(
                 "--speeds needs at least two different speeds, for a lag that grows with the speed"

@@ -26,9 +26,10 @@ from alula.stages.filtering.polytope_cbf import without_filter
 from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import complete_parameters, make_filter
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
+from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
-from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
@@ -37,15 +38,16 @@ from alula.stages.planning.curve_certificate import Certificate, certify, certif
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
-from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2, stop_m
+from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
 _ROOM_M = 2.0  # between the plan's box and the default fence
 _PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
 _CATCH_UP = 0.5  # default catch-up speed by the plan's speed
-_NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
+_RESPONSE_S = 0.2  # the same from the response to velocities and accelerations, which is known less well
+_RESPONSE_ROOM_M_S2 = 0.3  # that such a response may differ from the model by, for noise alone
 _MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
 _FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
@@ -395,6 +397,9 @@ def make_commander(
         has_losses=True,  # the age of a state varies
         disturbance_max_m_s2=_MAX_DISTURBANCE_M_S2,
         disturbance_time_s=_DISTURBANCE_S if kind is RatesSetpoint else 0.0,
+        response_time_s=0.0 if kind is RatesSetpoint else _RESPONSE_S,
+        response_room_m_s2=_response_room_m_s2(vehicle),
+        response_max_m_s2=_MAX_DISTURBANCE_M_S2,
     )
     return FlightCommander(
         flight=_core.Flight(flown, options, _core.Mission.given(gain_per_s=config.gain), filters),
@@ -406,6 +411,12 @@ def make_commander(
     )
 
 
+def _response_room_m_s2(vehicle: Vehicle) -> float:
+    """Acceleration by which a response may differ from the model: as identified, at least noise [m/s^2]."""
+    found = None if vehicle.identified is None else vehicle.identified.residual_m_s2
+    return max(found or 0.0, _RESPONSE_ROOM_M_S2)
+
+
 def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
     """Build the geofence behind the filter.
 
@@ -413,13 +424,8 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
         mission: to fly.
         accepts: kinds of set-points that the link accepts.
     """
-    return FenceGuard(
-        mission.fence,
-        mission.vehicle,
-        dt_s=1 / mission.config.rate_hz,
-        takes_rates=RatesSetpoint in accepts,
-        reserve_m=mission.config.fence_reserve_m,
-        latency_s=mission.config.latency_s,
+    return guard_of(
+        mission.config, mission.vehicle, mission.fence, accepts, reserve_m=mission.config.fence_reserve_m
     )
 
 
@@ -431,29 +437,19 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         setpoints: kinds of set-points; the link must accept one of them.
     """
     config = mission.config
-    model = rates_model(mission.vehicle)
-    speed = config.speed_m_s
-    assert speed is not None
-    return Needs(
-        setpoints=frozenset(setpoints),
-        start=mission.start,
-        goal=mission.goal,
+    assert config.speed_m_s is not None
+    return needs_of(
+        config,
+        mission.vehicle,
+        setpoints=setpoints,
+        ends=(mission.start, mission.goal),
         path=sample_plan(mission.plan, _FAILSAFE_STEP_S).position_world,
         obstacles=mission.obstacles,
-        radius_m=mission.vehicle.body.radius_m,
         margin_m=config.margin_m,
         fence=mission.fence,
         plan=mission.is_clear,
-        speed_m_s=speed,
-        stop_m=stop_m(mission.vehicle.following, speed),
-        near_m=config.near_m,
-        state_hz=min(20.0, 0.5 * config.rate_hz),
-        loop_hz=config.rate_hz,
-        stale_s=config.stale_s,
-        latency_s=config.latency_s,
-        battery_share=config.battery,
-        max_thrust_m_s2=sum(model.thrust),
-        gravity_m_s2=model.gravity,
+        speed_m_s=config.speed_m_s,
+        step_s=_FAILSAFE_STEP_S,
     )
 
 
@@ -465,10 +461,9 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         dry_run: end after the pre-flight checks.
     """
     assert config.max_time_s is not None
-    limits = SupervisorLimits(
-        stale_s=config.stale_s,
+    limits = limits_of(
+        config,
         fallback_s=config.fallback_s,
-        battery_share=config.battery * 2 / 3,
         flight_s=config.max_time_s,
         checks_s=_CARRYING_S if config.frame_check == "hand" else SupervisorLimits.checks_s,
     )
@@ -490,13 +485,8 @@ def make_clock(mission: Mission) -> PlanClock:
     Args:
         mission: to fly.
     """
-    return PlanClock(
-        mission.curve,
-        near_m=_NEAR_M,
-        far_m=_FAR_M,
-        via_s=mission.along.via_s,
-        via_m=mission.along.tolerance_m,
-    )
+    waits = _core.PlanClockOptions(via_s=mission.along.via_s, via_m=mission.along.tolerance_m)
+    return PlanClock(mission.curve, waits)
 
 
 def describe(mission: Mission) -> str:

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
-from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, Vehicle, VelocitiesTable
-from alula.stages.identification.fit import Estimate, Identification
+from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, RatesTable, Vehicle, VelocitiesTable
+from alula.stages.identification.estimates import Estimate
+from alula.stages.identification.fit import Identification
+from alula.stages.identification.own_limits import AXES, Limit, own_limits
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _DISAGREES = 1.25  # factor between a measurement and the first guess that is worth a warning
@@ -55,6 +57,8 @@ def identified_vehicle(
     )
     drag, rates = found.drag_per_s, found.rate_s
     drags = None if None in drag else tuple(_short(each.value) for each in drag if each is not None)
+    turn = found.rate_limits[2]
+    turns = None if turn is None else turn.acceleration_rad_s2
     identified = IdentifiedTable(
         autopilot=autopilot,
         date=date,
@@ -70,21 +74,36 @@ def identified_vehicle(
         drag_interval_per_s=_three(drag),
         residual_m_s2=None if math.isnan(found.residual_m_s2) else _short(found.residual_m_s2),
         time_constant_interval_s=None if rates is None else _three(rates),
+        reached_rad_s=_reached(found),
+        reached_interval_rad_s=_three(
+            tuple(None if each is None else each.reached_rad_s for each in found.rate_limits)
+        ),
+        yaw_acceleration_rad_s2=None if turns is None else _short(turns.value),
+        yaw_acceleration_interval_rad_s2=_interval(turns),
         thrust_time_constant_s=None if found.thrust_s is None else _short(found.thrust_s.value),
         thrust_time_constant_interval_s=_interval(found.thrust_s),
     )
-    table = vehicle.rates
-    if rates is not None:
-        roll, pitch, yaw = (_short(max(each.value, 1e-3)) for each in rates)
-        table = msgspec.structs.replace(table, axis_time_constant_s=(roll, pitch, yaw))
     return msgspec.structs.replace(
         vehicle,
         name=name or vehicle.name,
         velocities=velocities,
-        rates=table,
+        rates=_with_rates(vehicle, found),
         disturbance=_with_drag(vehicle, drags),
         identified=identified,
     )
+
+
+def _with_rates(vehicle: Vehicle, found: Identification) -> RatesTable:
+    """Lags of the rate loop, and for each axis the rate that was reached where it was less than asked."""
+    table = vehicle.rates
+    if found.rate_s is not None:
+        roll, pitch, yaw = (_short(max(each.value, 1e-3)) for each in found.rate_s)
+        table = msgspec.structs.replace(table, axis_time_constant_s=(roll, pitch, yaw))
+    roll, pitch, yaw = (
+        of_guess if limit is None or not limit.is_limited else max(_short(limit.reached_rad_s.value), 1e-3)
+        for limit, of_guess in zip(found.rate_limits, table.max_rad_s, strict=True)
+    )
+    return msgspec.structs.replace(table, max_rad_s=(roll, pitch, yaw))
 
 
 def _with_drag(vehicle: Vehicle, drag_per_s: Sequence[float] | None) -> DisturbanceTable:
@@ -97,6 +116,16 @@ def _with_drag(vehicle: Vehicle, drag_per_s: Sequence[float] | None) -> Disturba
     return msgspec.structs.replace(
         vehicle.disturbance, linear_drag_n_s_m=(x, y, z), quadratic_drag_n_s2_m2=none
     )
+
+
+def _reached(found: Identification) -> tuple[float, float, float] | None:
+    """Rates reached in fast steps; 0 about an axis without any."""
+    if found.rate_limits == (None, None, None):
+        return None
+    x, y, z = (
+        0.0 if each is None else max(_short(each.reached_rad_s.value), 0.0) for each in found.rate_limits
+    )
+    return x, y, z
 
 
 def _fastest(found: Identification, sign: float) -> float:
@@ -121,7 +150,7 @@ def _two(law: tuple[Estimate, Estimate]) -> tuple[tuple[float, float], tuple[flo
 
 
 def _three(
-    each: tuple[Estimate | None, Estimate | None, Estimate | None],
+    each: tuple[Estimate | None, ...],
 ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None:
     x, y, z = map(_interval, each)
     return None if x is None or y is None or z is None else (x, y, z)
@@ -157,28 +186,44 @@ def _compared(
             *(stop_time_s(values, fastest), stop_time_s(expected, fastest)),
             "s",
         )
-    for name, sign, measured, parameter in (
-        ("climb", 1.0, found.max_up_m_s, "WPNAV_SPEED_UP"),
-        ("descent", -1.0, found.max_down_m_s, "WPNAV_SPEED_DN"),
-    ):
-        expected_m_s = parameters.get(parameter, 0.0) / 100
+    limits = own_limits(parameters)
+    for name, sign, measured in (("climb", 1.0, found.max_up_m_s), ("descent", -1.0, found.max_down_m_s)):
+        limit = limits.get(name)
         reached = measured or _fastest(found, sign)
-        if expected_m_s > 0 and (measured is not None or reached > expected_m_s):
-            yield f"fastest {name}, by {parameter}", reached, expected_m_s, "m/s"
-    limit, jerk = parameters.get("WPNAV_ACCEL", 0.0) / 100, parameters.get("PSC_JERK_XY", 0.0)
+        if limit is not None and (measured is not None or reached > limit.value):
+            yield f"fastest {name}, by {limit.parameter}", reached, limit.value, "m/s"
     level = max(each.speed_m_s for each in found.responses if each.axis != 2)
     measured_m_s2 = found.deceleration_m_s2.value
-    if limit > 0 and jerk > 0 and (measured_m_s2 > limit or _SHAPED * level * jerk / limit >= limit):
-        yield f"deceleration of a stop from {level:.2g} m/s, by WPNAV_ACCEL", measured_m_s2, limit, "m/s^2"
-    if found.hover_throttle is not None and parameters.get("MOT_THST_HOVER", 0.0) > 0:
-        yield (
-            "hover throttle, by MOT_THST_HOVER",
-            found.hover_throttle.value,
-            parameters["MOT_THST_HOVER"],
-            "",
-        )
+    if (limit := limits.get("acceleration")) is not None and (jerk := limits.get("jerk")) is not None:
+        most = following.deceleration_m_s2  # with the lean angle
+        if measured_m_s2 > most or _SHAPED * level * jerk.value / limit.value >= most:
+            what = f"deceleration of a stop from {level:.2g} m/s, by {limit.parameter}"
+            yield what, measured_m_s2, limit.value, "m/s^2"
+    if found.hover_throttle is not None and (limit := limits.get("hover")) is not None:
+        yield f"hover throttle, by {limit.parameter}", found.hover_throttle.value, limit.value, ""
     if found.rate_s is not None:
-        for name, rate, expected_s in zip(
-            ("roll", "pitch", "yaw"), found.rate_s, guess.rates.axes_s, strict=True
-        ):
+        for name, rate, expected_s in zip(AXES, found.rate_s, guess.rates.axes_s, strict=True):
             yield f"63 % of a step of the {name} rate, by the first guess", rate.value, expected_s, "s"
+    yield from _compared_rates(found, guess, limits)
+
+
+def _compared_rates(
+    found: Identification, guess: Vehicle, limits: Mapping[str, Limit]
+) -> Iterator[tuple[str, float, float, str]]:
+    """The same for the limits of body rates.
+
+    A rate is compared where it was not reached, and an angular acceleration where a step is long enough to
+    show it: where the limit needs more time than the rate loop does.
+    """
+    for axis, (name, seen) in enumerate(zip(AXES, found.rate_limits, strict=True)):
+        if seen is None:
+            continue
+        if seen.is_limited:
+            limit = limits.get(f"{name} rate")
+            is_own = limit is not None and limit.value <= guess.rates.max_rad_s[axis]
+            by = limit.parameter if limit is not None and is_own else "the first guess"
+            yield f"fastest {name} rate, by {by}", seen.reached_rad_s.value, seen.asked_rad_s, "rad/s"
+        limit, gained = limits.get(f"{name} acceleration"), seen.acceleration_rad_s2
+        lag_s = guess.rates.axes_s[axis] if found.rate_s is None else found.rate_s[axis].value
+        if limit is not None and gained is not None and seen.asked_rad_s / limit.value > 2 * lag_s:
+            yield f"{name} acceleration, by {limit.parameter}", gained.value, limit.value, "rad/s^2"

@@ -13,12 +13,13 @@ from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VehicleState, VelocitySetpoint
 from alula.stages.flight.loop.plan_clock import heading_of
 from alula.stages.identification.recording import Phase, Tape
-from alula.stages.identification.steps import Step
+from alula.stages.identification.steps import MAX_LEAN_RAD, Step
 
 _DAMPED = 0.5  # gain of the position times the lag: a damping of 0.71
 _GO_M_S = 1.0  # speed between steps
 _NEAR_M, _SLOW_M_S, _SETTLED_S = 0.25, 0.12, 0.7
 _REST_S = 1.0  # of zero velocity before a step
+_REACTS_S = 0.1  # of rotation that follows when a step of a rate ends
 _LEVEL_S = 0.1  # of zero rates before a doublet, so that the vehicle follows rates when it begins
 
 
@@ -26,8 +27,9 @@ class StepFlight:
     """Commander and clock of a flight of steps.
 
     Between steps the vehicle is led to the start of the next one by a velocity in proportion to the distance,
-    and comes to rest there. A velocity step ends early where the room ahead is only that of its stop. After a
-    hold a step begins again.
+    and comes to rest there. A velocity step ends early where the room ahead is only that of its stop. A step
+    that tilts ends early where the vehicle could lean more than `MAX_LEAN_RAD`, and its way back takes as
+    long as the way out did. After a hold a step begins again.
 
     Args:
         steps: to fly.
@@ -63,7 +65,7 @@ class StepFlight:
         self._steps, self._centre, self._half_m, self._stop_m = list(steps), centre, half_m, stop_m
         self._gain, self._gravity = _DAMPED / lag_s, gravity_m_s2
         self._throttle, self._say = throttle, say
-        self._next = 0
+        self._next, self._back_s = 0, 0.0
         self._phase, self._since_s, self._near_s = Phase.GO, math.inf, math.inf
         self._heading: float | None = None
         self._row = np.zeros((1, 18))
@@ -164,8 +166,9 @@ class StepFlight:
         if self._phase is Phase.REST and passed_s >= _REST_S - 1e-6:
             self._enter(Phase.OUT, now_s)
         elif self._phase is Phase.OUT and (passed_s >= step.out_s - 1e-6 or self._must_stop(state, step)):
+            self._back_s = step.back_s if step.kind == "velocity" else min(step.back_s, passed_s)
             self._enter(Phase.BACK, now_s)
-        elif self._phase is Phase.BACK and passed_s >= step.back_s - 1e-6:
+        elif self._phase is Phase.BACK and (passed_s >= self._back_s - 1e-6 or self._leans(state, step)):
             self._next += 1
             self._enter(Phase.GO, now_s)
         if self._phase is Phase.GO:
@@ -175,9 +178,7 @@ class StepFlight:
 
     def _of(self, step: Step, passed_s: float, yaw: float) -> Setpoint:
         """Set-point of a step, a time after its phase began."""
-        out = {Phase.REST: 0.0, Phase.OUT: 1.0, Phase.BACK: 0.0 if step.kind == "velocity" else -1.0}[
-            self._phase
-        ]
+        out = self._sign(step)
         values = np.zeros(3)
         if step.kind == "velocity":
             values[step.axis] = out * step.size
@@ -197,10 +198,29 @@ class StepFlight:
         self._near_s = min(self._near_s, now_s) if is_there else math.inf
         return now_s - self._near_s >= _SETTLED_S
 
-    def _must_stop(self, state: VehicleState, step: Step) -> bool:
-        """Whether the room ahead of a velocity step is that of its stop."""
-        if step.kind != "velocity":
+    def _sign(self, step: Step) -> float:
+        """Set-point of the present phase by that of the step."""
+        return {Phase.OUT: 1.0, Phase.BACK: step.back}.get(self._phase, 0.0)
+
+    def _leans(self, state: VehicleState, step: Step) -> bool:
+        """Whether a rotation that tilts must end now, lest the vehicle lean too much."""
+        if step.kind != "rate" or step.axis == 2:
             return False
+        w, x, y, z = state.attitude_wxyz
+        lean = (
+            math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+            if step.axis == 0
+            else math.asin(max(-1.0, min(1.0, 2 * (w * y - x * z))))
+        )
+        rate = self._sign(step) * step.size
+        sign = math.copysign(1.0, rate)
+        fastest = max(abs(rate), sign * float(state.omega[step.axis]))
+        return sign * lean + fastest * _REACTS_S >= MAX_LEAN_RAD
+
+    def _must_stop(self, state: VehicleState, step: Step) -> bool:
+        """Whether the room ahead of a velocity step is that of its stop, or a lean must end."""
+        if step.kind != "velocity":
+            return self._leans(state, step)
         sign = math.copysign(1.0, step.size)
         ahead = float(self._half_m[step.axis] - sign * (state.position[step.axis] - self._centre[step.axis]))
         return ahead <= self._stop_m(abs(float(state.velocity[step.axis])), step.axis)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from alula import _core
@@ -15,18 +14,17 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
+from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
-from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.preflight import Needs
-from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.identification.own_limits import first_guess, own_limits
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import Steps, plan_steps
 from alula.stages.vehicles.fence import fence
-from alula.stages.vehicles.velocity_lag import LAG_MARGIN, stop_time_s
+from alula.stages.vehicles.velocity_lag import stop_m, stop_time_s
 
-# Parameters that give a first guess, and those of the rate loop, for people.
-GUESSES = ("WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER")
 _BETWEEN_S = 20.0  # maximum time from the end of a step to the start of the next
 _FENCE_RESERVE_M = 0.05
 
@@ -76,13 +74,15 @@ def make_survey(
     if vehicle.model != "quadrotor":
         raise UsageError(f"{vehicle.name} is a {vehicle.model}; only a quadrotor is identified")
     guess = first_guess(vehicle, parameters or {})
+    limits = own_limits(parameters or {})
     steps = plan_steps(
-        guess.following,
+        guess,
         config.speeds_m_s,
         config.box,
-        radius_m=vehicle.body.radius_m,
         reserve_m=config.reserve_m,
         rates=config.rates,
+        lean_rad=limits["lean"].value if "lean" in limits else math.inf,
+        turns_rad_s2=limits["yaw acceleration"].value if "yaw acceleration" in limits else math.inf,
     )
     if len({abs(step.size) for step in steps.flown if step.kind == "velocity" and step.axis != 2}) < 2:
         raise UsageError(
@@ -91,23 +91,6 @@ def make_survey(
         )
     low, high = config.box[:3], config.box[3:]
     return Survey(config, guess, steps, fence(box=(low, high), cover=None))
-
-
-def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
-    """The vehicle's file with the limits of velocities that its parameters give.
-
-    Args:
-        vehicle: contents of the file.
-        parameters: of the vehicle, by name.
-    """
-    following = vehicle.following
-    names = {
-        "max_up_m_s": "WPNAV_SPEED_UP",
-        "max_down_m_s": "WPNAV_SPEED_DN",
-        "deceleration_m_s2": "WPNAV_ACCEL",
-    }
-    given = {key: parameters[name] / 100 for key, name in names.items() if parameters.get(name, 0.0) > 0}
-    return msgspec.structs.replace(vehicle, velocities=msgspec.structs.replace(following, **given))
 
 
 def make_step_flight(
@@ -127,9 +110,8 @@ def make_step_flight(
     following, box = vehicle.following, np.array(config.box)
     fastest = max(config.speeds_m_s)
 
-    def stop_m(speed_m_s: float, axis: int) -> float:
-        law = following.vertical_lag if axis == 2 else following.horizontal_lag
-        return LAG_MARGIN * stop_time_s(law, speed_m_s) * speed_m_s
+    def stop_along_m(speed_m_s: float, axis: int) -> float:
+        return stop_m(following.vertical_lag if axis == 2 else following.horizontal_lag, speed_m_s)
 
     return StepFlight(
         survey.steps.flown,
@@ -138,7 +120,7 @@ def make_step_flight(
         lag_s=max(
             stop_time_s(law, min(fastest, 1.0)) for law in (following.horizontal_lag, following.vertical_lag)
         ),
-        stop_m=stop_m,
+        stop_m=stop_along_m,
         gravity_m_s2=vehicle.body.gravity_m_s2,
         throttle=throttle,
         say=say,
@@ -152,14 +134,7 @@ def make_step_guard(survey: Survey, accepts: frozenset[type[Setpoint]]) -> Fence
         survey: to fly.
         accepts: kinds of set-points that the link accepts.
     """
-    return FenceGuard(
-        survey.fence,
-        survey.vehicle,
-        dt_s=1 / survey.config.rate_hz,
-        takes_rates=RatesSetpoint in accepts,
-        reserve_m=_FENCE_RESERVE_M,
-        latency_s=survey.config.latency_s,
-    )
+    return guard_of(survey.config, survey.vehicle, survey.fence, accepts, reserve_m=_FENCE_RESERVE_M)
 
 
 def make_step_needs(survey: Survey) -> Needs:
@@ -168,30 +143,18 @@ def make_step_needs(survey: Survey) -> Needs:
     Args:
         survey: to fly.
     """
-    config, model = survey.config, rates_model(survey.vehicle)
-    low, high = config.box[:3], config.box[3:]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    fastest = max(config.speeds_m_s)
-    return Needs(
-        setpoints=frozenset(survey.setpoints),
-        start=survey.centre,
-        goal=survey.centre,
-        path=corners,
+    low, high = survey.config.box[:3], survey.config.box[3:]
+    return needs_of(
+        survey.config,
+        survey.vehicle,
+        setpoints=survey.setpoints,
+        ends=(survey.centre, survey.centre),
+        path=np.array(list(itertools.product(*zip(low, high, strict=True)))),
         obstacles=[],
-        radius_m=survey.vehicle.body.radius_m,
         margin_m=0.0,
         fence=survey.fence,
         plan=(True, f"{len(survey.steps.flown)} steps in a box that is free, as the user says"),
-        speed_m_s=fastest,
-        stop_m=LAG_MARGIN * stop_time_s(survey.vehicle.following.horizontal_lag, fastest) * fastest,
-        near_m=config.near_m,
-        state_hz=min(20.0, 0.5 * config.rate_hz),
-        loop_hz=config.rate_hz,
-        stale_s=config.stale_s,
-        latency_s=config.latency_s,
-        battery_share=config.battery,
-        max_thrust_m_s2=sum(model.thrust),
-        gravity_m_s2=model.gravity,
+        speed_m_s=max(survey.config.speeds_m_s),
     )
 
 
@@ -203,7 +166,5 @@ def make_step_options(survey: Survey, *, dry_run: bool) -> LoopOptions:
         dry_run: end after the pre-flight checks.
     """
     longest_s = sum(step.duration_s + _BETWEEN_S for step in survey.steps.flown)
-    limits = SupervisorLimits(
-        stale_s=survey.config.stale_s, battery_share=survey.config.battery * 2 / 3, flight_s=longest_s
-    )
+    limits = limits_of(survey.config, flight_s=longest_s)
     return LoopOptions(rate_hz=survey.config.rate_hz, limits=limits, dry_run=dry_run, margin_m=0.3)

@@ -17,6 +17,8 @@ from alula.stages.clearance import segment_clearance
 from alula.stages.planning.plan_samples import curve_of
 
 LEAST_VIA_TOLERANCE_M = 0.1
+# A flight has finished its plan within this distance of the end, when it is slower than this; then it lands.
+FINISHED_M, FINISHED_M_S = 0.2, 0.3
 _SPACING_M = 0.01  # of the samples of plan and path
 _MOST_SAMPLES = 20_000
 _CAP_M = 5.0  # the tube is at most this wide
@@ -65,7 +67,7 @@ class PlanJudge:
         speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
         count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
-        self.via_s = _times_of(self.via, plan, curve)
+        self.via_s = via_times(plan)
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
@@ -119,10 +121,15 @@ class PlanJudge:
         return worst
 
 
-def _times_of(points: FloatArray, plan: Artifact, curve: _core.ReferenceCurve) -> list[float]:
-    """Times at which a plan passes its via points, which are ends of its pieces, in their order [s]."""
+def via_times(plan: Artifact) -> list[float]:
+    """Times at which a plan passes its via points, which are ends of its pieces, in their order [s].
+
+    Args:
+        plan: an `alula/plan`.
+    """
+    points = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
     ends_s = np.asarray(plan["time"], np.float64)
-    ends = curve.at(ends_s)[:, :3]
+    ends = curve_of(plan).at(ends_s)[:, :3]
     found: list[float] = []
     first = 0
     for point in points:

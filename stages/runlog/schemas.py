@@ -111,6 +111,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 rates_safe_rad_s=_VECTOR,
                 disturbance_m_s2=_VECTOR,
                 disturbance_bound_m_s2=_NUMBER,
+                added_margin_m=_NUMBER,
                 sent=_TEXT,
                 sent_values=_array(_NUMBER),
                 solve_time_s=_NUMBER,
@@ -121,8 +122,9 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "clearance. Of a pilot in a geofence: the true distance as fence_distance_m, h_I as h_m "
             "after subtracting allowance_m, the regulation function lambda, throttles and rates. In a real "
             "flight also the set-point sent (rates: thrust per mass and body rates; acceleration, velocity: "
-            "world frame, and the yaw), the time of the filter, and for body rates the acceleration that the "
-            "vehicle's model leaves out, as estimated, and a bound on what is missing in the estimate.",
+            "world frame, and the yaw), the time of the filter, the acceleration that the vehicle's model "
+            "leaves out, as estimated, a bound on what is missing in the estimate, and the margin that the "
+            "filter keeps in addition because of that bound, where there is the room.",
         },
         "alula.Supervisor": {
             **_object(

@@ -31,14 +31,14 @@ def filter_lags_s(following: VelocitiesTable, speed_m_s: float) -> tuple[float, 
     return level, level, climb
 
 
-def stop_m(following: VelocitiesTable, speed_m_s: float) -> float:
-    """Distance in which the vehicle stops horizontally, with the margin of the lag [m].
+def stop_m(law: tuple[float, float], speed_m_s: float) -> float:
+    """Distance in which the vehicle stops, with the margin of the lag [m].
 
     Args:
-        following: how the vehicle follows velocities.
+        law: a [s] and b [s^2/m].
         speed_m_s: speed before the stop [m/s].
     """
-    return LAG_MARGIN * stop_time_s(following.horizontal_lag, speed_m_s) * speed_m_s
+    return LAG_MARGIN * stop_time_s(law, speed_m_s) * speed_m_s
 
 
 def needed_deceleration_m_s2(speed_m_s: float, lag_s: float, beta: float) -> float:

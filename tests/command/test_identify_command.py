@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from alula.cli import identify
+from alula.cli.fly import contact
 from alula.cli.main import run
 from alula.schemas.vehicle import read_vehicle
 from support.paths import VEHICLES
@@ -76,7 +76,7 @@ def test_a_vehicle_file_that_is_damaged_is_refused(output, tmp_path, capsys):
 
 
 def test_nobody_answers(output, capsys, monkeypatch):
-    monkeypatch.setattr(identify, "OPEN_S", 0.3)
+    monkeypatch.setattr(contact, "OPEN_S", 0.3)
     line = refused(6, ("--link", f"udpin:127.0.0.1:{free_port()}", *BOX), output, capsys)
     assert "no vehicle heartbeat within 0.3 s" in line
 

@@ -1,4 +1,4 @@
-"""Crashes on the real autopilot: no set-points follow, and the command says what happened."""
+"""Crashes on the real autopilot: no set-points follow, it disarms, and the command says what happened."""
 
 import time
 
@@ -24,7 +24,9 @@ def test_a_vehicle_whose_rotors_fail_gets_no_more_thrust(tmp_path, rotors, words
         failed_s = time.monotonic()
         ended_s = _printed(fly, words)
         assert ended_s - failed_s < 4.0
-        assert fly.end() == 6, fly.said
+        assert fly.end(20.0) == 6, fly.said
+        assert not sim.newest["HEARTBEAT"].base_mode & 128, fly.said  # its motors stand still
+        assert "no longer controls the vehicle" not in fly.said
 
 
 def _printed(fly, words):

@@ -1,5 +1,6 @@
 """`alula identify` on ArduPilot's own simulation gives the responses that were measured apart from it."""
 
+import math
 import subprocess
 import sys
 
@@ -35,3 +36,9 @@ def test_the_file_has_the_responses_of_the_real_program(tmp_path):
     for name, time_s in zip(("roll", "pitch", "yaw"), vehicle.rates.axis_time_constant_s, strict=True):
         assert time_s == pytest.approx(MEASURED[f"{name}_s"], rel=0.15, abs=0.02)
     assert vehicle.identified.autopilot.startswith("ArduPilot")
+    # Its own parameters bound no rate command but the acceleration of turns, ATC_ACCEL_Y_MAX = 27000.
+    assert vehicle.identified.yaw_acceleration_rad_s2 == pytest.approx(math.radians(270.0), rel=0.1)
+    assert vehicle.identified.reached_rad_s[2] == pytest.approx(4.0, rel=0.1)
+    assert all(rate > 1.0 for rate in vehicle.identified.reached_rad_s[:2])
+    assert vehicle.rates.max_rad_s == (10.0, 10.0, 4.0)
+    assert "by ATC_" not in done.stdout + done.stderr  # no parameter is wrong by more than a quarter

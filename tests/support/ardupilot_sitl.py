@@ -7,6 +7,7 @@ sensors, and reads the true motion (SIM_STATE) and all texts.
 import math
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -35,21 +36,26 @@ class Sitl:
         port: where it sends, for `alula fly`.
         texts: STATUSTEXTs, as the other station receives them.
         truth: true motion: time of this machine [s], east, north, up from the start [m], and the tilt [rad].
+        estimates: estimated velocities: time of this machine [s], east, north, up [m/s].
         newest: newest message of each kind.
+        modes: time of this machine [s] and custom_mode of each heartbeat.
     """
 
     def __init__(self, instance, port):
         self.port = port
+        self._sticks_port = 5501 + 10 * instance
         self._socket = until(lambda: self._connected(second_port(instance)))
         self._parser, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, STATION, 190)
         self._parser.robust_parsing = True
-        self.texts, self.truth, self.newest = [], [], {}
+        self.texts, self.truth, self.estimates = [], [], []
+        self.newest, self.modes = {}, []
         self._home = None
         self._lives = True
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
         until(lambda: "HEARTBEAT" in self.newest)
-        for name, rate_hz in (("SIM_STATE", 20), ("EKF_STATUS_REPORT", 5), ("SYS_STATUS", 5)):
+        rates = {"SIM_STATE": 20, "EKF_STATUS_REPORT": 5, "SYS_STATUS": 5, "HEARTBEAT": 5}
+        for name, rate_hz in (rates | {"LOCAL_POSITION_NED": 5}).items():
             number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
 
@@ -80,6 +86,8 @@ class Sitl:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             self.texts.append(message.text)
+        elif kind == "HEARTBEAT":
+            self.modes.append((time.monotonic(), message.custom_mode))
         elif kind == "SIM_STATE":
             lat, lon, alt = message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt
             self._home = self._home or (lat, lon, alt)
@@ -87,6 +95,8 @@ class Sitl:
             north = math.radians(lat - self._home[0]) * _EARTH_M
             tilt = math.acos(max(-1.0, min(1.0, math.cos(message.roll) * math.cos(message.pitch))))
             self.truth.append((time.monotonic(), east, north, alt - self._home[2], tilt))
+        elif kind == "LOCAL_POSITION_NED":
+            self.estimates.append((time.monotonic(), message.vy, message.vx, -message.vz))
         self.newest[kind] = message
 
     def send(self, message):
@@ -103,6 +113,12 @@ class Sitl:
         for name, value in parameters.items():
             self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), float(value), 9))
             time.sleep(0.02)
+
+    def sticks(self, throttle):
+        """Put the pilot's throttle stick at a pulse width [us]; the other sticks and switches stay."""
+        pulses = (1500, 1500, throttle, 1500, 1800, 1000, 1000, 1800)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+            line.sendto(struct.pack("<8H", *pulses), ("127.0.0.1", self._sticks_port))
 
     def close(self):
         """Disconnect the other station."""

@@ -46,7 +46,9 @@ def mission(
     return made if is_clear is None else dataclasses.replace(made, is_clear=(is_clear, "said so"))
 
 
-def loop_of(made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False, recorder=None):
+def loop_of(
+    made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False, recorder=None, watchdog=None
+):
     """The loop for a mission over a fake vehicle."""
     safety = make_safety(made)
     commander = make_commander(made, safety, vehicle.accepts)
@@ -60,6 +62,7 @@ def loop_of(made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False
         float(made.start[2]),
         recorder or Kept(),
         make_options(made.config, dry_run=dry_run),
+        watchdog=watchdog,
         interrupts=interrupts,
         clock=vehicle.clock,
         sleep=vehicle.clock.sleep,

@@ -28,6 +28,7 @@ from support.fake_vehicle import Kept
 from support.flights import loop_of
 from support.mavlink_peer import Time
 from support.served_autopilot import Served
+from support.watchdogs import WatchdogHere
 
 STALE_S = 0.15
 _SETPOINTS = {"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"}
@@ -64,6 +65,7 @@ class Flight(Served):
     parameters: dict[str, float] = field(default_factory=dict)
     loop_words: dict[str, Any] = field(default_factory=dict)
     observe_s: float = 0.4
+    watched: bool = False  # by the program of the watchdog process, on this clock
     noise: Any = EXACT  # of its estimate
     seed: int = 3
 
@@ -81,7 +83,7 @@ class Flight(Served):
         self.vehicle._send = lambda message: tell(self._changed(message)) if self._is_told(message) else None
         self.time = _Stalling(self)
         self.recorder = Kept()
-        self.loop = self.link = None
+        self.loop = self.link = self.watchdog = None
         self.each = lambda flight: None
         self._upset(None)
 
@@ -123,6 +125,8 @@ class Flight(Served):
             if self.peer is not None:
                 self.socket.sendto(packet, self.peer)
         self.truth.append((now, *self.copter.airframe.truth.position))
+        if self.watchdog is not None:
+            self.watchdog.program.step(now)
 
     def cut(self):
         """The line is gone for good, and says so, as that of a serial port that was pulled out does."""
@@ -141,8 +145,15 @@ class Flight(Served):
         try:
             link.open(5.0)
             link.prepare()
+            if self.watched:
+                self.watchdog = WatchdogHere(link.guarded())
             self.loop = loop = loop_of(
-                self.made, link, recorder=self.recorder, interrupts=lambda: self.interrupts, **self.loop_words
+                self.made,
+                link,
+                recorder=self.recorder,
+                interrupts=lambda: self.interrupts,
+                watchdog=self.watchdog,
+                **self.loop_words,
             )
             loop.checks._observe_s = self.observe_s
             limits = dataclasses.replace(loop.options.limits, **self.limits)
@@ -191,11 +202,12 @@ class Flight(Served):
         return min(float(path_clearance(path, each).min()) for _, each in self.made.obstacles) - radius
 
     def packets(self):
-        """Set-points and orders that reached the vehicle: (when, message), read by pymavlink."""
+        """Set-points and orders of the link that reached the vehicle: (when, message), read by pymavlink."""
         reader = mavlink.MAVLink(None)
         found = []
+        by_watchdog = set() if self.watchdog is None else self.watchdog.program.sent
         for at, data in self.heard:
-            if int.from_bytes(data[7:10], "little") in (76, 82, 84):
+            if data not in by_watchdog and int.from_bytes(data[7:10], "little") in (76, 82, 84):
                 found += [(at, message) for message in reader.parse_buffer(data)]
         return found
 
@@ -271,7 +283,10 @@ class _Stalling(Time):
 
     def sleep(self, seconds):
         extra, self.extra_s = self.extra_s, 0.0
-        super().sleep(seconds + extra)
+        while extra > 0:  # the others go on
+            step, extra = min(extra, 0.01), extra - 0.01
+            super().sleep(step)
+        super().sleep(seconds)
 
 
 def fault(kind, **fields):

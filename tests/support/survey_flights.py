@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.control_loop import ControlLoop
+from alula.stages.identification.own_limits import PARAMETERS
 from alula.stages.identification.survey import (
-    GUESSES,
     make_step_flight,
     make_step_guard,
     make_step_needs,
     make_step_options,
     make_survey,
 )
+from alula.stages.sim_vehicle.common.quaternions import cos_tilt
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.frames import LocalFrame
 from support.autopilot_client import EXACT
@@ -35,11 +38,13 @@ class SurveyFlight(Served):
     def __init__(self, *, noise=EXACT, parameters=None, vehicle=FASTBRIDGE, **fields):
         super().__init__(noise, parameters)
         self.config = IdentifyConfig(**{"box": BOX, "speeds_m_s": (1.0, 2.0)} | fields)
-        self.guess, self.recorder, self.truth = vehicle, Kept(), []
+        self.guess, self.recorder, self.truth, self.largest_lean = vehicle, Kept(), [], 0.0
 
     def tick(self, now):
         super().tick(now)
-        self.truth.append((now, *self.copter.airframe.truth.position))
+        truth = self.copter.airframe.truth
+        self.truth.append((now, *truth.position))
+        self.largest_lean = max(self.largest_lean, math.acos(max(-1.0, min(1.0, cos_tilt(truth.attitude)))))
 
     def fly(self, each=lambda flight: None):
         time = Time(self)
@@ -52,7 +57,7 @@ class SurveyFlight(Served):
         try:
             self.said = link.open(5.0)
             link.prepare()
-            self.parameters = link.read_parameters(GUESSES)
+            self.parameters = link.read_parameters(PARAMETERS)
             self.survey = survey = make_survey(self.config, self.guess, self.parameters)
             self.steps = make_step_flight(
                 survey,

@@ -13,7 +13,7 @@ from alula.stages.vehicles.frames import LocalFrame
 from support.fake_vehicle import Kept
 from support.flights import START, loop_of
 from support.mavlink_peer import Time
-from support.served_autopilot import Served
+from support.served_autopilot import FAST, Served
 
 # The vehicle boots at the origin of its local frame: that is below the plan's start.
 FRAME = LocalFrame(origin_enu_m=(-START[0], -START[1], 0.0))
@@ -25,8 +25,14 @@ RADIUS_M = 0.15
 AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 
 
+INDOORS = {"FS_THR_ENABLE": 3.0, "FS_DR_ENABLE": 1.0}  # near walls it must not fly home in an emergency
+INDOORS_PX4 = {"NAV_RCL_ACT": 3.0, "COM_FLTT_LOW_ACT": 1.0}
+
+
 class Watched(Served):
     """Keeps where it truly was, and injects a fault a while after set-points began."""
+
+    fast = FAST | INDOORS
 
     def __init__(self, *faults, **keywords):
         super().__init__(**keywords)
@@ -46,7 +52,7 @@ class Watched(Served):
 
 
 class WatchedPx4(Watched):
-    kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
+    kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25} | INDOORS_PX4
 
 
 @contextmanager

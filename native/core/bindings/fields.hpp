@@ -220,20 +220,20 @@ void require_valid(const T& object) {
   if constexpr (requires { check(object); }) check(object);
 }
 
-// Adds attributes to `Class` for all fields of T, which is located by `path`.
+// Adds attributes to `Class` for all fields of T, which is located by `path`; their names are those of the arguments.
 template <class T, class Class, class Path>
-void add_attributes(Class& bound, Path path) {
+void add_attributes(Class& bound, Path path, const std::string& prefix = {}) {
   using Root = typename Class::Type;
   const auto one = [&]<class Entry>(const Entry& entry) {
     const auto member = entry.member;
     const auto inner = [path, member](const Root& root) -> decltype(auto) { return (path(root).*member); };
     using M = std::remove_cvref_t<decltype(inner(std::declval<const Root&>()))>;
     if constexpr (requires { entry.prefix; }) {
-      add_attributes<M>(bound, inner);
+      add_attributes<M>(bound, inner, prefix + entry.prefix);
     } else {
       using Out = std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>;
       bound.def_prop_ro(
-          entry.name, [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
+          (prefix + entry.name).c_str(), [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
           *entry.doc == '\0' ? nullptr : entry.doc);
     }
   };

@@ -527,13 +527,14 @@ class Quadrotor:
 class SensorOptions:
     """Noise (standard deviations per axis) and delay; all off by default."""
 
-    def __init__(self, *, position_noise_m: float = 0.0, velocity_noise_m_s: float = 0.0, attitude_noise_rad: float = 0.0, rate_noise_rad_s: float = 0.0, delay_s: float = 0.0) -> None:
+    def __init__(self, *, position_noise_m: float = 0.0, velocity_noise_m_s: float = 0.0, attitude_noise_rad: float = 0.0, rate_noise_rad_s: float = 0.0, noise_time_s: float = 0.0, delay_s: float = 0.0) -> None:
         """
         Args:
             position_noise_m: standard deviation per axis [m]
             velocity_noise_m_s: standard deviation per axis [m/s]
             attitude_noise_rad: standard deviation per axis [rad]
             rate_noise_rad_s: standard deviation per axis [rad/s]
+            noise_time_s: correlation time of position and velocity; 0: white [s]
             delay_s: age of a measurement [s]
         """
 
@@ -552,6 +553,10 @@ class SensorOptions:
     @property
     def rate_noise_rad_s(self) -> float:
         """standard deviation per axis [rad/s]"""
+
+    @property
+    def noise_time_s(self) -> float:
+        """correlation time of position and velocity; 0: white [s]"""
 
     @property
     def delay_s(self) -> float:
@@ -1519,9 +1524,9 @@ class Shield:
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """State one tick later."""
 
-    def see(self, rotors: Sequence[float] | None = None, tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
+    def see(self, rotors: Sequence[float] | None = None, tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, position_variance: Sequence[float] = [0.0, 0.0, 0.0], disturbance_m_s2: Sequence[float] = [0.0, 0.0, 0.0]) -> None:
         """
-        Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, and the variance of the position [m^2].
+        Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, the variance of the position [m^2], and the disturbance [m/s^2] for which the attitudes of states are levelled.
         """
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
@@ -2752,10 +2757,133 @@ class PythonFilter(SafetyFilter):
     def __init__(self, kind: object, made: object) -> None:
         """made: has tick(state, nominal) -> dict and reset()."""
 
+class FollowingOptions:
+    """
+    How an autopilot follows velocities and accelerations: alula/flight/autopilot.hpp.
+    """
+
+    def __init__(self, *, horizontal_acceleration_m_s2: float = 0.0, horizontal_jerk_m_s3: float = 0.0, vertical_acceleration_m_s2: float = 0.0, vertical_jerk_m_s3: float = 0.0, lag_s: float = 0.1, position_gain_per_s: float = 1.0, velocity_gain_per_s: float = 2.0, climb_gain_per_s: float = 5.0) -> None:
+        """
+        Args:
+            horizontal_acceleration_m_s2: limit; 0: not shaped [m/s^2]
+            horizontal_jerk_m_s3: limit of its change [m/s^3]
+            vertical_acceleration_m_s2: the same, vertically [m/s^2]
+            vertical_jerk_m_s3: limit of its change [m/s^3]
+            lag_s: of the acceleration within the attitude loop [s]
+            position_gain_per_s: velocity by the error of the shaped position [1/s]
+            velocity_gain_per_s: acceleration by that of the velocity [1/s]
+            climb_gain_per_s: the same, vertically [1/s]
+        """
+
+    @property
+    def horizontal_acceleration_m_s2(self) -> float:
+        """limit; 0: not shaped [m/s^2]"""
+
+    @property
+    def horizontal_jerk_m_s3(self) -> float:
+        """limit of its change [m/s^3]"""
+
+    @property
+    def vertical_acceleration_m_s2(self) -> float:
+        """the same, vertically [m/s^2]"""
+
+    @property
+    def vertical_jerk_m_s3(self) -> float:
+        """limit of its change [m/s^3]"""
+
+    @property
+    def lag_s(self) -> float:
+        """of the acceleration within the attitude loop [s]"""
+
+    @property
+    def position_gain_per_s(self) -> float:
+        """velocity by the error of the shaped position [1/s]"""
+
+    @property
+    def velocity_gain_per_s(self) -> float:
+        """acceleration by that of the velocity [1/s]"""
+
+    @property
+    def climb_gain_per_s(self) -> float:
+        """the same, vertically [1/s]"""
+
+class Autopilot:
+    """The motion into which an autopilot shapes set-points."""
+
+    def __init__(self, options: FollowingOptions) -> None: ...
+
+    def reset(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> None:
+        """Begin from a motion; a climb is being braked."""
+
+    def follow_velocity(self, dt_s: float, velocity: Sequence[float], state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> list[float]:
+        """A step; the acceleration that the attitude loop gets [m/s^2]."""
+
+    def follow_acceleration(self, dt_s: float, acceleration: Sequence[float], state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> list[float]: ...
+
+    @property
+    def velocity(self) -> list[float]: ...
+
+    @property
+    def acceleration(self) -> list[float]: ...
+
+class PlanClockOptions:
+    """How time along a plan waits: alula/flight/plan_clock.hpp."""
+
+    def __init__(self, *, near_m: float = 0.3, far_m: float = 1.0, slew_per_s: float = 2.0, via_s: Sequence[float] = ..., via_m: float = float('inf')) -> None:
+        """
+        Args:
+            near_m: error up to which the time runs at full rate [m]
+            far_m: error from which on it stands still [m]
+            slew_per_s: maximum change of the rate [1/s]
+            via_s: times of the via points along the plan, ascending [s]
+            via_m: distance within which a via point counts as passed [m]
+        """
+
+    @property
+    def near_m(self) -> float:
+        """error up to which the time runs at full rate [m]"""
+
+    @property
+    def far_m(self) -> float:
+        """error from which on it stands still [m]"""
+
+    @property
+    def slew_per_s(self) -> float:
+        """maximum change of the rate [1/s]"""
+
+    @property
+    def via_s(self) -> list[float]:
+        """times of the via points along the plan, ascending [s]"""
+
+    @property
+    def via_m(self) -> float:
+        """distance within which a via point counts as passed [m]"""
+
+class PlanClock:
+    """Time along a plan, which slows down for a vehicle that falls behind."""
+
+    def __init__(self, curve: ReferenceCurve, options: PlanClockOptions = ...) -> None: ...
+
+    def pause(self, heading_rad: float) -> None: ...
+
+    def advance(self, dt_s: float, error_m: float) -> None: ...
+
+    def target(self) -> NDArray[numpy.float64]:
+        """A row of `ReferenceCurve.at`, shape (1, 18), by the slowed time."""
+
+    @property
+    def time_s(self) -> float: ...
+
+    @property
+    def rate(self) -> float: ...
+
+    @property
+    def is_over(self) -> bool: ...
+
 class VehicleSpec:
     """A vehicle, as modelled and as it truly is."""
 
-    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: Sequence[float] = [0.02, 0.02, 0.02], velocity_gain_per_s: float = 2.0, velocity_lag_s: float | Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
+    def __init__(self, body: Quadrotor, *, model: str = 'quadrotor', interface: str = 'wrench', gains: TrackingGains = ..., plant: PlantOptions = ..., assumed: ActuatorModel = ..., max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: Sequence[float] = [0.02, 0.02, 0.02], velocity_gain_per_s: float = 2.0, following: FollowingOptions = ..., velocity_lag_s: float | Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = float('inf'), max_acceleration_m_s2: float = float('inf'), max_jerk_m_s3: float = float('inf'), actuation_delay_s: float = 0.0, radius_m: float = 0.0, racer: RacerModel = ..., racer_options: RacerOptions = ..., mass_scale: float = 1.0, rate_gain_scale: float = 1.0) -> None:
         """
         Args:
             model: single-integrator, double-integrator, quadrotor or racer
@@ -2766,6 +2894,7 @@ class VehicleSpec:
             max_rate_rad_s: limit of a commanded body rate [rad/s]
             rate_time_constant_s: of each axis of the vehicle's own rate loop [s]
             velocity_gain_per_s: of the velocity loop [1/s]
+            following: how the autopilot shapes velocities and accelerations
             velocity_lag_s: assumed time constant with which velocities are followed, of all axes or of each [s]
             max_speed_m_s: limit of velocity commands, and of points [m/s]
             max_acceleration_m_s2: limit of points [m/s^2]
@@ -2781,7 +2910,7 @@ class VehicleSpec:
 class FlightOptions:
     """Timing of a flight on board."""
 
-    def __init__(self, *, dt_s: float = 0.01, controller_ticks: int = 1, filter_ticks: int = 1, stale_s: float = 0.5, has_losses: bool = False, disturbance_time_s: float = 0.0, disturbance_max_m_s2: float = 4.0, disturbance_max_interval_s: float = 0.3) -> None:
+    def __init__(self, *, dt_s: float = 0.01, controller_ticks: int = 1, filter_ticks: int = 1, stale_s: float = 0.5, has_losses: bool = False, disturbance_time_s: float = 0.0, disturbance_max_m_s2: float = 4.0, disturbance_max_interval_s: float = 0.3, response_time_s: float = 0.0, response_room_m_s2: float = 0.3, response_delay_s: float = 0.3, response_shortest_lag_s: float = 0.1, response_jerk_m_s3: float = 4.0, response_release_s: float = 1.0, response_max_m_s2: float = 4.0, response_max_interval_s: float = 0.3) -> None:
         """
         Args:
             dt_s: a tick [s]
@@ -2792,6 +2921,14 @@ class FlightOptions:
             disturbance_time_s: time constant of the estimate of disturbances; 0: none [s]
             disturbance_max_m_s2: maximum length of the estimate [m/s^2]
             disturbance_max_interval_s: after a longer time without a measurement the estimate goes on from the next one [s]
+            response_time_s: time constant of the estimate of what a vehicle's response leaves out; 0: none [s]
+            response_room_m_s2: by which the interval of expected accelerations is wider on both sides [m/s^2]
+            response_delay_s: a command of this age may be the one that is followed [s]
+            response_shortest_lag_s: shortest lag of a vehicle that follows velocities [s]
+            response_jerk_m_s3: with which accelerations are followed at least [m/s^3]
+            response_release_s: time constant with which the bound decays [s]
+            response_max_m_s2: maximum length of the estimate [m/s^2]
+            response_max_interval_s: after a longer time without a measurement the estimate begins anew [s]
         """
 
     @property
@@ -2815,18 +2952,54 @@ class FlightOptions:
         """measurements can be missing"""
 
     @property
-    def time_s(self) -> float:
+    def disturbance_time_s(self) -> float:
         """time constant of the estimate of disturbances; 0: none [s]"""
 
     @property
-    def max_m_s2(self) -> float:
+    def disturbance_max_m_s2(self) -> float:
         """maximum length of the estimate [m/s^2]"""
 
     @property
-    def max_interval_s(self) -> float:
+    def disturbance_max_interval_s(self) -> float:
         """
         after a longer time without a measurement the estimate goes on from the next one [s]
         """
+
+    @property
+    def response_time_s(self) -> float:
+        """
+        time constant of the estimate of what a vehicle's response leaves out; 0: none [s]
+        """
+
+    @property
+    def response_room_m_s2(self) -> float:
+        """
+        by which the interval of expected accelerations is wider on both sides [m/s^2]
+        """
+
+    @property
+    def response_delay_s(self) -> float:
+        """a command of this age may be the one that is followed [s]"""
+
+    @property
+    def response_shortest_lag_s(self) -> float:
+        """shortest lag of a vehicle that follows velocities [s]"""
+
+    @property
+    def response_jerk_m_s3(self) -> float:
+        """with which accelerations are followed at least [m/s^3]"""
+
+    @property
+    def response_release_s(self) -> float:
+        """time constant with which the bound decays [s]"""
+
+    @property
+    def response_max_m_s2(self) -> float:
+        """maximum length of the estimate [m/s^2]"""
+
+    @property
+    def response_max_interval_s(self) -> float:
+        """after a longer time without a measurement the estimate begins anew [s]"""
 
 class Losses:
     """Losses of measurements and of the pilot's radio."""
@@ -2933,8 +3106,10 @@ class Mission:
     """What makes the nominal command."""
 
     @staticmethod
-    def along(curve: ReferenceCurve, *, gain_per_s: float = 2.0, speed_m_s: float = float('inf'), hovers: bool = False) -> Mission:
-        """Track a curve; with `hovers` until the time is over."""
+    def along(curve: ReferenceCurve, *, gain_per_s: float = 2.0, speed_m_s: float = float('inf'), hovers: bool = False, clock: PlanClockOptions | None = None) -> Mission:
+        """
+        Track a curve; with `hovers` until the time is over; with a `clock` its time waits for the vehicle.
+        """
 
     @staticmethod
     def to(goal: Sequence[float], *, gain_per_s: float = 2.0, speed_m_s: float = float('inf'), hovers: bool = False) -> Mission:

@@ -108,8 +108,9 @@ class FlightCommander:
             certified=report is not None and report["certified"],
             thrust_nominal_n=None if is_velocity else float(nominal["wrench"][0]),
             inputs=inputs,
-            disturbance=np.array(found["disturbance"]) if self.setpoint is RatesSetpoint else None,
+            disturbance=np.array(found["disturbance"]),
             disturbance_bound=found["disturbance_bound"],
+            added_margin_m=found["added_margin_m"],
         )
 
     def sent(self, setpoint: Setpoint) -> None:

@@ -45,8 +45,9 @@ class Decision:
         thrust_nominal_n: thrust of the controller [N]; None for velocity set-points.
         inputs: of the native flight; None of other commanders.
         disturbance: estimated acceleration that the model leaves out, shape (3,), world frame [m/s^2]; None
-            for set-points that the vehicle's own controller follows.
+            if it is not estimated.
         disturbance_bound: bound on what the estimate does not contain yet [m/s^2].
+        added_margin_m: what the filter's margin grows by because of that bound [m].
     """
 
     setpoint: Setpoint | None
@@ -62,6 +63,7 @@ class Decision:
     inputs: TickInputs | None = None
     disturbance: FloatArray | None = None
     disturbance_bound: float = 0.0
+    added_margin_m: float = 0.0
 
 
 class Commander(Protocol):

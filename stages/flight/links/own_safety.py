@@ -31,13 +31,13 @@ class Failsafe:
         cause: what triggers it, in words that follow "when".
         action: what it does.
         setting: the parameter that selects the action, with its value.
-        lands: the parameter, "to", and the value with which it lands where it is.
+        stays: the parameter, "to", and the value with which it does not fly home.
     """
 
     cause: str
     action: Action
     setting: str
-    lands: str
+    stays: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,17 +82,24 @@ class OwnSafety:
     Attributes:
         failsafes: all that are known, also those without an action.
         way_home: how it flies home.
-        highest_m: height of its fence above the take-off position [m].
+        not_home: why it may fly elsewhere than `way_home` says; empty if it does not.
+        lowest_m, highest_m: heights of its fence above the take-off position [m].
         farthest_m: radius of its fence around the take-off position [m].
         fence: the parameters of its fence, with their values.
         unknown: parameters that the vehicle did not report although they decide.
+        unjudged: what exists and cannot be judged, a sentence each.
         alone_s: longest time from this program's last message until it begins to stop [s]; NaN if unknown.
+        watched_s: the same if only this program ends or stalls, and a watchdog acts; NaN without one.
     """
 
     failsafes: tuple[Failsafe, ...]
     way_home: WayHome
+    not_home: tuple[str, ...] = ()
+    lowest_m: float = -math.inf
     highest_m: float = math.inf
     farthest_m: float = math.inf
     fence: str = ""
     unknown: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
     alone_s: float = math.nan
+    watched_s: float = math.nan

@@ -5,9 +5,10 @@ World frame z up; body frame x forward, y left, z up.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
@@ -94,6 +95,8 @@ class Order(Enum):
     TAKE_OFF = "take off"
     HOLD = "hold"
     LAND = "land"
+    SETTLE = "lean less"
+    """Helps a vehicle that lands to notice the ground; it cancels no other command. Not all need it."""
     NOTHING = "nothing"
     """Sends nothing; cancels the command that is still being repeated."""
 
@@ -147,6 +150,36 @@ class VehicleStatus:
     clock_jumps: int = 0
 
 
+class Place(NamedTuple):
+    """Where a vehicle is reached, for another process.
+
+    Attributes:
+        file: descriptor of the line; None while it is lost.
+        kind: "udp" (connected), "udp to" (with `peer`), or "stream".
+        peer: address of the vehicle, for "udp to".
+    """
+
+    file: int | None
+    kind: str
+    peer: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Ward:
+    """What a watchdog process needs to stop and land a vehicle without this program.
+
+    Attributes:
+        settings: as for `flight.watchdog.companion.Takeover`.
+        place: returns where the vehicle is reached now.
+        reported: returns the mode as the vehicle encodes it (custom_mode), when that report arrived [s],
+            minus infinity for none, and the newest time stamp of a signature.
+    """
+
+    settings: dict[str, Any]
+    place: Callable[[], Place]
+    reported: Callable[[], tuple[int, float, int]]
+
+
 def refusal_words(order: Order, reason: str) -> str:
     """One line for the user about a failed command; a missing answer is not called a refusal.
 
@@ -175,6 +208,9 @@ def check_height(height_m: float) -> None:
 
 class Link(Protocol):
     """A connection to one vehicle.
+
+    A link may also have a method `guarded() -> Ward`. Then flights are watched by a process that lands the
+    vehicle when this program ends or stalls (`flight.watchdog`).
 
     Only `open` and `prepare` may block. All other methods return at once; one thread calls them. Every method
     may raise LinkError with a message of one line.

@@ -184,7 +184,7 @@ class SimulatedLink:
             LinkError: the height of a take-off is out of range.
         """
         status = self._status
-        if order is Order.NOTHING:
+        if order in (Order.NOTHING, Order.SETTLE):
             return
         if order is Order.TAKE_OFF:
             check_height(height_m)

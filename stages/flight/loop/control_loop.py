@@ -50,9 +50,12 @@ from alula.stages.flight.recorder.samples import (
     level_of,
     tick_sample,
 )
+from alula.stages.flight.watchdog.watchdog import Watchdog
+from alula.stages.planning.adherence import FINISHED_M, FINISHED_M_S
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
+_WATCHED = frozenset({State.TAKE_OFF, State.FLY, State.HOLD, State.LAND})
 _EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
 
 
@@ -78,8 +81,8 @@ class LoopOptions:
     limits: SupervisorLimits = field(default_factory=SupervisorLimits)
     dry_run: bool = False
     watch_frame: bool = True
-    stop_m: float = 0.2
-    stop_speed_m_s: float = 0.3
+    stop_m: float = FINISHED_M
+    stop_speed_m_s: float = FINISHED_M_S
     margin_m: float = 0.0
     rest_s: float = 1.5
     velocity_lag_s: float = 1.0
@@ -124,6 +127,7 @@ class ControlLoop:
         height_m: height of the plan's start, world frame [m].
         recorder: receives samples and messages.
         options: see `LoopOptions`.
+        watchdog: takes the vehicle over when this loop ends or stalls; `run` closes it. None for none.
         interrupts: returns how often the operator has interrupted the program.
         clock: returns monotonic time [s].
         sleep: waits for a time [s].
@@ -140,12 +144,13 @@ class ControlLoop:
         recorder: Recorder,
         options: LoopOptions,
         *,
+        watchdog: Watchdog | None = None,
         interrupts: Callable[[], int] = lambda: 0,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.link, self.commander, self.guard, self.plan, self.checks = link, commander, guard, plan, checks
-        self.recorder, self.options = recorder, options
+        self.recorder, self.options, self._watchdog = recorder, options, watchdog
         self.supervision = Supervision()
         self.counters = Counters()
         self.taken: list[tuple[float, Taken]] = []
@@ -168,6 +173,8 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
+        self._beat_s, self._stalled_s, self._is_unwatched = 0.0, 0.0, False
+        self._taken_s: float | None = None  # when it was found that the watchdog had taken over
         self._cause: Event | None = None
         self._cause_detail = ""  # reason of the cause in words
 
@@ -207,6 +214,8 @@ class ControlLoop:
             raise
         finally:
             gc.enable()
+            if self._watchdog is not None:
+                self._watchdog.close()
 
     def _loop(self) -> None:
         period, counters = 1 / self.options.rate_hz, self.counters
@@ -244,6 +253,9 @@ class ControlLoop:
             spent_s: duration of the tick before [s].
         """
         self._sent = None
+        if self._watchdog is not None and self._taken_s is None and self._watchdog.has_taken_over:
+            self._taken_s, self._stalled_s = now_s, now_s - self._beat_s
+            self._supervise(now_s, late_s)  # before an order that is still pending is repeated
         self._poll(now_s)
         state = self.link.state
         self._observe(state, now_s, late_s)
@@ -254,6 +266,19 @@ class ControlLoop:
             if self._filter is not FilterHealth.GOOD or self._fence_m == -math.inf:
                 self._supervise(now_s, late_s)
         self._record(state, now_s, late_s, spent_s, sample)
+        self._beat()
+
+    def _beat(self) -> None:
+        """Tell the watchdog that the loop lives, and whether the vehicle depends on it."""
+        watchdog, status = self._watchdog, self.link.status
+        if watchdog is None:
+            return
+        self._beat_s = self._clock()
+        is_in_control = self.state in _WATCHED and (status.obeys or not status.mode)
+        watchdog.beat(self._beat_s, is_in_control=is_in_control)
+        if watchdog.has_ended and not self._is_unwatched:
+            self._is_unwatched = True
+            self.say(self._beat_s, WARNING, "the watchdog has ended; the vehicle's own failsafes remain")
 
     def _poll(self, now_s: float) -> None:
         try:
@@ -281,14 +306,15 @@ class ControlLoop:
         self._observe_distances(state)
         self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
         if state is not None and phase in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
-            self._watch_crash(state, is_flown=phase in (State.FLY, State.HOLD))
+            self._watch_crash(state, phase)
         if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
 
-    def _watch_crash(self, state: VehicleState, *, is_flown: bool) -> None:
+    def _watch_crash(self, state: VehicleState, phase: State) -> None:
         height_m = math.inf if self._ground_m is None else float(state.position[2]) - self._ground_m
+        is_flown = phase in (State.FLY, State.HOLD)
         plan_m = float(self.plan.target()[0, 2] - state.position[2]) if is_flown else -math.inf
-        self._crash.update(state, height_m, plan_m)
+        self._crash.update(state, height_m, plan_m, is_landing=phase is State.LAND)
 
     def _observe_distances(self, state: VehicleState | None) -> None:
         phase = self.state
@@ -307,7 +333,9 @@ class ControlLoop:
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
         ground, start = self._ground_m, self._start_height_m
-        silence = math.inf if status.heard_s is None or self._link_failed else now_s - status.heard_s
+        silence = math.inf
+        if status.heard_s is not None and not self._link_failed:  # until then the watchdog may have read all
+            silence = now_s - max(status.heard_s, self._taken_s or -math.inf)
         return Facts(
             now_s=now_s,
             state_age_s=math.inf if state is None else state.age_s(now_s),
@@ -325,6 +353,7 @@ class ControlLoop:
             is_lying=self._crash.is_lying,
             is_over=self._crash.is_over,
             is_fallen=self._crash.is_down,
+            is_still=self._crash.is_still,
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -343,6 +372,7 @@ class ControlLoop:
             model_off_s=self._model.off_s(now_s),
             fence_m=self._fence_m,
             plan_done=self._has_arrived,
+            watchdog=self._taken_s is not None,
             interrupts=self._interrupts(),
         )
 
@@ -369,6 +399,8 @@ class ControlLoop:
         """Reason of an event in words, as far as it is known; empty if the event's name says it all."""
         if taken.event is Event.FRAME_WRONG:
             return self._motion.wrong
+        if taken.event is Event.WATCHDOG:
+            return f"the loop stalled for {self._stalled_s:.2f} s"
         if taken.event in _TOLD_LATE:
             return self.link.status.failsafe
         if taken.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and taken.state is State.CHECKS:
@@ -429,6 +461,8 @@ class ControlLoop:
             self._order(Order.LAND, now_s)
         elif action is Action.STOP:
             self.link.order(Order.STOP, now_s)
+        elif action is Action.SETTLE:
+            self.link.order(Order.SETTLE, now_s)
         elif action is Action.DISARM and status.landed is not False:
             self.link.order(Order.DISARM, now_s)
         elif action is Action.LET_GO:
@@ -537,5 +571,6 @@ class ControlLoop:
                     self.link.order(Order.LAND, now)
                     is_ordered = True
                 self.link.poll(now)
+                self._beat()
             self._sleep(0.02)
             now = self._clock()

@@ -12,6 +12,7 @@ import numpy as np
 from alula._core import EllipsoidSet, Fence, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import path_clearance
+from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
 from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.rotation import matrix_from_quat_wxyz
@@ -33,6 +34,7 @@ class Needs:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
         path: points of the plan, shape (T, 3), world frame [m].
+        coast: way to rest from each of these points, shape (T, 3) [m]; None if it is not known.
         speed_m_s: limit of the speed [m/s].
         stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
@@ -61,6 +63,7 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    coast: FloatArray | None = None
     speed_m_s: float = math.nan
     stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
@@ -249,12 +252,24 @@ def _failsafes(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("failsafes", False, "no state")
     foot_m = _FOOT * (needs.radius_m + needs.margin_m)  # as for the landing path, to leave out the ground
     faults, found = failsafe_faults(
-        own, needs.path, seen.state.position, needs.obstacles, radius_m=needs.radius_m, foot_m=foot_m
+        own,
+        needs.path,
+        seen.state.position,
+        needs.obstacles,
+        radius_m=needs.radius_m,
+        foot_m=foot_m,
+        coast=needs.coast,
     )
-    coast_m = needs.speed_m_s * own.alone_s + needs.stop_m
-    if math.isfinite(coast_m):
-        found += f"; if this program ends, it coasts at most {coast_m:.1f} m from {needs.speed_m_s:g} m/s"
-    return Verdict("failsafes", not faults, "; ".join(faults) or found)
+    return Verdict("failsafes", not faults, "; ".join(faults) or found + _coasting(own, needs))
+
+
+def _coasting(own: OwnSafety, needs: Needs) -> str:
+    """How far it flies when nobody sends set-points; empty if unknown."""
+    watched_m, alone_m = (needs.speed_m_s * time_s + needs.stop_m for time_s in (own.watched_s, own.alone_s))
+    ends = [f"{watched_m:.1f} m when this program dies"] if math.isfinite(watched_m) else []
+    if math.isfinite(alone_m):
+        ends.append(f"{alone_m:.1f} m when {'its computer does' if ends else 'this program dies'}")
+    return f"; from {needs.speed_m_s:g} m/s it coasts at most {', '.join(ends)}" if ends else ""
 
 
 def _level(seen: Observed, needs: Needs) -> Verdict:

@@ -91,7 +91,7 @@ class Facts:
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
         from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
-        is_lying, is_over, is_fallen: as `CrashWatch` found.
+        is_lying, is_over, is_fallen, is_still: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
         dry_run: the flight ends after the checks.
@@ -105,6 +105,7 @@ class Facts:
         model_off_s: time for which the motion has contradicted the vehicle's model, see `ModelWatch` [s].
         fence_m: distance to the fence [m]; None without a state.
         plan_done: the vehicle is at the end of the plan.
+        watchdog: the watchdog has taken the vehicle over.
         interrupts: how often the operator has interrupted the program.
     """
 
@@ -125,6 +126,7 @@ class Facts:
     is_lying: bool = False
     is_over: bool = False
     is_fallen: bool = False
+    is_still: bool = False
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
@@ -142,6 +144,7 @@ class Facts:
     model_off_s: float = 0.0
     fence_m: float | None = None
     plan_done: bool = False
+    watchdog: bool = False
     interrupts: int = 0
 
 
@@ -264,7 +267,9 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     is_moot = state is State.LAND and is_landing_over  # or what led to the landing is worse
     is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not facts.from_goal_m <= limits.landed_m
     for event, is_so in (
-        # Somebody who takes the vehicle over has priority over every other event.
+        # Somebody who takes the vehicle over has priority over every other event; the watchdog changes the
+        # mode, too.
+        (Event.WATCHDOG, facts.watchdog),
         (Event.MODE_CHANGED, not (facts.is_ours or facts.by_failsafe)),
         (Event.FAILSAFE, (facts.is_failsafe and not facts.obeys) or facts.by_failsafe),
         (Event.LANDED_AWAY, is_away),
@@ -298,6 +303,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.CHECKS_PASSED_DRY, facts.checks is True and facts.dry_run),
         (Event.CHECKS_PASSED, facts.checks is True),
         (Event.LANDED, facts.landed is True),
+        (Event.STILL, facts.is_still and facts.landed is False),
         (Event.ARMED, facts.armed is True),
         (Event.AIRBORNE, facts.landed is not True and _has_climbed(facts)),
         (Event.PLAN_FINISHED, facts.plan_done),

@@ -33,6 +33,7 @@ class Event(Enum):
     DISARMED = "disarmed"
     AIRBORNE = "take-off height reached"
     LANDED = "on the ground"
+    STILL = "landing without descending"
     FRAME_WRONG = "motion contradicts the frame"
     STATE_STALE = "state too old"
     STATE_JUMPED = "position jumped"
@@ -60,6 +61,7 @@ class Event(Enum):
     FAILSAFE_IDLE = "failsafe without any action"
     RESTARTED = "vehicle restarted"
     MODE_CHANGED = "mode changed by the pilot"
+    WATCHDOG = "watchdog took over"
     ORDER_REFUSED = "order refused"
     PLAN_FINISHED = "plan finished"
     TIMED_OUT = "took too long"
@@ -78,6 +80,7 @@ class Action(Enum):
     ENGAGE = "take control and send set-points"
     HOLD = "hold in place, by the vehicle itself"
     LAND = "land, by the vehicle itself"
+    SETTLE = "let it lean less, so that it notices the ground"
     DISARM = "disarm"
     STOP = "stop the motors, by force"
     LET_GO = "stop sending"
@@ -125,6 +128,13 @@ def _stay(state: State, action: Action, words: str, *events: Event) -> _Row:
 
 
 _TAKEN_OVER = (_E.MODE_CHANGED, _E.FAILSAFE)
+_WATCHED: _Row = {
+    _E.WATCHDOG: Step(
+        _S.HAND_OVER,
+        _A.LET_GO,
+        f"{_E.WATCHDOG.value}: it stops the vehicle and lands it; Ctrl-C ends this program",
+    )
+}
 
 TABLE: Mapping[State, Mapping[Event, Step]] = {
     _S.IDLE: {_E.START: Step(_S.CHECKS, _A.CHECK, "pre-flight checks begin")} | _done(_E.INTERRUPT),
@@ -154,6 +164,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.TAKE_OFF: {_E.AIRBORNE: Step(_S.FLY, _A.ENGAGE, "take-off height reached: flying the plan")}
+    | _WATCHED
     | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(
@@ -172,7 +183,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _stop(_E.CRASHED)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.FLY: _hand_over(*_TAKEN_OVER)
+    _S.FLY: _WATCHED
+    | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     # The vehicle levels itself out in its landing mode; on the ground no thrust may be commanded.
     | _land(_E.TURNED_OVER, _E.FALLEN)
@@ -193,6 +205,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
+    | _WATCHED
     | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(_E.TURNED_OVER, _E.FALLEN)
@@ -212,11 +225,14 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.DRIFTS, _E.NOT_OBEYED)
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.LAND: _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
+    _S.LAND: _WATCHED
+    | _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
     | _done(_E.LANDED_AWAY, _E.DISARMED)
     | _stop(_E.CRASHED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
     | _stay(_S.LAND, _A.NOTHING, "landing continues", _E.ESTIMATOR_BAD)
+    # In wind, and after a crash, ArduPilot leans on the ground and takes it for the air.
+    | _stay(_S.LAND, _A.SETTLE, "it may lean less, so that it notices the ground", _E.STILL)
     | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST, _E.NOT_OBEYED)
     | _stay(_S.LAND, _A.NOTHING, "motors stop on the ground only", _E.INTERRUPT_IN_AIR),
     _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
@@ -253,22 +269,36 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     _S.IDLE: frozenset(Event) - {_E.START, _E.INTERRUPT},
     # The checks themselves evaluate what the vehicle reports in the meantime.
     _S.CHECKS: frozenset(
-        {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, _E.STILL, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
         | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_TAKEN_OVER}
+        | {_E.WATCHDOG}
     ),
+    # The watchdog acts while this program is in control only; from arming it becomes so in a take-off.
     _S.ARMING: frozenset(
-        {_E.START, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        {
+            _E.START,
+            _E.WATCHDOG,
+            *_OF_CHECKS,
+            _E.DISARMED,
+            _E.AIRBORNE,
+            _E.LANDED,
+            _E.STILL,
+            *_OF_FLIGHT,
+            *_OF_HOLD,
+        }
         | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS, _E.LANDED_AWAY, *_CRASHES}
     ),
     _S.TAKE_OFF: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, _E.STILL, *_OF_FLIGHT, *_OF_HOLD}
         | {_E.DRIFTS, _E.LANDED_AWAY, _E.FALLEN}
     ),
     # A report of having landed is no reason to stop the motors of a vehicle that is ordered to fly.
-    _S.FLY: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_POSITION}),
+    _S.FLY: frozenset(
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, _E.STILL, *_OF_HOLD, *_POSITION}
+    ),
     # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_CLIMB}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, _E.STILL, *_OF_FLIGHT, _E.OFF_CLIMB}
         | {_E.STATE_STALE, _E.FENCE, _E.LANDED_AWAY}
     ),
     # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.
@@ -277,12 +307,23 @@ IGNORED: Mapping[State, frozenset[Event]] = {
         | {_E.OFF_CLIMB, _E.DRIFTS, _E.TURNED_OVER, _E.FALLEN, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, _E.STILL, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
         | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE}
-        | {*_POSITION, *_CRASHES, *_TAKEN_OVER}
+        | {*_POSITION, *_CRASHES, *_TAKEN_OVER, _E.WATCHDOG}
     ),
     _S.ABORT: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        {
+            _E.START,
+            _E.WATCHDOG,
+            *_OF_CHECKS,
+            _E.ARMED,
+            _E.AIRBORNE,
+            _E.LANDED,
+            _E.STILL,
+            *_OF_FLIGHT,
+            *_OF_HOLD,
+            *_HEALTH,
+        }
         | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_POSITION, *_CRASHES, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),

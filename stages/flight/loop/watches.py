@@ -10,7 +10,14 @@ import math
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.flight.commanders.protocol import Decision
-from alula.stages.flight.links.protocol import Order, Setpoint, VehicleState, VehicleStatus, VelocitySetpoint
+from alula.stages.flight.links.protocol import (
+    Order,
+    RatesSetpoint,
+    Setpoint,
+    VehicleState,
+    VehicleStatus,
+    VelocitySetpoint,
+)
 
 _FAILSAFE_S = 1.0  # a failsafe changes the mode this long after it was reported at most
 _UNKNOWN_S = 1.0  # a health value may be unknown for this long
@@ -18,6 +25,7 @@ _HEALTH = ("armed", "is_estimator_ready", "battery_share")
 # A vehicle follows velocities with a lag between these: the shortest, and the one that filters assume [s].
 _SHORTEST_LAG_S, _ROOM, _ROOM_M_S = 0.1, 0.3, 0.3
 _AT_LIMIT = 0.99  # estimates of disturbances are cut at the limit
+_OF_RESPONSE = 0.5  # part of the limit for velocities and accelerations
 _BRAKE_M_S2, _REACTION_S = 2.0, 0.5  # minimum deceleration of autopilots, and their maximum reaction time
 
 
@@ -203,12 +211,13 @@ class JumpWatch:
 class ModelWatch:
     """Compares the motion with the model by which controller and filter predict it.
 
-    Body rates: the disturbance that the native flight estimates, and the bound on what the estimate does not
-    contain yet (`alula/dynamics/disturbance.hpp`), must be below `max_m_s2`. Velocities: each component must
-    lie between those of two first-order responses to the set-points, one with 0.1 s and one with `lag_s`.
-    addition; the simulated ArduPilot, with the measured responses of the real one, needs at most a fifth
-    addition; the simulated ArduPilot, which has the measured responses of the real one, needs at most a fifth
-    of the limit for half a second.
+    The native flight estimates the acceleration that the model leaves out, with a bound on what the estimate
+    does not contain yet: for body rates from the thrust (`alula/dynamics/disturbance.hpp`), for velocities
+    and accelerations from an interval of responses (`alula/dynamics/response.hpp`). Both must stay below
+    `max_m_s2`, and below half of that where the vehicle's own controller follows set-points, because it
+    counters most of a disturbance before it is seen. In addition each component of the velocity must lie
+    between those of two first-order responses to velocity set-points, one with 0.1 s and one with `lag_s`,
+    with room of 0.3 m/s and 0.3 times the limit of set-points: a vehicle that does not follow at all.
 
     Args:
         lag_s: lag that filters of velocities assume [s].
@@ -239,17 +248,16 @@ class ModelWatch:
             decision: of the commander.
             sent: set-point that was sent in this tick; None if none was.
         """
-        is_off = False
+        is_off = isinstance(sent, VelocitySetpoint) and self._leaves(
+            now_s, state.velocity.tolist(), sent.velocity.tolist()
+        )
         if decision.disturbance is not None:
             left_out = math.sqrt(float(decision.disturbance @ decision.disturbance))
             worst = max(left_out, decision.disturbance_bound)
-            is_off = not worst < _AT_LIMIT * self.max_m_s2
-            if is_off:
-                self.words = (
-                    f"{worst:.1f} m/s^2 that the model leaves out, at most {self.max_m_s2:g} are allowed"
-                )
-        elif isinstance(sent, VelocitySetpoint):
-            is_off = self._leaves(now_s, state.velocity.tolist(), sent.velocity.tolist())
+            most = self.max_m_s2 * (1.0 if isinstance(decision.setpoint, RatesSetpoint) else _OF_RESPONSE)
+            if not worst < _AT_LIMIT * most:
+                is_off = True
+                self.words = f"{worst:.1f} m/s^2 that the model leaves out, at most {most:g} are allowed"
         self._since_s = min(self._since_s, now_s) if is_off else math.inf
 
     def off_s(self, now_s: float) -> float:

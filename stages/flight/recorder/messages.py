@@ -78,6 +78,10 @@ def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) ->
         "sent_values": [_number(value) for value in done.sent_values],
         "solve_time_s": _number(done.filter_s),
     }
+    if done.disturbance is not None:
+        common["disturbance_m_s2"] = _point(done.disturbance)
+        common["disturbance_bound_m_s2"] = _number(done.disturbance_bound)
+        common["added_margin_m"] = _number(done.added_margin_m)
     nominal, safe = _point(done.nominal), _point(done.safe)
     if not is_splat:
         return common | {"h_m": margin, "u_nom_m_s": nominal, "u_safe_m_s": safe}
@@ -88,9 +92,6 @@ def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) ->
     }
     if done.thrust_nominal_n is not None:
         splat["thrust_nom_n"] = _number(done.thrust_nominal_n)
-    if done.disturbance is not None:
-        splat["disturbance_m_s2"] = _point(done.disturbance)
-        splat["disturbance_bound_m_s2"] = _number(done.disturbance_bound)
     return common | splat | ({} if margin is None else {"margin": margin})
 
 

@@ -85,6 +85,7 @@ class FilterSample(msgspec.Struct, array_like=True, gc=False):
     replay: ReplaySample | None = None
     disturbance: Three | None = None
     disturbance_bound: float = 0.0
+    added_margin_m: float = 0.0
 
 
 class TickSample(msgspec.Struct, array_like=True, gc=False):
@@ -251,6 +252,7 @@ def filter_sample(decision: Decision, guarded: Guarded, plan: Reference, filter_
         replay=replay,
         disturbance=None if decision.disturbance is None else _three(decision.disturbance),
         disturbance_bound=decision.disturbance_bound,
+        added_margin_m=decision.added_margin_m,
     )
 
 

@@ -34,9 +34,11 @@ class AttitudeControl:
     """Controller of an attitude target; rate commands are integrated into the target.
 
     The rates of the target follow the command with at most ATC_ACCEL_*_MAX. The commanded body rates are
-    those of the target plus a square-root law of the attitude error with the gains ATC_ANG_*_P. Controllers
-    with ATC_RAT_* follow them by the low-passed rates (INS_GYRO_FILTER). Their output scales an angular
-    acceleration that does not depend on the vehicle file, so all files have the same rate loop.
+    those of the target plus a square-root law of the attitude error with the gains ATC_ANG_*_P.
+    ATC_RATE_*_MAX bound both, but not a rate command. With ATC_RATE_FF_ENAB 0 a rate command turns the target
+    without its rates. Controllers with ATC_RAT_* follow them by the low-passed rates (INS_GYRO_FILTER). Their
+    output scales an angular acceleration that does not depend on the vehicle file, so all files have the same
+    rate loop.
 
     Args:
         airframe: gives inertia and maximum thrust.
@@ -72,6 +74,10 @@ class AttitudeControl:
         self._changes = [limit * TICK_S for limit in self._limits]  # of the target's rates in a tick
         bounds = zip(_LEAST_RAD_S2, _MOST_RAD_S2, self._limits, strict=True)
         self._removal = [max(least, min(most, limit / 2)) for least, most, limit in bounds]
+        fastest = [math.radians(p[f"ATC_RATE_{letter}_MAX"]) for _, letter in _AXES]
+        self._fastest = [limit if limit > 0 else math.inf for limit in fastest]
+        self._is_bounded = min(self._fastest) < math.inf
+        self._feeds_forward = p.whole("ATC_RATE_FF_ENAB") != 0
         cutoff = 2 * math.pi * p.get("INS_GYRO_FILTER", 0.0)
         slope = cutoff * TICK_S
         self._gyro_pull = slope * cutoff
@@ -88,7 +94,14 @@ class AttitudeControl:
 
     def input_rates(self, omega: Vector) -> None:
         """Turn the target with commanded body rates, FRD [rad/s]."""
-        self._turn(omega)
+        if self._revision != self._parameters.revision:
+            self._tune()
+        if self._feeds_forward:
+            self._turn(omega)
+        else:
+            p, q, r = omega
+            self.rates = (0.0, 0.0, 0.0)
+            self.target = unit(multiply(self.target, from_vector((p * TICK_S, q * TICK_S, r * TICK_S))))
 
     def input_attitude(self, attitude: Quat, omega: Vector = (0.0, 0.0, 0.0), *, slews: bool = False) -> None:
         """Turn the target to an attitude within about ATC_INPUT_TC.
@@ -105,7 +118,10 @@ class AttitudeControl:
         r += square_root(z, gain, along_z)
         if slews:
             r = max(-self._slew_rad_s, min(self._slew_rad_s, r))
-        self._turn((p + square_root(x, gain, along_x), q + square_root(y, gain, along_y), r))
+        p, q = p + square_root(x, gain, along_x), q + square_root(y, gain, along_y)
+        if self._is_bounded:
+            p, q, r = (max(-most, min(most, v)) for v, most in zip((p, q, r), self._fastest, strict=True))
+        self._turn((p, q, r))
 
     def set_throttle(self, throttle: float, *, boosted: bool = True, cutoff_hz: float = 0.0) -> None:
         """Set the throttle.
@@ -140,7 +156,10 @@ class AttitudeControl:
         gains, removal, pull, scale = self._gains, self._removal, self._gyro_pull, self._gyro_scale
         torque = []
         for axis, rate in enumerate(omega):
-            wanted = ahead[axis] + square_root(errors[axis], gains[axis], removal[axis])
+            correction = square_root(errors[axis], gains[axis], removal[axis])
+            if self._is_bounded:
+                correction = max(-self._fastest[axis], min(self._fastest[axis], correction))
+            wanted = ahead[axis] + correction
             measured = rate
             if pull:
                 # Second order, damping 0.71. Implicit steps of y'' = w^2 (u - y) - sqrt(2) w y' are stable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import ClassVar
@@ -18,12 +19,14 @@ from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.hand import Hand
+from alula.stages.sim_vehicle.common.quaternions import rotate
 
 HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # start of ArduPilot's own simulation
 EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVERITY
 
 _LANDED_S = 1.0
 _RESTING_FRACTION = 0.9  # of the weight; less thrust for `_LANDED_S` on the ground is a landing
+_LEVEL_UP = math.cos(math.radians(15.0))  # it takes the ground for the air while it leans by more
 _CRASH_S = 2.0  # tilted for this long on the ground is a crash
 _CHECK_S = 0.1  # between checks of failsafes
 _ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
@@ -70,6 +73,7 @@ class Copter:
     HOVER: ClassVar[str] = "MOT_THST_HOVER"  # parameter with the hover throttle
     LOCATION: ClassVar[LatLonAlt] = HOME
     POSITION: ClassVar[type[PositionControl]] = PositionControl
+    FLYING: ClassVar[type[Flying]] = Flying
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
 
     def __init__(
@@ -96,7 +100,7 @@ class Copter:
             self.parameters, options, self.airframe.truth, self.LOCATION if home is None else home, seed
         )
         position = self.POSITION(self.attitude, self.parameters, vehicle.body.gravity_m_s2)
-        self.flying = Flying(self.attitude, position, self.parameters, self.pilot)
+        self.flying = self.FLYING(self.attitude, position, self.parameters, self.pilot)
         self._hand = hand
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE
@@ -346,7 +350,8 @@ class Copter:
         if not self.airframe.on_ground:
             self.is_landed, self._resting_s = False, 0.0
             return
-        resting = thrust_n < _RESTING_FRACTION * self.airframe.weight_n
+        is_level = -rotate(self.attitude.target, (0.0, 0.0, -1.0))[2] > _LEVEL_UP
+        resting = thrust_n < _RESTING_FRACTION * self.airframe.weight_n and is_level
         self._resting_s = self._resting_s + TICK_S if resting else 0.0
         if not self.is_landed and self._resting_s >= _LANDED_S:
             self.is_landed = True

@@ -45,6 +45,10 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     },
     # Gains of yaw are those for ArduPilot's own simulation, P and I 1.67 and 1.11 times the firmware's.
     **{f"ATC_RAT_YAW_{part}": (_F, value) for part, value in (_RATE_GAINS | _YAW_GAINS).items()},
+    "ATC_RATE_FF_ENAB": (_B, 1),
+    "ATC_RATE_P_MAX": (_F, 0),  # degrees/s, of corrections of the attitude; 0 for no limit
+    "ATC_RATE_R_MAX": (_F, 0),
+    "ATC_RATE_Y_MAX": (_F, 0),
     "ATC_SLEW_YAW": (_F, 6000),  # centidegrees/s
     "BATT_CAPACITY": (_I, 3300),
     "BATT_CRT_MAH": (_F, 0),
@@ -67,9 +71,12 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "EK3_SRC_OPTIONS": (_H, 1),
     "FENCE_ACTION": (_B, 1),
     "FENCE_ALT_MAX": (_F, 100),
+    "FENCE_ALT_MIN": (_F, -10),
+    "FENCE_AUTOENABLE": (_B, 0),
     "FENCE_ENABLE": (_B, 0),
     "FENCE_MARGIN": (_F, 2),
     "FENCE_RADIUS": (_F, 300),
+    "FENCE_TOTAL": (_B, 0),  # points of polygons and circles
     "FENCE_TYPE": (_B, 7),
     "FLTMODE1": (_B, 7),
     "FLTMODE2": (_B, 9),
@@ -120,6 +127,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "PSC_ACCZ_I": (_F, 1),
     "PSC_ACCZ_IMAX": (_F, 800),
     "PSC_ACCZ_P": (_F, 0.5),
+    "PSC_ANGLE_MAX": (_F, 0),  # degrees; 0 for ANGLE_MAX
     "PSC_JERK_XY": (_F, 5),  # m/s^3
     "PSC_JERK_Z": (_F, 5),
     "PSC_POSXY_P": (_F, 1),
@@ -136,6 +144,9 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "PSC_VELZ_I": (_F, 0),
     "PSC_VELZ_IMAX": (_F, 1000),
     "PSC_VELZ_P": (_F, 5),
+    "RALLY_INCL_HOME": (_B, 1),
+    "RALLY_LIMIT_KM": (_F, 0.3),
+    "RALLY_TOTAL": (_B, 0),
     "RCMAP_PITCH": (_B, 2),
     "RCMAP_ROLL": (_B, 1),
     "RCMAP_THROTTLE": (_B, 3),
@@ -143,6 +154,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "RC_OVERRIDE_TIME": (_F, 3),
     "RTL_ALT": (_I, 1500),  # cm
     "RTL_ALT_FINAL": (_H, 0),
+    "RTL_ALT_TYPE": (_B, 0),  # 1: above the terrain
     "RTL_CLIMB_MIN": (_H, 0),  # cm
     "RTL_CONE_SLOPE": (_F, 3),  # height over distance
     "RTL_LOIT_TIME": (_I, 5000),  # ms

@@ -74,7 +74,7 @@ class PositionControl:
         self._vertical_jerk = max(p["PSC_JERK_Z"], 0.1)
         self._level_error = largest_error(self._top_level, self._level_gain, self._level_limit)
         self._vertical_error = largest_error(self._top_up, self._vertical_gain, self._vertical_limit)
-        self._most_level = self._gravity * math.tan(math.radians(p["ANGLE_MAX"] / 100))
+        self._most_level = self._gravity * math.tan(math.radians(p["PSC_ANGLE_MAX"] or p["ANGLE_MAX"] / 100))
 
     def _advance_level(self) -> None:
         if self._revision != self._parameters.revision:

@@ -21,9 +21,11 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "CAL_ACC0_ID": (_I, 1310988),
     "CAL_GYRO0_ID": (_I, 1310988),
     "CAL_MAG0_ID": (_I, 197388),
+    "COM_ACT_FAIL_ACT": (_I, 0),  # 3: return
     "COM_DISARM_LAND": (_F, 2),  # s after a landing
     "COM_DISARM_PRFLT": (_F, 10),  # s without a take-off
     "COM_DL_LOSS_T": (_I, 10),  # s
+    "COM_DLL_EXCEPT": (_I, 0),  # 2: in Auto modes, 4: in Offboard
     "COM_FAIL_ACT_T": (_F, 5),  # s of Hold before a failsafe's action
     "COM_FLTMODE1": (_I, -1),
     "COM_FLTMODE2": (_I, -1),
@@ -31,16 +33,25 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "COM_FLTMODE4": (_I, -1),
     "COM_FLTMODE5": (_I, -1),
     "COM_FLTMODE6": (_I, -1),
+    "COM_FLTT_LOW_ACT": (_I, 3),  # 3: return; the remaining time is not estimated here
+    "COM_FLT_TIME_MAX": (_I, -1),  # s, then it returns
     "COM_LOW_BAT_ACT": (_I, 0),  # 0: warn, 2: land, 3: return, land at the emergency level
     "COM_OBL_RC_ACT": (_I, 0),
     "COM_OF_LOSS_T": (_F, 1),  # s
-    "COM_RCL_EXCEPT": (_I, 0),  # 4: in Offboard
+    "COM_POSCTL_NAVL": (_I, 0),
+    "COM_POS_LOW_ACT": (_I, 3),  # in Mission and Hold only
+    "COM_RCL_EXCEPT": (_I, 0),  # 2: in Auto modes, 4: in Offboard
     "COM_RC_IN_MODE": (_I, 3),  # 4: no sticks at all
     "COM_RC_OVERRIDE": (_I, 1),  # 1: in Auto modes, 2: in Offboard
     "COM_RC_STICK_OV": (_F, 30),  # %
     "COM_SPOOLUP_TIME": (_F, 1),  # s
+    "COM_WIND_MAX": (_F, -1),  # m/s
+    "COM_WIND_MAX_ACT": (_I, 0),
     "EKF2_EV_CTRL": (_I, 0),
     "EKF2_GPS_CTRL": (_I, 7),
+    "GF_ACTION": (_I, 2),  # 0: none, 1: warn, 2: hold, 3: return, 4: terminate, 5: land
+    "GF_MAX_HOR_DIST": (_F, 0),  # m from home; 0 for no fence
+    "GF_MAX_VER_DIST": (_F, 0),
     "MAV_SYS_ID": (_I, 1),
     "MC_PITCH_P": (_F, 6.5),
     "MC_ROLL_P": (_F, 6.5),
@@ -60,11 +71,16 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "MPC_XY_P": (_F, 0.95),
     "MPC_Z_VEL_MAX_DN": (_F, 1.5),
     "MPC_Z_VEL_MAX_UP": (_F, 3),
+    "NAV_ACC_RAD": (_F, 2),  # m
     "NAV_DLL_ACT": (_I, 0),
     "NAV_RCL_ACT": (_I, 2),
     "RC_MAP_FLTMODE": (_I, 5),
+    "RTL_CONE_ANG": (_I, 45),  # degrees; 0 for no cone
+    "RTL_DESCEND_ALT": (_F, 30),  # m
     "RTL_LAND_DELAY": (_F, 0),
+    "RTL_MIN_DIST": (_F, 10),  # m
     "RTL_RETURN_ALT": (_F, 60),
+    "RTL_TYPE": (_I, 0),  # 0: straight home; others are not simulated
     "SYS_AUTOSTART": (_I, 4001),
     "SYS_HITL": (_I, 0),
 }

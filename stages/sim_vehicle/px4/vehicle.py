@@ -16,9 +16,11 @@ from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Charge
 from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, INFO, WARNING, Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import LatLonAlt
+from alula.stages.sim_vehicle.ardupilot.flying import Flying
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.px4.attitude import Px4AttitudeControl
+from alula.stages.sim_vehicle.px4.flying import Px4Flying
 from alula.stages.sim_vehicle.px4.modes import ROWS, SWITCHED, Px4Mode
 from alula.stages.sim_vehicle.px4.parameters import DERIVED, TABLE
 from alula.stages.sim_vehicle.px4.position import Px4PositionControl
@@ -29,7 +31,7 @@ _SLOWEST_S = 0.5  # maximum interval of set-points in a stream: 2 Hz
 _PROOF_S = 1.0  # a stream counts after this time
 _ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
 _NO_STICKS = 4  # value of COM_RC_IN_MODE
-_EXCEPT_OFFBOARD = 4  # bit of COM_RCL_EXCEPT
+_EXCEPT_AUTO, _EXCEPT_OFFBOARD = 2, 4  # bits of COM_RCL_EXCEPT
 _IN_AUTO, _IN_OFFBOARD = 1, 2  # bits of COM_RC_OVERRIDE
 _ON_TOP_M = 0.3  # a take-off ends this far below its height
 
@@ -67,6 +69,7 @@ _OFFBOARD_ACTION = {
     7: Action.DISARM,
 }
 _LINK_ACTION = {1: Action.HOLD, 2: Action.RETURN, 3: Action.LAND, 5: Action.DISARM, 6: Action.DISARM}
+_FENCE_ACTION = {2: Action.HOLD, 3: Action.RETURN, 4: Action.DISARM, 5: Action.LAND}
 _BATTERY_ACTION = {
     2: {Charge.CRITICAL: Action.LAND},
     3: {Charge.CRITICAL: Action.RETURN},
@@ -90,6 +93,7 @@ class Px4Copter(Copter):
     HOVER: ClassVar[str] = "MPC_THR_HOVER"
     LOCATION: ClassVar[LatLonAlt] = ZURICH
     POSITION: ClassVar[type[PositionControl]] = Px4PositionControl
+    FLYING: ClassVar[type[Flying]] = Px4Flying
     ARMING_DELAY_S: ClassVar[float] = 0.0
 
     def _boot(self) -> None:
@@ -98,7 +102,7 @@ class Px4Copter(Copter):
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began
         self._ended: set[str] = set()  # causes ended by the choice of a mode
         self._top_m: float | None = None  # height of a take-off above the local origin
-        self._has_flown = False
+        self._has_flown = self._has_left = False
         self.mode = ROWS[self.flown].flown
 
     def _plant(self, vehicle: Vehicle) -> Vehicle:
@@ -152,6 +156,7 @@ class Px4Copter(Copter):
         if mode is Px4Mode.TAKEOFF and self._top_m is None:
             self._top_m = self._min_top_m()
         self._ended |= self._since_s.keys()
+        self._has_left = False
         self.chosen = mode
         self._fly(mode)
         return True
@@ -234,6 +239,7 @@ class Px4Copter(Copter):
         self.is_armed, self._armed_s, self._idle_s, self._has_flown = True, self.time_s, 0.0, False
         self._since_s.clear()
         self._ended.clear()
+        self._has_left = False
         self.flying.home = self.estimator.motion.position
         if self.chosen is Px4Mode.TAKEOFF and self._top_m is None:
             self._top_m = self._min_top_m()
@@ -356,17 +362,27 @@ class Px4Copter(Copter):
         if action is Action.RETURN and self.battery.remaining < self.parameters["BAT_EMERGEN_THR"]:
             found["emergency battery"] = (Action.LAND, False)
         found["low battery"] = (action, True)
+        found["geofence violation"] = (self._fence_action(), True)
+        if 0 < self.parameters["COM_FLT_TIME_MAX"] < self.time_s - self._armed_s:
+            found["maximum flight time reached"] = (Action.RETURN, True)
         if self._bad_s >= _ESTIMATOR_S - 1e-9 and not self.estimator.has_position:
             found["estimator"] = (Action.LAND, False)
         return found
+
+    def _fence_action(self) -> Action:
+        """Action of the fence around the take-off position, from its breach until a mode is chosen."""
+        place, home, p = self.estimator.motion.position, self.flying.home, self.parameters
+        away_m, above_m = math.dist(place[:2], home[:2]), home[2] - place[2]
+        if 0 < p["GF_MAX_HOR_DIST"] < away_m or 0 < p["GF_MAX_VER_DIST"] < above_m:
+            self._has_left = True
+        return _FENCE_ACTION.get(p.whole("GF_ACTION"), Action.NONE) if self._has_left else Action.NONE
 
     def _without_sticks(self) -> bool:
         return self.parameters.whole("COM_RC_IN_MODE") == _NO_STICKS
 
     def _is_radio_missed(self) -> bool:
-        is_excepted = self.chosen is Px4Mode.OFFBOARD and (
-            self.parameters.whole("COM_RCL_EXCEPT") & _EXCEPT_OFFBOARD
-        )
+        bit = _EXCEPT_OFFBOARD if self.chosen is Px4Mode.OFFBOARD else _EXCEPT_AUTO
+        is_excepted = not ROWS[self.chosen].is_piloted and self.parameters.whole("COM_RCL_EXCEPT") & bit
         return self.pilot.is_lost and not self._without_sticks() and not is_excepted
 
     def _is_ground_station_away(self) -> bool:

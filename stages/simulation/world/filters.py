@@ -89,12 +89,15 @@ def needs_image(scenario: WorldScenario) -> bool:
     return "geofence" in scenario.safety.filters or scenario.mission.kind == "pilot"
 
 
-def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.SafetyFilter]:
+def safety_filters(
+    scenario: WorldScenario, world: FilterWorld, lag_s: tuple[float, float, float]
+) -> list[_core.SafetyFilter]:
     """Make the filters of a scenario, the guide of its controller first.
 
     Args:
         scenario: completed.
         world: of `filter_world`.
+        lag_s: with which velocities are followed along x, y, z [s].
 
     Raises:
         UsageError: a parameter is wrong, or a filter is unknown.
@@ -105,7 +108,6 @@ def safety_filters(scenario: WorldScenario, world: FilterWorld) -> list[_core.Sa
         wanted.insert(
             0, (controller.guide, controller.guide_parameters, "mission.controller.guide_parameters")
         )
-    lag_s = scenario.vehicle.velocity_lag_s or 0.0
     made: list[_core.SafetyFilter] = []
     for name, given, table in wanted:
         if FILTER_COMMANDS.get(name) == "sticks" and scenario.world.walls:

@@ -119,7 +119,10 @@ class WorldJudge:
         )
         is_infeasible = (flags & INFEASIBLE > 0) | (status == FilterStatus.REFUSED)
         duration = steps * self.dt_s
-        reference = None if curve is None else curve.at(np.arange(steps + 1, dtype=np.float64) * self.dt_s)
+        times = (
+            flown["plan_s"] if len(flown["plan_s"]) else np.arange(steps + 1, dtype=np.float64) * self.dt_s
+        )
+        reference = None if curve is None else curve.at(times)
         return TrialResult(
             index=index,
             start_m=start.tolist(),

@@ -19,7 +19,7 @@ from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.registry import filter_kind
-from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
+from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
@@ -36,7 +36,7 @@ from alula.stages.simulation.world.judge import WorldJudge
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.prepared_run import PreparedRun
 from alula.stages.simulation.world.tasks import Missions, missions_of
-from alula.stages.simulation.world.vehicle import vehicle_spec
+from alula.stages.simulation.world.vehicle import vehicle_spec, velocity_lags_s
 from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
 _PLANT_STEP_S = 1e-3
@@ -86,6 +86,7 @@ def prepare(
     rules, mission, table = full.rules, full.mission, full.vehicle
     assert table.radius_m is not None
     peak, most = _speeds(full, vehicle, plan)
+    lag_s = velocity_lags_s(full, vehicle, most)
     names = list(full.safety.filters)
     if mission.controller.guide != "none":
         names.insert(0, mission.controller.guide)
@@ -97,11 +98,11 @@ def prepare(
         needs_image=full.world.onboard or needs_image(full),
         jobs=jobs,
     )
-    spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most)
-    extent = _extent(full, world, most, pairs, plan)
+    spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most, lag_s=lag_s)
+    extent = _extent(full, world, most, max(lag_s), pairs, plan)
     known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
     told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
-    filters = safety_filters(full, told)
+    filters = safety_filters(full, told, lag_s)
     geofence = pilots_geofence(full, told)
     judging = geofence if is_fenced(full, told) else None
     if judging is not None and not filters:
@@ -235,6 +236,7 @@ def _rules(
     stuck_s = _STUCK_POINT_S if is_point else _STUCK_S
     return _core.SimulationRules(
         plant_steps=plant_steps_of(scenario, is_point=is_point),
+        **({"stop_speed_m_s": FINISHED_M_S} if scenario.mission.waits else {}),
         stuck_ticks=max(1, round(stuck_s / scenario.rules.dt_s)),
         stuck_speed_m_s=1e-3 * most_m_s if is_point else 0.02,
         receded_s=math.inf if scenario.mission.receded_s is None else scenario.mission.receded_s,
@@ -323,7 +325,12 @@ def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
 
 
 def _extent(
-    scenario: WorldScenario, world: StaticWorld, most: float, pairs: Pairs | None, plan: Artifact | None
+    scenario: WorldScenario,
+    world: StaticWorld,
+    most: float,
+    lag_s: float,
+    pairs: Pairs | None,
+    plan: Artifact | None,
 ) -> float:
     """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
     points = [world.vertices if scenario.world.has_hulls else world.centres]
@@ -339,7 +346,7 @@ def _extent(
         curve = curve_of(plan)
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
     speed = most if math.isfinite(most) else 10.0
-    seconds = 1 + (scenario.vehicle.velocity_lag_s or 0.0)
+    seconds = 1 + lag_s
     radii = _PLANNED_RADII if mission.planned else 1
     return (
         2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed

@@ -16,6 +16,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.adherence import FINISHED_M, via_times, via_tolerance
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
@@ -106,6 +107,8 @@ def missions_of(
         curve = curve_of(plan)
         ends = curve.at(np.array([0.0, curve.duration_s]))[:, :3]
         pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
+        if mission.start_m is not None:
+            require_clear(world, np.array([mission.start_m]), "`$.mission.start_m`: the start", jobs)
         plans = [plan]
     else:
         pairs, counts = _pairs(scenario, world, around, count, given, psi, jobs)
@@ -157,12 +160,16 @@ def _along(
             flown = _core.Mission.to(goal.tolist(), gain_per_s=gain, speed_m_s=max_speed_m_s)
             allowed = 5 * _diagonal(scenario, around, pairs) / max_speed_m_s + _EXTRA_TIME_S
         else:
-            flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=max_speed_m_s)
+            clock = _clock(scenario, own)
+            flown = _core.Mission.along(curve, gain_per_s=gain, speed_m_s=max_speed_m_s, clock=clock)
             slow = curve.duration_s + _EXTRA_TIME_S if by_velocity else _TIME_FACTOR * curve.duration_s
-            allowed = slow
+            allowed = slow if clock is None else _TIME_FACTOR * curve.duration_s + _EXTRA_TIME_S
             yaw = float(curve.at(np.array([0.0]))[0, 15])
-        stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), _STOP_FLOOR_M[is_point])
+        floor_m = FINISHED_M if own is not None and mission.waits else _STOP_FLOOR_M[is_point]
+        stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), floor_m)
         state = _at_rest(start, yaw if model == "quadrotor" else 0.0)  # a point has no attitude
+        if mission.kind == "plan" and mission.start_m is not None:
+            state[:3] = mission.start_m
         state[6:9] = moves_by
         tasks.append(
             _core.Task(
@@ -186,6 +193,15 @@ def _along(
         [plans[i] for i in pick],
         counts,
     )
+
+
+def _clock(scenario: WorldScenario, plan: Artifact | None) -> _core.PlanClockOptions | None:
+    """How time along a plan waits for the vehicle; None where it runs with the clock."""
+    radius_m = scenario.vehicle.radius_m
+    if not scenario.mission.waits or plan is None or radius_m is None:
+        return None
+    tolerance_m = via_tolerance(scenario.mission.via_tolerance_m, radius_m)
+    return _core.PlanClockOptions(via_s=via_times(plan), via_m=tolerance_m)
 
 
 def _flies_straight(scenario: WorldScenario, model: str) -> bool:

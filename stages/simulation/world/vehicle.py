@@ -11,7 +11,9 @@ from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_tables import VehicleTable
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.vehicles.following import following_options
 from alula.stages.vehicles.racer import racer_model, racer_options
+from alula.stages.vehicles.velocity_lag import filter_lags_s
 
 _SQRT_3 = math.nextafter(math.sqrt(3), 2.0)
 _CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fraction of the peak speed
@@ -22,7 +24,12 @@ _SCALES = ("mass_scale", "thrust_scale", "rate_gain_scale")
 
 
 def vehicle_spec(
-    scenario: WorldScenario, vehicle: Vehicle, *, peak_m_s: float, max_speed_m_s: float
+    scenario: WorldScenario,
+    vehicle: Vehicle,
+    *,
+    peak_m_s: float,
+    max_speed_m_s: float,
+    lag_s: tuple[float, float, float],
 ) -> _core.VehicleSpec:
     """Make the native vehicle.
 
@@ -34,6 +41,7 @@ def vehicle_spec(
         vehicle: that the scenario names.
         peak_m_s: peak speed of the references [m/s].
         max_speed_m_s: limit of velocity commands, and of a point's speed [m/s].
+        lag_s: see `velocity_lags_s` [s].
 
     Raises:
         UsageError: values are inconsistent; the message has the path of their key.
@@ -45,6 +53,7 @@ def vehicle_spec(
     own = table.disturbance
     air = {_NATIVE.get(key, key): getattr(own, key) for key in _AIR}
     sensor = {key: getattr(known, key) for key in _NOISE}
+    sensor["noise_time_s"] = known.noise_time_s
     lag = own.motor_time_constant_s or 0.0
     given: dict[str, Any] = {
         "model": vehicle.model,
@@ -63,13 +72,14 @@ def vehicle_spec(
         "rate_time_constant_s": vehicle.rates.axes_s,
         "rate_gain_scale": table.rate_gain_scale,
         "max_speed_m_s": max_speed_m_s,
+        "velocity_lag_s": lag_s,
         "radius_m": table.radius_m,
         "mass_scale": table.mass_scale / table.thrust_scale,
     }
     if table.velocity_gain_per_s is not None:
         given["velocity_gain_per_s"] = table.velocity_gain_per_s
-    if table.velocity_lag_s is not None:
-        given["velocity_lag_s"] = table.velocity_lag_s
+    if table.autopilot:
+        given["following"] = following_options(vehicle)
     if table.max_acceleration_m_s2 is not None:
         given["max_acceleration_m_s2"] = table.max_acceleration_m_s2
     if table.max_jerk_m_s3 is not None:
@@ -94,6 +104,23 @@ def vehicle_spec(
         return _core.VehicleSpec(body, **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"`$.vehicle`: {error}") from error
+
+
+def velocity_lags_s(
+    scenario: WorldScenario, vehicle: Vehicle, max_speed_m_s: float
+) -> tuple[float, float, float]:
+    """Lags along x, y, z that filters of velocities assume, with an autopilot as in `fly` [s].
+
+    Args:
+        scenario: completed.
+        vehicle: that it names.
+        max_speed_m_s: limit of velocity commands [m/s].
+    """
+    table = scenario.vehicle
+    if table.autopilot and table.velocity_lag_s is None:
+        return filter_lags_s(vehicle.following, max_speed_m_s)
+    lag = table.velocity_lag_s or 0.0
+    return lag, lag, lag
 
 
 def catch_up_m_s(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> float:

@@ -72,6 +72,13 @@ def test_the_parameters_are_set_for_rates_only_and_put_back():
         assert {name: served.copter.parameters[name] for name in own} == own
 
 
+def test_a_flight_after_a_killed_one_by_rates_keeps_its_vehicle_out_of_the_failsafe():
+    left = {"FS_GCS_TIMEOUT": 0.5, "FS_GCS_ENABLE": 5.0, "GUID_TIMEOUT": 0.3}
+    flown = Flight(mission(plan=line_plan((0.3, 2.0, 0.5), (1.2, 2.0, 0.5), 2.0)), parameters=left).fly()
+    assert flown.cause is Event.PLAN_FINISHED, flown.loop.ending
+    assert not any("GCS" in words for _, words in flown.recorder.lines)
+
+
 def test_a_loop_that_stands_still_finds_its_vehicle_landing_and_says_why():
     made = mission("cone-backup", scene=BALL, is_clear=True, plan=line_plan((0.3, 3.2, 1.0), (3.7, 3.2, 1.0)))
     flown = Flight(made, [Upset(State.FLY, 2.0, stall(3.0))], {"failsafe_s": 3.0}).fly()
@@ -84,7 +91,7 @@ def test_what_it_coasts_is_said_before_take_off():
     made = mission("cone-backup", scene=BALL, is_clear=True, speed_m_s=SPEED)
     flown = Flight(made, loop_words={"dry_run": True}).fly()
     words = next(each.words for each in flown.loop.checks.verdicts if each.name == "failsafes")
-    assert words.endswith("; if this program ends, it coasts at most 1.8 m from 1 m/s")
+    assert words.endswith("; from 1 m/s it coasts at most 1.8 m when this program dies")
 
 
 def test_a_file_with_a_faster_yaw_than_the_vehicles_own_filter_is_pointed_out():

@@ -111,7 +111,7 @@ def test_a_late_state_is_taken_on_by_its_velocity():
 
 def test_the_time_of_the_plan_waits_and_its_derivatives_are_those_of_the_slowed_time():
     curve = mission().curve
-    clock = PlanClock(curve, near_m=0.3, far_m=1.0)
+    clock = PlanClock(curve, _core.PlanClockOptions())
     for _ in range(100):
         clock.advance(DT, 0.0)
     assert clock.rate == 1.0
@@ -132,7 +132,7 @@ def test_the_time_of_the_plan_waits_and_its_derivatives_are_those_of_the_slowed_
 
 @given(st.floats(-3.1, 3.1))
 def test_the_heading_turns_slowly_to_the_plans(heading):
-    clock = PlanClock(mission_curve(), near_m=0.3, far_m=1.0)
+    clock = PlanClock(mission_curve(), _core.PlanClockOptions())
     clock.pause(heading)
     seen = [clock.target()[0, 15]]
     for _ in range(600):

@@ -2,15 +2,18 @@
 
 import itertools
 import math
+import time
 
 import numpy as np
 import pytest
 
-from alula.stages.flight.links.mavlink.ardupilot_failsafes import ardupilot_safety
+from alula.schemas.vehicle import VelocitiesTable
+from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
 from alula.stages.flight.links.own_safety import Action, OwnSafety, WayHome
-from alula.stages.flight.loop.failsafe_check import closest_way_home, failsafe_faults
+from alula.stages.flight.loop.failsafe_check import closest_way_home, coasts, failsafe_faults
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.common.packets import mavlink
+from alula.stages.vehicles.velocity_lag import stop_m
 from support.autopilot_client import Client
 from support.flights import mission
 from support.lockstep import Flight, Upset, fault
@@ -22,6 +25,7 @@ DEFAULTS = {
     "FS_THR_ENABLE": 1.0,
     "FS_OPTIONS": 16.0,
     "FS_DR_ENABLE": 2.0,
+    "FS_EKF_ACTION": 1.0,
     "FENCE_ENABLE": 0.0,
     "BATT_MONITOR": 4.0,
     "BATT_FS_LOW_ACT": 0.0,
@@ -35,7 +39,7 @@ LANDS, RETURNS = {"FS_THR_ENABLE": 3.0, "FS_DR_ENABLE": 1.0}, {"FS_THR_ENABLE": 
 
 
 def actions(**changed):
-    own = ardupilot_safety((DEFAULTS | changed).get)
+    own = ardupilot_safety(DEFAULTS | changed)
     return {each.setting.split()[0]: each.action for each in own.failsafes}
 
 
@@ -55,7 +59,7 @@ def test_a_return_through_the_ceiling_is_refused_with_the_parameters_to_change()
     assert "(RTL_ALT is 1500 cm); from (" in words
     assert words.endswith(
         "that meets a hull, and 0.150 m are required; set FS_THR_ENABLE to 3 and FS_DR_ENABLE to 1 so that "
-        "it lands where it is"
+        "it does not fly home"
     )
 
 
@@ -108,9 +112,9 @@ def test_a_way_back_that_is_not_known_is_refused():
     [
         (
             {"FENCE_RADIUS": 3.0},
-            "FENCE_ALT_MAX is 100 m; FENCE_RADIUS is 3 m): it goes 0.8 m up and 3.4 m away",
+            "FENCE_ALT_MAX is 100 m; FENCE_RADIUS is 3 m): it goes 0.8 to 0.8 m up and 3.4 m away",
         ),
-        ({"FENCE_ALT_MAX": 0.5, "FENCE_TYPE": 1}, "FENCE_ALT_MAX is 0.5 m): it goes 0.8 m up"),
+        ({"FENCE_ALT_MAX": 0.5, "FENCE_TYPE": 1}, "FENCE_ALT_MAX is 0.5 m): it goes 0.8 to 0.8 m up"),
     ],
 )
 def test_a_plan_beyond_the_vehicles_own_fence_is_refused(parameters, words):
@@ -121,8 +125,9 @@ def test_a_plan_beyond_the_vehicles_own_fence_is_refused(parameters, words):
 
 def test_failsafes_by_their_parameters():
     n, land, home, back = Action.NONE, Action.STOP_OR_LAND, Action.RETURN, Action.RETRACE
-    assert actions() == {"FS_THR_ENABLE": home, "FS_DR_ENABLE": home, "BATT_FS_LOW_ACT": n}
-    assert actions(FS_OPTIONS=20.0) == {"FS_DR_ENABLE": home, "BATT_FS_LOW_ACT": n}
+    others = {"FS_DR_ENABLE": home, "FS_EKF_ACTION": land, "BATT_FS_LOW_ACT": n}
+    assert actions() == {"FS_THR_ENABLE": home} | others
+    assert actions(FS_OPTIONS=16.0 + 4.0 + 8.0) == others
     found = [actions(FS_THR_ENABLE=value)["FS_THR_ENABLE"] for value in range(8)]
     assert found == [n, home, home, land, back, back, home, land]
     found = [actions(BATT_FS_LOW_ACT=value)["BATT_FS_LOW_ACT"] for value in range(8)]
@@ -130,9 +135,145 @@ def test_failsafes_by_their_parameters():
     fence = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_ALT_MAX": 50.0, "FENCE_RADIUS": 30.0}
     found = [actions(**fence, FENCE_ACTION=value)["FENCE_ACTION"] for value in range(6)]
     assert found == [n, home, land, back, land, back]
-    own = ardupilot_safety((DEFAULTS | fence | {"FENCE_ACTION": 1.0, "FENCE_MARGIN": 2.0}).get)
+    own = ardupilot_safety(DEFAULTS | fence | {"FENCE_ACTION": 1.0, "FENCE_MARGIN": 2.0})
     assert (own.highest_m, own.farthest_m, own.way_home.highest_m) == (50.0, 30.0, 48.0)
-    assert ardupilot_safety(lambda name: None).failsafes[0].action is n
+    assert ardupilot_safety({}).failsafes[0].action is n
+
+
+def checked_values(values, path=((0.0, 0.0, 1.0), (3.0, 0.0, 1.0)), obstacles=(), **more):
+    words = {"home": np.zeros(3), "radius_m": 0.1, "foot_m": 0.1} | more
+    return failsafe_faults(ardupilot_safety(values), np.array(path), obstacles=obstacles, **words)
+
+
+def test_a_radio_that_is_lost_while_landing_is_judged_unless_that_is_ignored_too():
+    (radio,) = [
+        each for each in ardupilot_safety(DEFAULTS | {"FS_OPTIONS": 20.0}).failsafes if "radio" in each.cause
+    ]
+    assert radio.cause == "its radio is lost while it lands"
+    assert radio.action is Action.RETURN
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"RALLY_TOTAL": 2.0}, "RALLY_TOTAL is 2: it may fly to a rally point"),
+        ({"RTL_ALT_TYPE": 1.0}, "RTL_ALT_TYPE is 1: its height is above the terrain"),
+    ],
+)
+def test_a_return_to_a_place_or_height_that_is_not_known_is_refused_and_a_landing_is_not(changed, words):
+    faults, _ = checked_values(DEFAULTS | changed)
+    assert len(faults) == 1
+    assert words in faults[0]
+    assert faults[0].endswith("or set FS_THR_ENABLE to 3 and FS_DR_ENABLE to 1 so that it does not fly home")
+    assert checked_values(DEFAULTS | LANDS | changed)[0] == []
+
+
+@pytest.mark.parametrize("switch", ["FENCE_ENABLE", "FENCE_AUTOENABLE"])
+def test_a_fence_with_a_bottom_is_judged_and_one_of_polygons_is_named(switch):
+    fence = DEFAULTS | LANDS | {"FENCE_ENABLE": 0.0, switch: 1.0, "FENCE_ACTION": 2.0, "FENCE_ALT_MIN": 1.5}
+    faults, _ = checked_values(fence | {"FENCE_TYPE": 8.0})
+    assert faults == [
+        "the plan leaves the vehicle's own fence (FENCE_ALT_MIN is 1.5 m): it goes 1.0 to 1.0 m up and 3.0 m "
+        "away; widen or disable that fence"
+    ]
+    assert checked_values(fence | {"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 0.5})[0] == []
+    faults, words = checked_values(fence | {"FENCE_TYPE": 7.0, "FENCE_TOTAL": 5.0})
+    assert faults == []
+    assert "(FENCE_TOTAL is 5) are not judged: keep the plan inside, or set FENCE_TYPE to 3" in words
+    assert "judged" not in checked_values(fence | {"FENCE_TYPE": 7.0, "FENCE_TOTAL": 0.0})[1]
+    assert "judged" not in checked_values(fence | {"FENCE_TYPE": 3.0, "FENCE_TOTAL": 5.0})[1]
+
+
+@pytest.mark.parametrize(
+    ("action", "words"), [(0, "only reports"), (1, ""), (2, "holds its height"), (3, "")]
+)
+def test_an_estimate_with_which_it_flies_on_is_named(action, words):
+    faults, found = checked_values(DEFAULTS | LANDS | {"FS_EKF_ACTION": float(action)})
+    assert faults == []
+    assert ("FS_EKF_ACTION" in found) == bool(words)
+    assert words in found
+
+
+def test_heights_in_metres_are_those_in_centimetres():
+    since = {name: value for name, value in DEFAULTS.items() if name not in ("RTL_ALT", "RTL_CLIMB_MIN")}
+    before = ardupilot_safety(DEFAULTS | {"RTL_ALT": 1230.0, "RTL_CLIMB_MIN": 150.0}).way_home
+    way = ardupilot_safety(since | {"RTL_ALT_M": 12.3, "RTL_CLIMB_MIN_M": 1.5})
+    assert (way.way_home.height_m, way.way_home.climb_m) == pytest.approx((12.3, 1.5))
+    assert (before.height_m, before.climb_m) == pytest.approx((12.3, 1.5))
+    assert way.way_home.setting == "RTL_ALT_M is 12.3 m"
+    assert way.unknown == ()
+    assert set(since) | {"RTL_ALT_M"} <= set(ARDUPILOT_SAFETY)
+
+
+def test_ways_to_rest_follow_the_speed_and_its_limit():
+    path = np.column_stack([np.linspace(0, 3, 31), np.zeros((31, 2))])  # 1 m/s
+    found = coasts(path, 0.1, 1.5, lambda speed: 0.5 * speed)
+    assert found == pytest.approx(np.tile([0.75, 0, 0], (31, 1)))  # one that catches up flies at the limit
+    slower = coasts(path, 0.1, 0.5, lambda speed: 0.5 * speed)
+    assert slower[:, 0] == pytest.approx(0.25)
+    assert coasts(path[:1], 0.1, 1.0, lambda speed: speed).tolist() == [[0, 0, 0]]
+    assert (coasts(np.ones((4, 3)), 0.1, 1.0, lambda speed: speed) == 0).all()
+
+
+def test_a_way_home_that_begins_where_the_vehicle_comes_to_rest_meets_what_is_there():
+    """A beam above, 0.6 m beyond the end of the path: a vehicle that stops at once never sees it."""
+    cover = box_cover([((42, -10, 15), (46, 10, 18))])
+    obstacles = mission(cover=cover, plan=line_plan(START, GOAL, 5.0)).obstacles
+    path = np.column_stack([np.linspace(0, 3.6, 37), np.zeros(37), np.ones(37)])
+    own = OwnSafety((), WayHome(4.0))
+    words = {"radius_m": 0.15, "foot_m": 0.2}
+    still = closest_way_home(own, path, np.zeros(3), obstacles, **words)
+    assert still.distance_m == pytest.approx(0.6, abs=0.01)
+    coast = coasts(path, 0.1, 1.0, lambda speed: 0.8 * speed)
+    moving = closest_way_home(own, path, np.zeros(3), obstacles, coast=coast, **words)
+    assert moving.distance_m <= 0
+    assert moving.coast_m == pytest.approx(0.8)
+    short = closest_way_home(own, path, np.zeros(3), obstacles, coast=coast / 4, **words)
+    assert short.distance_m == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_wall_ahead_is_met_on_the_way_to_rest():
+    """Behind the thin wall it is free again: only the way there meets it."""
+    cover = box_cover([((40, -10, 0), (41, 10, 60))])
+    obstacles = mission(cover=cover, plan=line_plan(START, GOAL, 5.0)).obstacles
+    path = np.array([[3.5, 0.0, 1.0]])
+    words = {"radius_m": 0.15, "foot_m": 0.2, "coast": np.array([[1.2, 0.0, 0.0]])}
+    own = OwnSafety((), WayHome(9.0))
+    assert closest_way_home(own, path, np.zeros(3), obstacles, **words).distance_m <= 0
+
+
+def test_the_check_takes_milliseconds():
+    rng = np.random.default_rng(1)
+    corners = rng.integers(-60, 60, (60, 3))
+    cover = box_cover([(corner, corner + 4) for corner in corners])
+    made = mission(cover=cover, plan=line_plan(START, GOAL, 5.0), is_clear=True)
+    path = np.column_stack([np.linspace(0, 30, 600), np.zeros(600), np.ones(600)])
+    coast = coasts(path, 0.1, 1.0, lambda speed: 0.8 * speed)
+    own = OwnSafety((), WayHome(9.0))
+    words = {"radius_m": 0.15, "foot_m": 0.2, "coast": coast}
+    times = []
+    for _ in range(5):
+        begin = time.process_time()
+        closest_way_home(own, path, np.zeros(3), made.obstacles, **words)
+        times.append(time.process_time() - begin)
+    assert min(times) < 0.05  # for a plan of a minute
+
+
+@pytest.mark.every(2)
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_the_simulated_autopilot_turns_home_within_the_distance_that_is_judged(speed):
+    client = Client(parameters={"RTL_ALT": 600.0}).fly(3)
+    for _ in range(120):
+        client.target(7 | 448 | 2048, v=(speed, 0, 0))
+        client.wait(0.05)
+    begin = client.truth.position[0]
+    assert client.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == mavlink.MAV_RESULT_ACCEPTED
+    farthest = begin
+    while client.height < 5.5:
+        client.wait(0.1)
+        farthest = max(farthest, client.truth.position[0])
+    judged = stop_m(VelocitiesTable().horizontal_lag, speed)
+    assert 0.4 * judged < farthest - begin < judged
 
 
 @pytest.mark.parametrize(
@@ -172,7 +313,7 @@ def test_the_simulated_autopilot_flies_home_as_high_as_predicted(parameters):
     while client.copter.is_armed and client.vehicle.time_s < 90:
         client.wait(0.5)
         highest = max(highest, client.height)
-    own = ardupilot_safety((DEFAULTS | parameters).get)
+    own = ardupilot_safety(DEFAULTS | parameters)
     expected = own.way_home.heights(np.array([-z]), np.array([math.hypot(x, y)]))
     assert highest == pytest.approx(expected[0], abs=0.3)
 
@@ -202,11 +343,11 @@ def test_the_closest_way_home_agrees_with_a_search_of_points():
 
 def test_a_parameter_that_decides_and_is_not_reported_is_a_fault():
     words = {"path": np.zeros((2, 3)), "home": np.zeros(3), "obstacles": [], "radius_m": 0.1, "foot_m": 0.1}
-    silent = failsafe_faults(ardupilot_safety(lambda name: None), **words)[0]
+    silent = failsafe_faults(ardupilot_safety({}), **words)[0]
     assert silent == ["the vehicle does not report FS_THR_ENABLE"]
     found = {name: value for name, value in DEFAULTS.items() if name != "RTL_ALT"}
-    assert failsafe_faults(ardupilot_safety(found.get), **words)[0] == ["the vehicle does not report RTL_ALT"]
-    assert failsafe_faults(ardupilot_safety((found | LANDS).get), **words)[0] == []
+    assert failsafe_faults(ardupilot_safety(found), **words)[0] == ["the vehicle does not report RTL_ALT"]
+    assert failsafe_faults(ardupilot_safety(found | LANDS), **words)[0] == []
 
 
 def test_without_the_parameters_nothing_is_claimed():

@@ -13,6 +13,7 @@ from support.paths import VEHICLES
 from support.small_scenes import box_cover, line_plan
 from support.watched_flights import (
     AS_PLANNED,
+    INDOORS,
     Watched,
     WatchedPx4,
     clearance,
@@ -62,7 +63,7 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, la
 class AsShipped(Watched):
     """Climbs and stops as slowly as with the parameters that ArduPilot comes with."""
 
-    kind, fast = Copter, dict[str, float]()
+    kind, fast = Copter, INDOORS
 
 
 @pytest.mark.every(2)

@@ -41,6 +41,7 @@ SHOWN = {
     Event.LANDED_AWAY: {"armed": False, "from_goal_m": 0.51},
     Event.AIRBORNE: {"climbed_m": 0.96},
     Event.LANDED: {"landed": True},
+    Event.STILL: {"is_still": True, "landed": False},
     Event.FRAME_WRONG: {"frame_wrong": True},
     Event.STATE_STALE: {"state_age_s": 0.16},
     Event.STATE_JUMPED: {"jump_m": 0.41},
@@ -64,6 +65,7 @@ SHOWN = {
     Event.FAILSAFE_IDLE: {"is_failsafe": True, "obeys": True},
     Event.RESTARTED: {"restarted": True},
     Event.MODE_CHANGED: {"is_ours": False},
+    Event.WATCHDOG: {"watchdog": True},
     Event.ORDER_REFUSED: {"order_refused": True},
     Event.PLAN_FINISHED: {"plan_done": True},
     Event.INTERRUPT: {"interrupts": 1},
@@ -208,7 +210,8 @@ def test_motors_are_armed_after_checks_alone_and_take_off_after_arming():
 
 
 def test_the_pilot_comes_before_everything_else():
-    worst = {key: value for shown in SHOWN.values() for key, value in shown.items() if key != "armed"}
+    left_out = ("armed", "watchdog")
+    worst = {key: value for shown in SHOWN.values() for key, value in shown.items() if key not in left_out}
     for state in (State.ARMING, State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
         facts = dataclasses.replace(facts_of(Event.MODE_CHANGED, state), **{**worst, "is_ours": False})
         after, taken = advance(standing(state), facts, LIMITS)
@@ -217,6 +220,14 @@ def test_the_pilot_comes_before_everything_else():
             Event.MODE_CHANGED,
             Action.LET_GO,
         )
+
+
+def test_a_mode_that_the_watchdog_changed_is_not_called_the_pilots():
+    for state in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
+        facts = facts_of(Event.MODE_CHANGED, state)
+        facts = dataclasses.replace(facts, watchdog=True, is_failsafe=True, obeys=False, by_failsafe=True)
+        after, _ = advance(standing(state), facts, LIMITS)
+        assert (after.state, after.cause) == (State.HAND_OVER, Event.WATCHDOG)
 
 
 def test_a_vehicle_has_a_while_to_follow():

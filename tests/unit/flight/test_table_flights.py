@@ -53,6 +53,7 @@ class Plot:
     parameters: dict[str, float] = dataclasses.field(default_factory=dict)
     mission: dict[str, Any] = dataclasses.field(default_factory=dict)
     seen_is_true: bool = True
+    watched: bool = False
 
 
 def on(state, *do, after=0.1):
@@ -332,6 +333,19 @@ PLOTS = {
     "hold: for too long": Plot(
         [(S.HOLD, E.TIMED_OUT)], on(S.FLY, fault("freeze"), after=0.3), limits={"hold_s": 1.0}
     ),
+    **{
+        f"{state.value}: stalls": Plot(
+            [(state, E.WATCHDOG), (S.HAND_OVER, E.INTERRUPT if state is S.LAND else E.DISARMED)],
+            [*before, *on(state, stall(0.6), after=after)],
+            watched=True,
+        )
+        for state, before, after in (
+            (S.TAKE_OFF, [], 0.8),
+            (S.FLY, [], 0.3),
+            (S.HOLD, FROZEN, 0.2),
+            (S.LAND, on(S.FLY, fault("drop", way="in", duration=0.5), interrupt(1), after=0.3), 0.02),
+        )
+    },
     "land: the pilot's switch": Plot(
         [(S.LAND, E.MODE_CHANGED), (S.HAND_OVER, E.INTERRUPT)],
         [*on(S.FLY, interrupt(1)), *on(S.LAND, fault("mode", amount=5), after=0.4)],
@@ -368,6 +382,12 @@ PLOTS = {
         CRASHES,
         {},
         False,
+    ),
+    "land: leaning on the ground": Plot(
+        [(S.LAND, E.STILL)],
+        on(S.LAND, blow(12.0, 0.0, 0.0)),
+        {"landed_m": 9.0, "jump_m": 9.0},
+        seen_is_true=False,
     ),
     "land: away": Plot([(S.LAND, E.LANDED_AWAY)], [], limits={"landed_m": 0.0}),
     "land: too slow": Plot([(S.LAND, E.TIMED_OUT)], on(S.FLY, interrupt(1)), limits={"landing_s": 0.5}),
@@ -423,10 +443,12 @@ def at_once(monkeypatch):
 def test_a_flight_takes_its_rows_and_ends_well(name):
     plot = PLOTS[name]
     made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0, **plot.mission)
-    flight = Flight(made, list(plot.upsets), plot.limits, plot.parameters, plot.words)
+    flight = Flight(made, list(plot.upsets), plot.limits, plot.parameters, plot.words, watched=plot.watched)
     if name == "holds":
         holds(flight)
     flight.fly()
+    if plot.watched:
+        flight.watchdog.program.close()
     missing = [row for row in plot.rows if row not in flight.rows]
     assert not missing, (missing, flight.rows, flight.recorder.lines[-8:])
     flight.judge(seen_is_true=plot.seen_is_true)

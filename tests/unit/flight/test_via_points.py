@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from alula import _core
 from alula.schemas.configs.plan import PlanConfig
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State
@@ -33,6 +34,10 @@ def test_a_vehicle_that_follows_velocities_late_passes_its_via_points(speed_m_s)
     assert flight.clearance(State.FLY, State.HOLD) > 0
 
 
+def clock_of(made, via_s):
+    return PlanClock(made.curve, _core.PlanClockOptions(via_s=via_s, via_m=0.15))
+
+
 def at_via(clock, error_m, seconds):
     for _ in range(round(seconds / DT)):
         clock.advance(DT, error_m)
@@ -43,7 +48,7 @@ def test_the_time_stops_at_a_via_point_until_the_vehicle_is_there():
     made = around(1.0)
     (via_s,) = made.along.via_s
     np.testing.assert_allclose(made.curve.at(np.array([via_s]))[0, :3], VIA, atol=1e-9)
-    clock = PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=[via_s], via_m=0.15)
+    clock = clock_of(made, [via_s])
     assert at_via(clock, 0.14, via_s + 3.0) == pytest.approx(via_s, abs=0.01)
     assert at_via(clock, 0.13, 1.0) > via_s + 0.4
 
@@ -51,16 +56,14 @@ def test_the_time_stops_at_a_via_point_until_the_vehicle_is_there():
 def test_a_via_point_that_cannot_be_reached_is_waited_for_and_left():
     made = around(1.0)
     (via_s,) = made.along.via_s
-    clock = PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=[via_s], via_m=0.15)
+    clock = clock_of(made, [via_s])
     assert at_via(clock, 0.2, via_s + 3.0) <= via_s
     assert at_via(clock, 0.2, 10.0) > via_s + 1.0
 
 
 def test_a_vehicle_that_keeps_up_is_not_delayed():
     made = around(1.0)
-    waiting, free = (
-        PlanClock(made.curve, near_m=0.3, far_m=1.0, via_s=via, via_m=0.15) for via in (made.along.via_s, [])
-    )
+    waiting, free = (clock_of(made, via) for via in (made.along.via_s, []))
     for _ in range(800):
         waiting.advance(DT, 0.1)
         free.advance(DT, 0.1)

@@ -2,19 +2,25 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
 from alula.schemas.errors import CheckError
-from alula.schemas.vehicle import VelocitiesTable
-from alula.stages.identification.fit import crossing, fit, line_of, mean_of, smoothed
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.identification.estimates import line_of, mean_of
+from alula.stages.identification.fit import fit
+from alula.stages.identification.own_limits import first_guess
 from alula.stages.identification.recording import Phase, Recording
+from alula.stages.identification.responses import crossing, smoothed
+from alula.stages.identification.result import disagreements, identified_vehicle
 from alula.stages.identification.steps import Step, plan_steps
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 G, HOVER, RATE_HZ = 9.81, 0.31, 50.0
 BOX = (-20.0, -20.0, 0.0, 20.0, 20.0, 40.0)
 REST_S = 1.0
+BARE = msgspec.structs.replace(FASTBRIDGE, body=msgspec.structs.replace(FASTBRIDGE.body, radius_m=0.2))
 
 
 def quat_of(thrust, yaw):
@@ -111,8 +117,8 @@ def jerk_limited(most_m_s2, most_m_s3, gain_per_s):
 
 
 def steps_of(speeds, **more):
-    given = {"radius_m": 0.2, "reserve_m": 0.5, "rates": False} | more
-    return plan_steps(VelocitiesTable(), speeds, BOX, **given).flown
+    given = {"reserve_m": 0.5, "rates": False} | more
+    return plan_steps(BARE, speeds, BOX, **given).flown
 
 
 LAW, DEAD_S = (0.35, 0.12), 0.06
@@ -216,26 +222,13 @@ def test_steps_without_an_answer_are_named_and_too_few_are_refused():
         fit(recording, G)
 
 
-def test_steps_of_rates_and_thrust_are_found():
-    taus, thrust_s = (0.05, 0.04, 0.25), 0.06
-    steps = steps_of((0.5, 1.0), rates=True)
+def rotated(rate_of, *, speeds=(0.5, 1.0), thrust_s=0.06, vehicle=BARE, **more):
+    """Recording of all steps with --rates: `rate_of(step, s)` is the rate so long after a step began."""
+    steps = plan_steps(vehicle, speeds, BOX, reserve_m=0.5, rates=True, **more).flown
     level = [each for each in steps if each.kind == "velocity"]
     base = Truth(first_order(lag_of, DEAD_S)).record(level)
-    rows = [
-        (t, *v, *q, *w, throttle, step, phase)
-        for t, v, q, w, throttle, step, phase in zip(
-            *(
-                base.time_s,
-                base.velocity,
-                base.attitude_wxyz,
-                base.omega,
-                base.throttle,
-                base.step,
-                base.phase,
-            ),
-            strict=True,
-        )
-    ]
+    parts = (base.time_s[:, None], base.velocity, base.attitude_wxyz, base.omega, base.throttle[:, None])
+    rows = np.hstack([*parts, base.step[:, None], base.phase[:, None]]).tolist()
     begins, now_s = list(base.begins), base.time_s[-1] + 5.0
     for number, step in enumerate(steps[len(level) :], len(level)):
         begins.append({Phase.REST: now_s, Phase.OUT: now_s + 1.0, Phase.BACK: now_s + 1.0 + step.out_s})
@@ -244,15 +237,92 @@ def test_steps_of_rates_and_thrust_are_found():
             since = max(0.0, t - 1.0)
             omega, climb = np.zeros(3), 0.0
             if phase is Phase.OUT and step.kind == "rate":
-                omega[step.axis] = step.size * (1 - math.exp(-since / taus[step.axis]))
+                omega[step.axis] = rate_of(step, since)
             elif phase is Phase.OUT:
                 climb = step.size * G * (since - thrust_s * (1 - math.exp(-since / thrust_s)))
             rows.append((now_s + t, 0, 0, climb, 1, 0, 0, 0, *omega, HOVER, number, phase))
         now_s += 10.0
-    found = fit(recorded(rows, steps, begins), G)
-    assert [each.value for each in found.rate_s] == pytest.approx(taus, abs=0.003)
-    assert found.thrust_s.value == pytest.approx(thrust_s, abs=0.003)
+    return recorded(rows, steps, begins)
+
+
+TAUS = (0.05, 0.04, 0.25)
+
+
+def follows(step, since):
+    return step.size * (1 - math.exp(-since / TAUS[step.axis]))
+
+
+def test_steps_of_rates_and_thrust_are_found():
+    found = fit(rotated(follows), G)
+    assert [each.value for each in found.rate_s] == pytest.approx(TAUS, abs=0.003)
+    assert found.thrust_s.value == pytest.approx(0.06, abs=0.003)
     assert all(low <= each.value <= high for each in found.rate_s for low, high in [each.interval])
+
+
+def written(found, parameters=None):
+    guess = first_guess(BARE, parameters or {})
+    mine = identified_vehicle(guess, found, (0.5, 1.0), name="mine", autopilot="", date="")
+    return mine, [
+        line for line in disagreements(found, guess, parameters or {}) if "by the first guess" not in line
+    ]
+
+
+def test_rates_that_are_reached_leave_the_files_limits():
+    lags = msgspec.structs.replace(BARE.rates, axis_time_constant_s=TAUS)
+    found = fit(rotated(follows, vehicle=msgspec.structs.replace(BARE, rates=lags)), G)
+    for limit in found.rate_limits:
+        assert limit.reached_rad_s.value == pytest.approx(limit.asked_rad_s, rel=0.06)
+        assert not limit.is_limited
+    mine, lines = written(found)
+    assert mine.rates.max_rad_s == BARE.rates.max_rad_s
+    assert mine.identified.reached_rad_s[2] == pytest.approx(4.0, rel=0.06)
+    assert mine.identified.reached_interval_rad_s is not None
+    assert lines == []
+
+
+def test_a_rate_that_is_not_reached_and_an_acceleration_that_is_not_given_are_found_and_named():
+    own = {"ATC_RATE_Y_MAX": math.degrees(3.0), "ATC_ACCEL_Y_MAX": 100 * math.degrees(3.0)}
+
+    def ramps(step, since):
+        return (
+            math.copysign(min(abs(step.size), 1.5 * since, 2.0), step.size)
+            if step.axis == 2
+            else follows(step, since)
+        )
+
+    vehicle = first_guess(BARE, own)
+    found = fit(rotated(ramps, vehicle=vehicle, turns_rad_s2=3.0), G)
+    turn = found.rate_limits[2]
+    assert turn.asked_rad_s == 3.0
+    assert turn.is_limited
+    mine, lines = written(found, own)
+    assert mine.rates.max_rad_s == pytest.approx((10.0, 10.0, turn.reached_rad_s.value), rel=1e-3)
+    assert mine.identified.yaw_acceleration_rad_s2 == pytest.approx(1.5, rel=0.02)
+    assert [line.split(":")[0] for line in lines] == [
+        "fastest yaw rate, by ATC_RATE_Y_MAX",
+        "yaw acceleration, by ATC_ACCEL_Y_MAX",
+    ]
+
+
+def test_a_rate_that_still_rises_is_no_limit():
+    """A step too short for the vehicle says nothing of its limit."""
+    found = fit(
+        rotated(lambda step, since: follows(step, since / 6) if step.is_fast else follows(step, since)), G
+    )
+    turn = found.rate_limits[2]
+    assert turn.reached_rad_s.value < 0.9 * turn.asked_rad_s
+    assert not turn.is_limited
+    assert written(found)[0].rates.max_rad_s == BARE.rates.max_rad_s
+
+
+def test_a_fast_step_that_ended_early_shows_no_rate():
+    recording = rotated(follows)
+    for number, step in enumerate(recording.steps):
+        if step.is_fast and step.axis == 0:
+            recording.begins[number][Phase.BACK] -= 0.5 * step.out_s
+    roll, pitch, _ = fit(recording, G).rate_limits
+    assert roll is None
+    assert pitch is not None
 
 
 def test_intervals_contain_the_truth_nineteen_times_out_of_twenty():
@@ -288,12 +358,10 @@ def test_a_step_fits_into_its_box(speed):
 
 
 def test_what_does_not_fit_is_left_out_and_said():
-    planned = plan_steps(
-        VelocitiesTable(), (1.0, 3.0), (-3, -9, 0, 3, 9, 4), radius_m=0.2, reserve_m=0.5, rates=True
-    )
+    planned = plan_steps(BARE, (1.0, 3.0), (-3, -9, 0, 3, 9, 4), reserve_m=0.5, rates=True)
     assert {each.name for each in planned.flown if each.kind == "velocity"} == {
         *("+x at 1 m/s", "-x at 1 m/s", "+y at 1 m/s", "-y at 1 m/s", "+y at 3 m/s", "-y at 3 m/s")
     }
     assert "+z at 1 m/s: it needs 3.1 m, and the box has 2.6 m" in planned.skipped
-    assert sum(each.kind != "velocity" for each in planned.flown) == 16
+    assert sum(each.kind != "velocity" for each in planned.flown) == 16 + 6  # slow and fast
     assert isinstance(planned.flown[0], Step)

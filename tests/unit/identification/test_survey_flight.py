@@ -11,7 +11,9 @@ from alula.schemas.vehicle import FASTBRIDGE, VelocitiesTable, read_vehicle, veh
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.identification.fit import fit
 from alula.stages.identification.result import disagreements, identified_vehicle
+from alula.stages.identification.steps import LEAN_RAD
 from alula.stages.identification.survey import make_survey
+from alula.stages.sim_vehicle.ardupilot import attitude
 from alula.stages.vehicles.velocity_lag import stop_time_s
 from support.autopilot_client import QUICK
 from support.flights import mission
@@ -154,6 +156,30 @@ def test_rates_are_found_in_spite_of_noise():
     for name, time_s in zip(("roll", "pitch", "yaw"), vehicle.rates.axis_time_constant_s, strict=True):
         assert time_s == pytest.approx(MEASURED[f"{name}_s"], rel=0.1, abs=0.008)
     assert vehicle.identified.thrust_time_constant_s < 0.1
+    turn = vehicle.identified.yaw_acceleration_rad_s2
+    assert turn == pytest.approx(math.radians(flight.parameters["ATC_ACCEL_Y_MAX"] / 100), rel=0.05)
+    for reached, step in zip(vehicle.identified.reached_rad_s, fast_steps(flight), strict=True):
+        assert reached == pytest.approx(abs(step.size), rel=0.1)
+    assert vehicle.rates.max_rad_s == FASTBRIDGE.rates.max_rad_s
+    assert flight.largest_lean < LEAN_RAD + 0.1
+
+
+def fast_steps(flight):
+    """One fast step about each axis."""
+    steps = [step for step in flight.survey.steps.flown if step.is_fast]
+    return [next(step for step in steps if step.axis == axis) for axis in range(3)]
+
+
+@pytest.mark.slow
+def test_a_vehicle_that_turns_less_fast_than_its_file_says(monkeypatch):
+    monkeypatch.setattr(attitude, "_DAMPING_PER_S", 7.0)  # 14.1 rad/s^2 of its rotors turn it by 2 rad/s
+    flight = SurveyFlight(rates=True, speeds_m_s=(0.5, 1.0), parameters={"ATC_RATE_Y_MAX": 200.0}).fly()
+    assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]
+    found, vehicle = written(flight)
+    assert vehicle.rates.max_rad_s[2] == pytest.approx(2.0, rel=0.1)
+    assert vehicle.rates.max_rad_s[:2] == (10.0, 10.0)
+    lines = disagreements(found, flight.survey.vehicle, flight.parameters)
+    assert any(line.startswith("fastest yaw rate, by ATC_RATE_Y_MAX: measured 2") for line in lines)
 
 
 @pytest.mark.slow

@@ -86,6 +86,33 @@ def test_rates_are_followed_as_fast_as_measured():
         client.stream(3.0, mask=7, thrust=hover)  # level again
 
 
+def rise_s(client, rate=0.5):
+    """Time until 63 % of a roll rate [s]."""
+    begin = client.vehicle.time_s
+    while client.truth.omega[0] < 0.632 * rate:
+        client.rates((rate, 0.0, 0.0), client.copter.hover_throttle)
+        client.wait(0.0025)
+    return client.vehicle.time_s - begin
+
+
+def test_rates_that_are_not_fed_forward_are_followed_by_the_attitude_only():
+    client = Client(options=EXACT, parameters=THRUST | {"ATC_RATE_FF_ENAB": 0}).fly(10)
+    assert rise_s(client) > 1 / 4.5  # the gain of the attitude
+
+
+@pytest.mark.parametrize(("limit", "fastest"), [(0, 150), (20, 23)])
+def test_a_rate_limit_bounds_turns_to_an_attitude_but_no_rate_command(limit, fastest):
+    client = Client(options=EXACT, parameters=THRUST | {"ATC_RATE_R_MAX": limit}).fly(12)
+    peak, q = 0.0, (math.cos(0.25), math.sin(0.25), 0.0, 0.0)
+    for _ in range(200):
+        client.rates(thrust=client.copter.hover_throttle, mask=7, q=q)
+        client.wait(0.0025)
+        peak = max(peak, math.degrees(client.truth.omega[0]))
+    assert 0.6 * fastest < peak < fastest
+    client.stream(2.0, mask=7, thrust=client.copter.hover_throttle)
+    assert rise_s(client) == pytest.approx(0.031, abs=0.01)  # 0.5 rad/s are 29 degrees/s
+
+
 def test_rates_are_integrated_into_an_attitude_that_is_held():
     client = Client(options=EXACT, parameters=THRUST).fly(12)
     hover = client.copter.hover_throttle

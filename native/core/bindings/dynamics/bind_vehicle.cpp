@@ -57,6 +57,7 @@ struct Fields<flight::SensorOptions> {
       Field{"velocity_noise_m_s", &Sensor::velocity_noise_m_s, "standard deviation per axis [m/s]"},
       Field{"attitude_noise_rad", &Sensor::attitude_noise_rad, "standard deviation per axis [rad]"},
       Field{"rate_noise_rad_s", &Sensor::rate_noise_rad_s, "standard deviation per axis [rad/s]"},
+      Field{"noise_time_s", &Sensor::noise_time_s, "correlation time of position and velocity; 0: white [s]"},
       Field{"delay_s", &Sensor::delay_s, "age of a measurement [s]"}};
 };
 

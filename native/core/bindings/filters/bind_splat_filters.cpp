@@ -227,7 +227,8 @@ Record cone(const Array3& centre, const In<double, nb::shape<3, 3>>& a, const Ar
 
 Record snap(const flight::Quadrotor& body, const State12& state, double thrust, double thrust_rate,
             const Array3& centre, const In<double, nb::shape<3, 3>>& a, double rate) {
-  const FlightState now{{at(state, 0), at(state, 3), at(state, 6), at(state, 9)}, thrust, thrust_rate};
+  const FlightState now{
+      .x = {at(state, 0), at(state, 3), at(state, 6), at(state, 9)}, .thrust = thrust, .thrust_rate = thrust_rate};
   const flight::SnapMap map = flight::snap_map(body, now);
   const GrownEllipsoid e{vec(centre), matrix(a)};
   const Cone c = flight::collision_cone(e, now.x.p, now.x.v);

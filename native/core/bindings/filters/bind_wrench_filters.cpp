@@ -100,15 +100,18 @@ void bind_shield(nb::module_& m) {
       .def(
           "see",
           [](Shield& self, const std::optional<Vec4>& rotors, const std::optional<Tracks>& tracks,
-             const Triple& position_variance) {
+             const Triple& position_variance, const Triple& disturbance) {
             const std::vector<alula_track> all = tracks ? tracks_of(*tracks) : std::vector<alula_track>{};
             FlightState state;
+            state.level = Level(vector_of(disturbance), self.policy().vehicle().gravity());
             state.rotors = rotors, state.tracks = all, state.position_variance = vector_of(position_variance);
             self.see(state);
           },
           "rotors"_a = nb::none(), "tracks"_a = nb::none(), "position_variance"_a = Triple{},
-          "Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, and the "
-          "variance of the position [m^2].");
+          "disturbance_m_s2"_a = Triple{},
+          "Set the thrust of each rotor [N] for the next states, the tracks from now on, as of MovingFilter, the "
+          "variance of the position [m^2], and the disturbance [m/s^2] for which the attitudes of states are "
+          "levelled.");
 
   m.def("escape_velocities", &escapes, "index"_a, "p"_a, "v"_a, nb::kw_only(), "reach"_a, "count"_a = 64,
         "slack_rad"_a = EscapeOptions{}.slack_rad,

@@ -42,6 +42,21 @@ struct Choices<flight::CommandKind> {
 };
 
 template <>
+struct Fields<flight::FollowingOptions> {
+  using Options = flight::FollowingOptions;
+  static constexpr std::tuple all{
+      Field{"horizontal_acceleration_m_s2", &Options::horizontal_acceleration_m_s2, "limit; 0: not shaped [m/s^2]"},
+      Field{"horizontal_jerk_m_s3", &Options::horizontal_jerk_m_s3, "limit of its change [m/s^3]"},
+      Field{"vertical_acceleration_m_s2", &Options::vertical_acceleration_m_s2, "the same, vertically [m/s^2]"},
+      Field{"vertical_jerk_m_s3", &Options::vertical_jerk_m_s3, "limit of its change [m/s^3]"},
+      Field{"lag_s", &Options::lag_s, "of the acceleration within the attitude loop [s]"},
+      Field{"position_gain_per_s", &Options::position_gain_per_s,
+            "velocity by the error of the shaped position [1/s]"},
+      Field{"velocity_gain_per_s", &Options::velocity_gain_per_s, "acceleration by that of the velocity [1/s]"},
+      Field{"climb_gain_per_s", &Options::climb_gain_per_s, "the same, vertically [1/s]"}};
+};
+
+template <>
 struct Fields<flight::VehicleSpec> {
   using Spec = flight::VehicleSpec;
   static constexpr std::tuple all{
@@ -53,6 +68,7 @@ struct Fields<flight::VehicleSpec> {
       Field{"max_rate_rad_s", &Spec::max_rate, "limit of a commanded body rate [rad/s]"},
       Field{"rate_time_constant_s", &Spec::rate_time_constant_s, "of each axis of the vehicle's own rate loop [s]"},
       Field{"velocity_gain_per_s", &Spec::velocity_gain, "of the velocity loop [1/s]"},
+      Field{"following", &Spec::following, "how the autopilot shapes velocities and accelerations"},
       Field{"velocity_lag_s", &Spec::velocity_lag_s,
             "assumed time constant with which velocities are followed, of all axes or of each [s]"},
       Field{"max_speed_m_s", &Spec::max_speed, "limit of velocity commands, and of points [m/s]"},
@@ -67,6 +83,17 @@ struct Fields<flight::VehicleSpec> {
 };
 
 template <>
+struct Fields<flight::PlanClockOptions> {
+  using Options = flight::PlanClockOptions;
+  static constexpr std::tuple all{
+      Field{"near_m", &Options::near_m, "error up to which the time runs at full rate [m]"},
+      Field{"far_m", &Options::far_m, "error from which on it stands still [m]"},
+      Field{"slew_per_s", &Options::slew_per_s, "maximum change of the rate [1/s]"},
+      Field{"via_s", &Options::via_s, "times of the via points along the plan, ascending [s]"},
+      Field{"via_m", &Options::via_m, "distance within which a via point counts as passed [m]"}};
+};
+
+template <>
 struct Fields<flight::DisturbanceOptions> {
   using Options = flight::DisturbanceOptions;
   static constexpr std::tuple all{
@@ -74,6 +101,23 @@ struct Fields<flight::DisturbanceOptions> {
       Field{"max_m_s2", &Options::max_m_s2, "maximum length of the estimate [m/s^2]"},
       Field{"max_interval_s", &Options::max_interval_s,
             "after a longer time without a measurement the estimate goes on from the next one [s]"}};
+};
+
+template <>
+struct Fields<flight::ResponseOptions> {
+  using Options = flight::ResponseOptions;
+  static constexpr std::tuple all{
+      Field{"time_s", &Options::time_s,
+            "time constant of the estimate of what a vehicle's response leaves out; 0: none [s]"},
+      Field{"room_m_s2", &Options::room_m_s2,
+            "by which the interval of expected accelerations is wider on both sides [m/s^2]"},
+      Field{"delay_s", &Options::delay_s, "a command of this age may be the one that is followed [s]"},
+      Field{"shortest_lag_s", &Options::shortest_lag_s, "shortest lag of a vehicle that follows velocities [s]"},
+      Field{"jerk_m_s3", &Options::jerk_m_s3, "with which accelerations are followed at least [m/s^3]"},
+      Field{"release_s", &Options::release_s, "time constant with which the bound decays [s]"},
+      Field{"max_m_s2", &Options::max_m_s2, "maximum length of the estimate [m/s^2]"},
+      Field{"max_interval_s", &Options::max_interval_s,
+            "after a longer time without a measurement the estimate begins anew [s]"}};
 };
 
 template <>
@@ -85,7 +129,8 @@ struct Fields<flight::FlightOptions> {
       Field{"filter_ticks", &Options::filter_ticks, "ticks for which the filters' command is held"},
       Field{"stale_s", &Options::stale_s, "a measurement older than this is not predicted any more [s]"},
       Field{"has_losses", &Options::has_losses, "measurements can be missing"},
-      Nested{&Options::disturbance, "disturbance_"}};
+      Nested{&Options::disturbance, "disturbance_"},
+      Nested{&Options::response, "response_"}};
 };
 
 template <>
@@ -281,8 +326,9 @@ struct SteppedFlight {
     d["is_refused"] = decision.is_refused, d["is_stale"] = decision.is_stale;
     d["is_limited"] = decision.is_limited;
     d["estimate"] = to_array(flight.estimate().x);
-    d["disturbance"] = triple_of(flight.disturbance().acceleration());
-    d["disturbance_bound"] = flight.disturbance().bound();
+    d["disturbance"] = triple_of(flight.disturbance());
+    d["disturbance_bound"] = flight.disturbance_bound();
+    d["added_margin_m"] = flight.added_margin();
     nb::list filters;
     for (const FilterRecord& r : flight.records()) {
       LogDict one;
@@ -336,7 +382,48 @@ void bind_adapters(nb::module_& m) {
           "kind"_a, "made"_a, "made: has tick(state, nominal) -> dict and reset().");
 }
 
+void bind_clock(nb::module_& m) {
+  fields::bind<PlanClockOptions>(m, "PlanClockOptions", "How time along a plan waits: alula/flight/plan_clock.hpp.");
+  nb::class_<PlanClock>(m, "PlanClock", "Time along a plan, which slows down for a vehicle that falls behind.")
+      .def(
+          "__init__",
+          [](PlanClock* self, const ReferenceCurve& curve, const PlanClockOptions& options) {
+            new (self) PlanClock(std::make_shared<const ReferenceCurve>(curve), options);
+          },
+          "curve"_a, "options"_a = PlanClockOptions{})
+      .def("pause", &PlanClock::pause, "heading_rad"_a)
+      .def("advance", &PlanClock::advance, "dt_s"_a, "error_m"_a)
+      .def(
+          "target", [](const PlanClock& self) { return Rows(1).add(self.target()).array({1, 18}); },
+          "A row of `ReferenceCurve.at`, shape (1, 18), by the slowed time.")
+      .def_prop_ro("time_s", &PlanClock::time)
+      .def_prop_ro("rate", &PlanClock::rate)
+      .def_prop_ro("is_over", &PlanClock::is_over);
+}
+
 void bind_specs(nb::module_& m) {
+  fields::bind<FollowingOptions>(
+      m, "FollowingOptions", "How an autopilot follows velocities and accelerations: alula/flight/autopilot.hpp.");
+  nb::class_<Autopilot>(m, "Autopilot", "The motion into which an autopilot shapes set-points.")
+      .def(nb::init<const FollowingOptions&>(), "options"_a)
+      .def(
+          "reset", [](Autopilot& self, const InState& x) { self.reset(state_at(x.data())); }, "state"_a,
+          "Begin from a motion; a climb is being braked.")
+      .def(
+          "follow_velocity",
+          [](Autopilot& self, double dt_s, const Triple& u, const InState& x) {
+            return triple_of(self.follow_velocity(dt_s, vector_of(u), state_at(x.data())));
+          },
+          "dt_s"_a, "velocity"_a, "state"_a, "A step; the acceleration that the attitude loop gets [m/s^2].")
+      .def(
+          "follow_acceleration",
+          [](Autopilot& self, double dt_s, const Triple& u, const InState& x) {
+            return triple_of(self.follow_acceleration(dt_s, vector_of(u), state_at(x.data())));
+          },
+          "dt_s"_a, "acceleration"_a, "state"_a)
+      .def_prop_ro("velocity", [](const Autopilot& self) { return triple_of(self.velocity()); })
+      .def_prop_ro("acceleration", [](const Autopilot& self) { return triple_of(self.acceleration()); });
+  bind_clock(m);
   nb::class_<VehicleSpec>(m, "VehicleSpec", "A vehicle, as modelled and as it truly is.")
       .def(
           "__init__",
@@ -355,12 +442,14 @@ void bind_specs(nb::module_& m) {
   nb::class_<Mission>(m, "Mission", "What makes the nominal command.")
       .def_static(
           "along",
-          [](const ReferenceCurve& curve, double gain, double speed, bool hovers) {
+          [](const ReferenceCurve& curve, double gain, double speed, bool hovers,
+             const std::optional<PlanClockOptions>& clock) {
             return Mission{
-                MissionKind::curve, std::make_shared<const ReferenceCurve>(curve), {}, gain, speed, hovers};
+                MissionKind::curve, std::make_shared<const ReferenceCurve>(curve), {}, gain, speed, hovers, clock};
           },
           "curve"_a, nb::kw_only(), "gain_per_s"_a = Mission{}.gain, "speed_m_s"_a = Mission{}.speed,
-          "hovers"_a = false, "Track a curve; with `hovers` until the time is over.")
+          "hovers"_a = false, "clock"_a = nb::none(),
+          "Track a curve; with `hovers` until the time is over; with a `clock` its time waits for the vehicle.")
       .def_static(
           "to",
           [](const Triple& goal, double gain, double speed, bool hovers) {

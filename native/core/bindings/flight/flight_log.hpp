@@ -82,6 +82,8 @@ inline LogDict to_dict(SimulatedFlight&& f, std::size_t filters) {
   d["a_error"] = to_numpy(std::move(f.a_error), {rows});
   d["rotor_thrust"] = to_numpy(std::move(f.rotor_thrust), {rows, 4});
   d["command"] = to_numpy(std::move(f.command), {rows, 11});
+  const std::size_t times = f.plan_s.size();
+  d["plan_s"] = to_numpy(std::move(f.plan_s), {times});
   d["sticks"] = to_numpy(std::move(f.sticks), {rows, 4});
   d["obstacle"] = to_numpy(std::move(f.obstacle), {rows, n, 3});
   d["track"] = to_numpy(std::move(f.track), {rows, n, 3});

@@ -59,7 +59,13 @@ Level::Level(Vec3 disturbance, double gravity) {
   scale_ = length / gravity;
   const Vec3 axis = cross(up, e3);
   const double sine = norm(axis);
-  if (sine > 0) turn_ = std::atan2(sine, dot(up, e3)) / sine * axis;
+  if (!(sine > 0)) return;
+  turn_ = std::atan2(sine, dot(up, e3)) / sine * axis;
+  axis_ = 1 / sine * axis, sine_ = sine / length, cosine_ = dot(up, e3) / length;
+}
+
+Vec3 Level::acceleration(Vec3 a) const {
+  return scale_ * (cosine_ * a + sine_ * cross(a, axis_) + (1 - cosine_) * dot(axis_, a) * axis_);
 }
 
 State Level::operator()(const State& x) const {

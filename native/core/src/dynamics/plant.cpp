@@ -24,6 +24,7 @@ void check(const SensorOptions& o) {
   require(is_size(o.position_noise_m) && is_size(o.velocity_noise_m_s) && is_size(o.attitude_noise_rad) &&
               is_size(o.rate_noise_rad_s),
           "noise needs standard deviations >= 0");
+  require(is_size(o.noise_time_s), "a correlation time must be >= 0");
   require(is_size(o.delay_s) && o.delay_s <= 10, "a delay must be in 0..10 s");
 }
 
@@ -44,9 +45,18 @@ Sensor::Sensor(const SensorOptions& options, RandomStream random) : options_(opt
 void Sensor::reset(const State& x) {
   oldest_ = 0, count_ = 1;
   ring_[0] = {0, x};
+  steps_ = 0, time_ = 0;
+  if (options_.noise_time_s > 0)
+    position_error_ = random_.normals(0, kPosition), velocity_error_ = random_.normals(0, kVelocity);
 }
 
 void Sensor::record(double time, const State& x) {
+  if (options_.noise_time_s > 0) {
+    const double kept = std::exp((time_ - time) / options_.noise_time_s), fresh = std::sqrt(1 - kept * kept);
+    time_ = time, ++steps_;
+    position_error_ = kept * position_error_ + fresh * random_.normals(steps_, kPosition);
+    velocity_error_ = kept * velocity_error_ + fresh * random_.normals(steps_, kVelocity);
+  }
   if (options_.delay_s == 0) {  // only the newest is measured
     at(0) = {time, x};
     return;
@@ -64,8 +74,13 @@ void Sensor::record(double time, const State& x) {
 State Sensor::measured(std::uint64_t step) const {
   State x = at(0).x;
   const auto noise = [&](double deviation, Channel channel) { return deviation * random_.normals(step, channel); };
-  if (options_.position_noise_m > 0) x.p += noise(options_.position_noise_m, kPosition);
-  if (options_.velocity_noise_m_s > 0) x.v += noise(options_.velocity_noise_m_s, kVelocity);
+  if (options_.noise_time_s > 0) {
+    x.p += options_.position_noise_m * position_error_;
+    x.v += options_.velocity_noise_m_s * velocity_error_;
+  } else {
+    if (options_.position_noise_m > 0) x.p += noise(options_.position_noise_m, kPosition);
+    if (options_.velocity_noise_m_s > 0) x.v += noise(options_.velocity_noise_m_s, kVelocity);
+  }
   if (options_.attitude_noise_rad > 0) x.sigma = turned(x.sigma, noise(options_.attitude_noise_rad, kAttitude));
   if (options_.rate_noise_rad_s > 0) x.omega += noise(options_.rate_noise_rad_s, kRate);
   return x;

@@ -77,7 +77,7 @@ FilterReport VelocityFilter::filter(const FlightState& state, const Nominal& nom
     report.active = value.nearest == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(value.nearest);
     return report;
   }
-  const FilterOutput output = filter_.filter({p.x, p.y, p.z}, {u.x, u.y, u.z});
+  const FilterOutput output = filter_.filter({p.x, p.y, p.z}, {u.x, u.y, u.z}, state.more_margin_m);
   report.status = static_cast<SafetyStatus>(output.status);
   report.velocity = {output.u[0], output.u[1], output.u[2]};
   report.margin = output.detail.margin_m;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/dynamics/disturbance.hpp"
+
 namespace alula::flight {
 namespace {
 
@@ -103,13 +105,27 @@ void ChordFilter::go_along(Vec3 p, Vec3 chord, Vec3 u) {
   }
 }
 
+// What moves q beside u counts as part of u, as far as the speed limit of the filter leaves room for it.
+FilterReport ChordFilter::filter(const FlightState& state, const Nominal& nominal) {
+  at_ = state, wanted_ = nominal;
+  const Vec3 u = nominal.velocity, moved = by_axis(lag_, state.disturbance);
+  at_.more_margin_m = way_before_reaction(state.disturbance_bound, lag_.most());
+  const double size = norm(moved);
+  if (!(size > 0)) return filter_moved(u);
+  const double along = dot(u, moved) / size, spare = max_speed_ * max_speed_ - dot(u, u) + along * along;
+  const double part = std::clamp((std::sqrt(std::max(0.0, spare)) - along) / size, 0.0, 1.0);
+  FilterReport report = filter_moved(u + part * moved);
+  if (report.status == SafetyStatus::refused) return report;
+  report.velocity = report.status == SafetyStatus::ok ? u : report.velocity - part * moved;
+  return report;
+}
+
 // Where the chord enters the margin of a hull, q is driven out on the side of p. The filter at q would not do so: q
 // may be nearer to the far side of a thin wall. Where only points near p are in a margin and the margin increases
 // towards q, they are left out, because no u moves p out faster.
-FilterReport ChordFilter::filter(const FlightState& state, const Nominal& nominal) {
-  at_ = state, wanted_ = nominal;
+FilterReport ChordFilter::filter_moved(Vec3 u) {
   const bool lags = lag_.most() > 0;
-  const Vec3 p = state.x.p, chord = by_axis(lag_, state.x.v), u = nominal.velocity;
+  const Vec3 p = at_.x.p, chord = by_axis(lag_, at_.x.v);
   if (lags && !(geometry::is_finite(chord) && geometry::is_finite(p))) return {};
   go_along(p, lags ? chord : Vec3{}, u);
   if (points_.back().report.status == SafetyStatus::refused) return points_.back().report;

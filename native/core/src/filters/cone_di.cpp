@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/dynamics/disturbance.hpp"
+
 namespace alula::flight {
 namespace {
 
@@ -12,9 +14,10 @@ using geometry::is_finite;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kLead = 0.1;           // h reaches 0 this long before contact [s]
-constexpr double kLeastContact = 0.05;  // below this, alpha overshoots within a tick of 10 ms [s]
-constexpr double kHeadOn = 0.02;        // sideways component of a unit row
+constexpr double kLead = 0.1;                              // h reaches 0 this long before contact [s]
+constexpr double kLeastContact = 0.05;                     // below this, alpha overshoots within a tick of 10 ms [s]
+constexpr double kSmallestPart = 0.125, kLeastNotice = 1;  // of a grown radius, and until it is met [s]
+constexpr double kHeadOn = 0.02;                           // sideways component of a unit row
 
 }  // namespace
 
@@ -36,8 +39,15 @@ ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions&
     throw std::invalid_argument("rate and gains of the tracking row must be positive");
 }
 
-Cone ConeDi::cone(std::uint32_t item, Vec3 p, Vec3 v) const {
-  const GrownEllipsoid& e = pruner_.index().grown(item);
+Cone ConeDi::cone(std::uint32_t item, Vec3 p, Vec3 v, double more) const {
+  for (double part = 1; more > 0 && part >= kSmallestPart; part /= 2) {
+    const Cone grown = cone_of(pruner_.index().grown(item, part * more), p, v);
+    if (!grown.is_inside() && grown.contact_time() >= kLeastNotice) return grown;
+  }
+  return cone_of(pruner_.index().grown(item), p, v);
+}
+
+Cone ConeDi::cone_of(const GrownEllipsoid& e, Vec3 p, Vec3 v) const {
   const double larger = 1 + options_.swell;
   return collision_cone({e.centre, 1 / (larger * larger) * e.a}, p, v);
 }
@@ -87,7 +97,8 @@ FilterReport ConeDi::filter(const FlightState& state, const Nominal& nominal) {
   program_.limit(options_.max_acceleration);
   const auto candidates = pruner_.near(p, v, moves, report);
   cones_.clear();
-  for (const Found& found : candidates) cones_.push_back(cone(found.item, p, v));
+  const double more = way_before_reaction(state.disturbance_bound);
+  for (const Found& found : candidates) cones_.push_back(cone(found.item, p, v, more));
   double contact = kInfinity;
   if (moves && options_.recovery > 0)
     for (const Cone& cone : cones_) contact = std::min(contact, cone.contact_time());

@@ -40,7 +40,7 @@ DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw&
   const double phi = at.distance < 0 ? -1 : 1, radius = index.radius() + index.ball(item);
   const double a = law.alpha, b = law.beta;
   DistanceBarrier result;
-  result.h = at.distance * std::abs(at.distance) - radius * radius;
+  result.h = barrier_at(law, at.distance, radius);
   result.distance = at.distance - index.ball(item);
   result.row.row = 2 * phi * at.offset;
   const double bend = law.hessian == SaferHessian::correct ? curvature(e, at, v) : published_curvature(e, at, v);
@@ -52,7 +52,7 @@ DistanceBarrier contact_barrier(const Contact& contact, const DistanceLaw& law, 
   const double d = dot(contact.normal, p - contact.point), along = dot(contact.normal, v);
   const double a = law.alpha, b = law.beta;
   DistanceBarrier result;
-  result.h = d * std::abs(d) - radius * radius;
+  result.h = barrier_at(law, d, radius);
   result.distance = d;
   result.row.row = 2 * std::abs(d) * contact.normal;
   const double bend = 2 * along * along;
@@ -62,7 +62,7 @@ DistanceBarrier contact_barrier(const Contact& contact, const DistanceLaw& law, 
 
 double contact_reach(const DistanceLaw& law, double radius, Vec3 v, Vec3 u) {
   const double w = geometry::norm(u + (law.alpha + law.beta) * v) / (law.alpha * law.beta);
-  return (1 + 1e-9) * (w + std::hypot(w, radius));
+  return (1 + 1e-9) * (w + std::hypot(w, radius + law.more_m));
 }
 
 }  // namespace alula::flight

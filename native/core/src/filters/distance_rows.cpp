@@ -31,16 +31,16 @@ bool DistanceRows::is_beyond(const geometry::Box& box, double ball) const {
   return squared_distance(box, {p_, p_}) > (1 + 1e-12) * far * far;
 }
 
-void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach) {
+void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach, double more_m) {
+  law_.more_m = more_m;
   p_ = p, v_ = v, has_all_ = all, reach_ = reach;
   least_ = kInfinity, measured_ = 0;
   row_.clear();
   looked_ = -kInfinity;
   if (others_.map) {
     look(all ? kInfinity : contact_reach(law_, others_.radius_m, v, {}), {}, kInfinity);
-    const double r = others_.radius_m;
     const double d = contact_.empty() ? others_.map->distance(p, reach, memory_) : kInfinity;
-    if (d < reach) least_ = d * std::abs(d) - r * r;
+    if (d < reach) least_ = barrier_at(law_, d, others_.radius_m);
   }
   if (++tick_ == 0) std::fill(seen_.begin(), seen_.end(), 0), tick_ = 1;
   if (all) {
@@ -50,7 +50,7 @@ void DistanceRows::start(Vec3 p, Vec3 v, bool all, double reach) {
   index_->visit_least(
       heap_, least_,
       [&](const geometry::Box& box, double ball) {
-        return is_beyond(box, ball) ? kInfinity : least_barrier(box, index_->radius() + ball, p);
+        return is_beyond(box, ball) ? kInfinity : least_barrier(box, index_->radius() + law_.more_m + ball, p);
       },
       [&](std::uint32_t item) { measure(item); });
 }

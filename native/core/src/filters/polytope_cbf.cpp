@@ -1,11 +1,14 @@
 #include "alula/filters/polytope_cbf.hpp"
 
+#include <algorithm>
 #include <cfloat>
 #include <stdexcept>
 
 namespace alula {
 
 namespace {
+
+constexpr float kRadiusRounding = 1e-6F;  // of a radius that leaves exactly the room there is
 
 std::array<float, 3> to_float(const Vec3& v) {
   return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
@@ -49,10 +52,21 @@ PolytopeCbf::PolytopeCbf(std::shared_ptr<const OnboardImage> image, double exten
   require_ready(alula_polytope_cbf_open(&cbf_, &image_->map(), round_up(extent_m), &rounded));
 }
 
-FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom) {
+FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom, double more_m) {
   FilterOutput output;
   const auto position = to_float(x), nominal = to_float(u_nom);
-  output.status = alula_polytope_cbf_filter(&cbf_, position.data(), nominal.data(), &output.detail);
+  const float radius = cbf_.config.radius_m;
+  const auto with_radius = [&](float grown) {
+    cbf_.config.radius_m = grown;
+    output.status = alula_polytope_cbf_filter(&cbf_, position.data(), nominal.data(), &output.detail);
+    cbf_.config.radius_m = radius;
+    output.detail.margin_m += grown - radius, output.detail.hard_margin_m += grown - radius;
+  };
+  const float most = std::min(radius + static_cast<float>(more_m), cbf_.map.extent_m);
+  with_radius(most > radius ? most : radius);
+  const float room = output.detail.margin_m;
+  if (most > radius && room < most - radius)
+    with_radius(radius + std::max(0.0F, room - kRadiusRounding * (radius + room)));
   const float* u = output.detail.u;
   output.u = output.status == ALULA_FILTER_OK ? u_nom : Vec3{u[0], u[1], u[2]};
   return output;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/dynamics/disturbance.hpp"
+
 namespace alula::flight {
 namespace {
 
@@ -54,13 +56,14 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
   const bool on_demand = is_on_demand(options_);
+  const double more = way_before_reaction(state.disturbance_bound);
   if (on_demand) {
     const bool has_all = options_.rows == SaferRows::all;
     report.gate_m = has_all ? kInfinity : gate_distance(options_.pruning, geometry::norm(v), index().radius());
-    rows_.start(p, v, options_.brute, report.gate_m);
+    rows_.start(p, v, options_.brute, report.gate_m, more);
     report.margin = rows_.least();
   } else {
-    add_nearest(p, v, report);
+    add_nearest(p, v, more, report);
   }
   const bool unsafe = report.margin < 0;
   if (!(on_demand ? solve_on_demand(report, unsafe)
@@ -75,12 +78,14 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
   return report;
 }
 
-void SaferSplat::add_nearest(Vec3 p, Vec3 v, FilterReport& report) {
+void SaferSplat::add_nearest(Vec3 p, Vec3 v, double more, FilterReport& report) {
   report.margin = kInfinity;
+  DistanceLaw law = rows_.law();
+  law.more_m = more;
   for (const Found& found : options_.brute ? pruner_.near_by_scan(p, v, report) : pruner_.near(p, v, false, report)) {
-    const DistanceBarrier barrier = pruner_.is_local(found.item) ? contact_barrier(pruner_.contact(found.item), law(),
+    const DistanceBarrier barrier = pruner_.is_local(found.item) ? contact_barrier(pruner_.contact(found.item), law,
                                                                                    pruner_.radius_of_others(), p, v)
-                                                                 : distance_barrier(index(), law(), found.item, p, v);
+                                                                 : distance_barrier(index(), law, found.item, p, v);
     report.margin = std::min(report.margin, barrier.h);
     program_.add(barrier.row, pruner_.number(found.item));
   }

@@ -96,7 +96,7 @@ int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.es
 
 void Shield::reset() {
   committed_ = {}, is_committed_ = is_planned_ = false, rotors_ = hovering_, margin_ = options_.margin_m;
-  tubes_.clear();
+  level_ = {}, tubes_.clear();
 }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {

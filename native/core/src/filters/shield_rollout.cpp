@@ -25,6 +25,12 @@ constexpr double kMostPassed = 1.5;  // maximum ratio of the flown distance to t
 constexpr double kQuarter = 1.5707963267948966;  // quarter of a turn [rad]
 constexpr double kMost = 0.25;                   // maximum excursion that is considered [m]
 
+// The matrix k S^T of a level: the true acceleration by that of the model.
+Mat3 true_acceleration(const Level& level) {
+  const Vec3 x = level.acceleration({1, 0, 0}), y = level.acceleration({0, 1, 0}), z = level.acceleration({0, 0, 1});
+  return {{{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}};
+}
+
 }  // namespace
 
 // True if the flight from where `settles_clear` may end a path stays well within the distance that it requires. For
@@ -86,6 +92,8 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   Vec4 rotors = rotors_;
   double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
   tail_ = options_.margin_m / 2, ended_early_ = false;
+  const bool is_still = level_.is_still();
+  const Mat3 turned = true_acceleration(level_);
   const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks &&
@@ -96,7 +104,12 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const bool is_first = tick < before;
     const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
     const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
-    const State next = acts_at_once() ? after(now, command) : following(now, rotors, command);
+    State next = acts_at_once() ? after(now, command) : following(now, rotors, command);
+    if (!is_still) {  // attitude and rates are the same: nothing depends on the velocity within a tick
+      const Vec3 by_speed = h * now.v;
+      next.p = now.p + by_speed + turned * (next.p - now.p - by_speed);
+      next.v = now.v + turned * (next.v - now.v);
+    }
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag,
     // thrust and torques go on a straight line from u to those at the end, so the maximum is at one of the ends. A
     // rate loop can have any torque and thrust of the rotors in between.
@@ -118,7 +131,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
       turning = std::max(turning, spin_up(end.torque));
     }
     const double rate = std::max(spin, next_spin) + h * turning;
-    const double change = norm(start) + growth + thrust * rate * h;
+    const double change = level_.scale() * (norm(start) + growth + thrust * rate * h);
     const double next_speed = norm(next.v);
     const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
     path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});

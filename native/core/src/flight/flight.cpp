@@ -51,6 +51,16 @@ bool is_rigid_body(const VehicleSpec& vehicle) {
   return vehicle.model == VehicleModel::quadrotor && vehicle.interface >= Interface::wrench;
 }
 
+// A quadrotor whose own controller follows velocities or accelerations.
+bool follows_itself(const VehicleSpec& vehicle) {
+  return vehicle.model == VehicleModel::quadrotor && vehicle.interface < Interface::wrench;
+}
+
+std::optional<geometry::PerAxis> lag_of(const VehicleSpec& vehicle) {
+  if (vehicle.interface != Interface::velocity) return std::nullopt;
+  return vehicle.velocity_lag_s;
+}
+
 // Largest age of a measurement that is predicted; not of sticks, whose filters predict themselves [s].
 double oldest_s(const VehicleSpec& vehicle, const FlightOptions& options) {
   return vehicle.assumed.delay_s + (options.has_losses ? options.stale_s : 0);
@@ -71,13 +81,17 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
       options_(options),
       mission_(mission),
       predictor_(vehicle.body, remembered(vehicle, options), options.dt_s),
-      observer_(is_rigid_body(vehicle) ? options.disturbance : DisturbanceOptions{}) {
+      observer_(is_rigid_body(vehicle) ? options.disturbance : DisturbanceOptions{}),
+      response_(follows_itself(vehicle) ? options.response : ResponseOptions{}, lag_of(vehicle), options.dt_s,
+                oldest_s(vehicle, options)) {
   check(vehicle);
   check(options.disturbance, vehicle.body.gravity());
+  check(options.response, vehicle.body.gravity());
   if (!(options.dt_s > 0 && options.controller_ticks > 0 && options.filter_ticks > 0 && options.stale_s > 0))
     throw std::invalid_argument("the ticks of a flight and the age of its states must be positive");
   if (mission.kind == MissionKind::curve && !mission.curve)
     throw std::invalid_argument("a mission along a curve needs the curve");
+  if (mission.kind == MissionKind::curve && mission.clock) clock_.emplace(mission.curve, *mission.clock);
   CommandKind outer = CommandKind::velocity;
   for (const SafetyFilter* filter : filters) {
     if (filter->kind() < outer)
@@ -98,7 +112,8 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
 void Flight::reset() {
   for (const auto& filter : filters_) filter->reset();
   predictor_.reset();
-  observer_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0;
+  observer_.reset(), response_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0;
+  if (clock_) clock_->reset();
   seen_ = {};
   seen_.thrust = vehicle_.body.hover_thrust();
   flown_ = vehicle_.body.limited({vehicle_.body.hover_thrust(), {}});
@@ -118,6 +133,7 @@ void Flight::observe(const Observation& seen) {
   now_ = seen.now_s;
   if (seen.measured && is_finite(*seen.measured)) {
     if (observer_.is_on()) estimate_disturbance(*seen.measured, seen.age_s);
+    if (response_.is_on()) response_.update(seen.age_s.value_or(vehicle_.assumed.delay_s), seen.measured->v);
     last_ = *seen.measured, attitude_ = seen.attitude, arrived_ = now_, has_state_ = true;
     age_ = seen.age_s;
   }
@@ -158,12 +174,13 @@ void Flight::predict() {
     if (observer_.is_on()) {
       const Vec3 d = observer_.acceleration();
       true_.p = true_.p + age * age / 2 * d, true_.v = true_.v + age * d;
-      seen_.x = level_out_(true_);
+      seen_.x = level_out_(true_), seen_.level = level_out_;
       for (double& rotor : *seen_.rotors) rotor /= level_out_.scale();
-      seen_.disturbance_bound = observer_.bound();
+      seen_.disturbance_bound = std::max(0.0, observer_.bound() - kNoiseBound);
     }
     return;
   }
+  seen_.disturbance = response_.acceleration(), seen_.disturbance_bound = response_.bound();
   // A point, or a vehicle with its own cascade: by the commands of the last ticks, each held for a tick.
   const auto ticks = static_cast<std::size_t>(std::ceil(age / options_.dt_s - 1e-9));
   const std::size_t known = std::min(ticks, past_.size());
@@ -181,10 +198,14 @@ void Flight::predict() {
   }
 }
 
-// The predicted state after a command was held for a time.
+// The predicted state after a command was held for a time. v' = (u - v) / lag + d is a response to u + lag d.
 void Flight::follow(Vec3 command, double held) {
   State& x = seen_.x;
   const bool is_velocity = vehicle_.interface == Interface::velocity;
+  if (response_.is_on()) {
+    const Vec3 d = response_.acceleration();
+    command = command + (is_velocity ? geometry::by_axis(vehicle_.velocity_lag_s, d) : d);
+  }
   if (vehicle_.model == VehicleModel::single_integrator) {
     x.p = x.p + held * command;
   } else if (is_velocity && is_rigid()) {
@@ -213,7 +234,8 @@ void Flight::make_nominal() {
   Vec3 towards = mission_.goal - x.p;
   Vec3 velocity;
   if (mission_.kind != MissionKind::goal) {
-    if (mission_.kind == MissionKind::curve) target_ = mission_.curve->at(mission_.curve->start() + now_);
+    if (mission_.kind == MissionKind::curve)
+      target_ = clock_ ? clock_->target() : mission_.curve->at(mission_.curve->start() + now_);
     velocity = target_.v + mission_.gain / 2 * (target_.p - x.p);
   } else {
     target_ = reference_for(mission_.goal, {}, target_.yaw);
@@ -370,6 +392,7 @@ void Flight::finish() {
     case Interface::acceleration:
       if (level_ == CommandKind::velocity) lower(level_, CommandKind::acceleration);
       decision_.acceleration = c.acceleration = nominal_.acceleration;
+      if (response_.is_on()) c.acceleration = c.acceleration - response_.acceleration();
       if (is_rigid()) break;
       if (has_inner_limits(vehicle_)) {
         for (int i = 0; i < 3; ++i)
@@ -425,7 +448,13 @@ void Flight::finish() {
   ++tick_;
 }
 
+// The plan's time, after a tick with a command.
+void Flight::go_on() {
+  if (clock_ && !decision_.is_stale) clock_->advance(options_.dt_s, norm(seen_.x.p - target_.p));
+}
+
 void Flight::sent() {
+  go_on();
   const Command& c = decision_.command;
   switch (vehicle_.interface) {
     case Interface::velocity:
@@ -444,6 +473,7 @@ void Flight::sent() {
 }
 
 void Flight::sent(const Command& other) {
+  go_on();
   const bool is_same = other.interface == vehicle_.interface;
   switch (vehicle_.interface) {
     case Interface::velocity:
@@ -466,6 +496,7 @@ void Flight::sent(const Command& other) {
 }
 
 void Flight::remember(const std::optional<Vec3>& command) {
+  response_.sent(command);
   past_[oldest_] = command;
   oldest_ = (oldest_ + 1) % past_.size();
 }

@@ -60,7 +60,7 @@ void check(const VehicleSpec& spec) {
       require(is(Interface::sticks), "a racer is commanded by sticks");
       break;
   }
-  check(spec.gains), check(spec.plant), check(spec.assumed), check(spec.racer);
+  check(spec.gains), check(spec.plant), check(spec.assumed), check(spec.racer), check(spec.following);
   require(
       has_rate_loop(spec.rate_time_constant_s) && spec.max_rate.x > 0 && spec.max_rate.y > 0 && spec.max_rate.z > 0,
       "the rate loop needs a time constant and limits above 0");
@@ -85,6 +85,7 @@ SimulatedVehicle::SimulatedVehicle(const VehicleSpec& spec, double dt_s, int pla
       limited_({spec.max_speed, spec.max_jerk, spec.actuation_delay_s}, h_),
       racer_(spec.racer, spec.racer_options, random),
       sensor_(spec.plant.sensor, random),
+      autopilot_(spec.following),
       is_limited_(has_inner_limits(spec)) {}
 
 void SimulatedVehicle::reset(const State& x, const std::optional<Vec4>& attitude) {
@@ -98,7 +99,7 @@ void SimulatedVehicle::reset(const State& x, const std::optional<Vec4>& attitude
       is_limited_ ? limited_.reset({x.p, x.v, {}}) : point_.reset(x);
       break;
     case VehicleModel::quadrotor:
-      body_.reset(x);
+      body_.reset(x), autopilot_.reset(x);
       break;
     case VehicleModel::racer:
       racer_.reset(to_racer(x, attitude));
@@ -130,7 +131,7 @@ void SimulatedVehicle::command(const Command& command) {
                                                             : command.acceleration;
     point_acceleration_ = a;
     if (is_limited_) limited_.command(a);
-  } else if (spec_.model == VehicleModel::quadrotor) {
+  } else if (spec_.model == VehicleModel::quadrotor && !is_shaped()) {
     if (command.interface == Interface::velocity)
       held_ = track(spec_.body, holding(spec_), x_, reference_for(x_.p, command.velocity, command.yaw)).wrench;
     else if (command.interface == Interface::acceleration)
@@ -160,6 +161,12 @@ void SimulatedVehicle::step() {
       }
       break;
     case VehicleModel::quadrotor:
+      if (is_shaped()) {
+        const bool is_velocity = command_.interface == Interface::velocity;
+        held_ = spec_.body.limited(
+            wrench_of_acceleration(is_velocity ? autopilot_.follow_velocity(h_, command_.velocity, x_)
+                                               : autopilot_.follow_acceleration(h_, command_.acceleration, x_)));
+      }
       body_.step(h_, command_.interface == Interface::body_rates ? wrench_of_rates() : held_);
       x_ = body_.state();
       break;

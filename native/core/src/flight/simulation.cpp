@@ -190,6 +190,7 @@ void Trial::note_all(const Observation& seen, const Decision& decision) {
 
 void Trial::note_state() {
   append(log_.state, vehicle_.state());
+  if (flight_.clock()) log_.plan_s.push_back(flight_.clock()->time());
   if (spec_.vehicle.model != VehicleModel::racer) return;
   const Vec4& q = vehicle_.racer().q;
   log_.attitude.insert(log_.attitude.end(), q.begin(), q.end());
@@ -261,12 +262,15 @@ End Trial::judged(const Decision& decision) {
   if (!is_over && have_receded(now)) return End::passed;
   if (m.kind == MissionKind::pilot || m.hovers) return is_over ? End::ended : End::flying;
   if (!rules.ends_at_goal) return is_over ? End::timeout : End::flying;
-  const Vec3 target = m.kind == MissionKind::curve ? m.curve->at(m.curve->start() + now).p : m.goal;
-  const bool has_arrived = now >= m.duration() - kSameTime;
+  const std::optional<PlanClock>& clock = flight_.clock();
+  const Vec3 target = clock                          ? clock->target().p
+                      : m.kind == MissionKind::curve ? m.curve->at(m.curve->start() + now).p
+                                                     : m.goal;
+  const bool has_arrived = clock ? clock->is_over() : now >= m.duration() - kSameTime;
   const double still = spec_.vehicle.model == VehicleModel::single_integrator ? 1e300 : rules.stop_speed;
   if (has_arrived && norm(x.p - goal()) <= task_.stop_distance_m && speed <= still) return End::reached;
   // A vehicle may rest where the reference rests; it is stuck only if it is away from the reference.
-  const bool is_behind = norm(x.p - target) > task_.stop_distance_m;
+  const bool is_behind = norm(x.p - target) > task_.stop_distance_m && (!clock || has_arrived);  // it may wait
   still_ = speed < rules.stuck_speed && is_behind ? still_ + 1 : 0;
   if (still_ >= rules.stuck_ticks) return End::stuck;
   return is_over ? End::timeout : End::flying;

@@ -217,6 +217,18 @@ geometry::Ellipsoid EllipsoidIndex::at_slot(std::uint32_t slot) const {
   return geometry::gaussian_ellipsoid(row.mean, row.scale, row.quat_wxyz, level(slot).sigma);
 }
 
+GrownEllipsoid EllipsoidIndex::grown(std::uint32_t item, double more_m) const {
+  const geometry::Ellipsoid e = ellipsoid(item);
+  const geometry::Vec3 s = e.semi;
+  const Sum sum = outer_sum(s.x * s.x + s.y * s.y + s.z * s.z, radius_ + more_m + ball(item));
+  GrownEllipsoid grown{e.centre, {}};
+  for (int j = 0; j < 3; ++j) {
+    const geometry::Vec3 axis = e.axis[j];
+    grown.a = grown.a + (1 - 64 * kEps) / (sum.scale * s[j] * s[j] + sum.add) * geometry::outer(axis, axis);
+  }
+  return grown;
+}
+
 geometry::Sighted EllipsoidIndex::sighted(std::uint32_t slot, geometry::Vec3 a, geometry::Vec3 d,
                                           double enough) const {
   const Row& row = row_[slot];

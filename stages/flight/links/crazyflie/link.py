@@ -244,6 +244,8 @@ class CrazyflieLink:
         """
         if not self._is_prepared:
             raise LinkError("a command before the vehicle was prepared")
+        if order is Order.SETTLE:
+            return
         if order is Order.NOTHING:
             if self._streamed_s is not None:
                 self._hold(now_s)

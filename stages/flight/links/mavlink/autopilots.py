@@ -9,7 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.mavlink.ardupilot_failsafes import ardupilot_safety
+from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
+from alula.stages.flight.links.mavlink.px4_failsafes import PX4_SAFETY, px4_safety
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -33,12 +34,19 @@ class Parameter:
         required: the required value as a function of the present one.
         why: the reason, for the user.
         is_required: whether a vehicle without the parameter is refused.
+        since: its name in later versions; empty if it is the same.
     """
 
     name: str
     required: Callable[[float], float]
     why: str
     is_required: bool = True
+    since: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its possible names."""
+        return (self.name, self.since) if self.since else (self.name,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +67,20 @@ class Autopilot:
         hover: name of the parameter with the hover throttle.
         yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
             there is none.
-        own_safety: as `ardupilot_safety`; None if the failsafes are not judged.
+        settling: parameter that lets it lean less in a landing, so that it notices the ground; None if there
+            is none.
+        own_safety: as `ardupilot_safety`, from the values of `safety_parameters`.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.
         landing: main and sub mode that land.
+        stopping: main and sub mode in which it comes to rest before it lands; None if it stops as fast while
+            it lands.
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
         reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
         mode_of: function from custom_mode to main mode, sub mode and name.
+        custom_of: function from main and sub mode to custom_mode.
         accepts: kinds of set-points that it follows.
     """
 
@@ -80,15 +93,19 @@ class Autopilot:
     position_source: tuple[str, float] | None
     hover: str
     yaw_filter: str
-    own_safety: Callable[..., OwnSafety] | None
+    settling: Parameter | None
+    own_safety: Callable[..., OwnSafety]
+    safety_parameters: tuple[str, ...]
     is_bytewise: bool
     control: tuple[int, int]
     landing: tuple[int, int]
+    stopping: tuple[int, int] | None
     streams_first: bool
     takes_off_by_command: bool
     reports_arming: bool
     has_odometry: bool
     mode_of: Callable[[int], tuple[int, int, str]]
+    custom_of: Callable[[tuple[int, int]], int]
     accepts: frozenset[type[Setpoint]] = ALL_SETPOINTS
 
     @property
@@ -96,7 +113,7 @@ class Autopilot:
         """Names of all parameters whose values must not change in flight."""
         source = () if self.position_source is None else (self.position_source[0],)
         set_or_checked = (
-            *(each.name for each in self.needed(flies_rates=True)),
+            *(name for each in self.needed(flies_rates=True) for name in each.names),
             *(name for name, _ in self.fixed),
         )
         return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
@@ -160,6 +177,8 @@ def _always(value: float) -> Callable[[float], float]:
     return lambda _: value
 
 
+_SETTLING_DEG = 10.0
+
 ARDUPILOT = Autopilot(
     name="ArduPilot",
     parameters=(
@@ -171,7 +190,13 @@ ARDUPILOT = Autopilot(
     for_rates=(
         Parameter("FS_GCS_TIMEOUT", lambda value: min(value, 0.5), "it lands 0.5 s after the last heartbeat"),
         *(
-            Parameter(f"ATC_ACCEL_{axis}_MAX", _always(0.0), "rates are followed at once", is_required=False)
+            Parameter(
+                f"ATC_ACCEL_{axis}_MAX",
+                _always(0.0),
+                "rates are followed at once",
+                is_required=False,
+                since=f"ATC_ACC_{axis}_MAX",
+            )
             for axis in "RP"
         ),
     ),
@@ -184,15 +209,24 @@ ARDUPILOT = Autopilot(
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     yaw_filter="ATC_RAT_YAW_FLTE",
+    settling=Parameter(
+        "PSC_ANGLE_MAX",
+        lambda value: min(value or _SETTLING_DEG, _SETTLING_DEG),
+        "it takes the ground for the air while it leans by more than 15 degrees",
+        is_required=False,
+    ),
     own_safety=ardupilot_safety,
+    safety_parameters=ARDUPILOT_SAFETY,
     is_bytewise=False,
     control=(4, 0),
     landing=(9, 0),
+    stopping=None,  # LAND stops sooner: from 2.0 m/s within 1.8 m, BRAKE from 1.9 m/s within 2.9 m
     streams_first=False,
     takes_off_by_command=True,
     reports_arming=True,
     has_odometry=False,
     mode_of=_copter_mode,
+    custom_of=lambda mode: mode[0],
 )
 
 PX4 = Autopilot(
@@ -212,15 +246,19 @@ PX4 = Autopilot(
     position_source=None,
     hover="MPC_THR_HOVER",
     yaw_filter="",
-    own_safety=None,
+    settling=None,
+    own_safety=px4_safety,
+    safety_parameters=PX4_SAFETY,
     is_bytewise=True,
     control=(6, 0),
     landing=(4, 6),
+    stopping=(4, 3),  # AUTO.LOITER
     streams_first=True,
     takes_off_by_command=False,
     reports_arming=False,
     has_odometry=True,
     mode_of=_px4_mode,
+    custom_of=lambda mode: mode[0] << 16 | mode[1] << 24,
 )
 
 _BY_NUMBER = {dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, dialect.MAV_AUTOPILOT_PX4: PX4}

@@ -12,7 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
+from alula.stages.flight.links.mavlink.autopilots import (
+    ALL_SETPOINTS,
+    ARDUPILOT,
+    Autopilot,
+    autopilot_of,
+    mode_command,
+)
 from alula.stages.flight.links.mavlink.estimate import Estimate
 from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.orders import Addressee, Orders
@@ -28,11 +34,13 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
     VehicleStatus,
+    Ward,
     check_height,
 )
 
 _ANSWER_S = 2.0
 _OPTIONAL_S = 0.6  # for the answer of a vehicle that may not have a parameter
+_TOGETHER_S = 1.2  # for the answers to many requests at once, of which each is repeated twice
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat's period, to detect a second vehicle
 _STREAM_S = 0.05
@@ -46,6 +54,7 @@ _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
+_LINK_OF_WATCHDOG = 1  # its packets are a stream of their own, whose time stamps cannot make others look old
 
 
 def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
@@ -65,7 +74,7 @@ def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
 class MavlinkLink:
     """A `Link` to an autopilot.
 
-    It sends a heartbeat every second, set-points as they come, commands until they are answered, and with
+    It sends ten heartbeats a second, set-points as they come, commands until they are answered, and with
     motion capture its poses. It changes the parameters of `mavlink.autopilots`; `close` restores them.
 
     Args:
@@ -165,16 +174,36 @@ class MavlinkLink:
                 self._telemetry.say(f"parameters could not be put back: {error}")
             raise
 
+    def guarded(self) -> Ward:
+        """What a watchdog process needs to stop and land the vehicle; after `open`."""
+        autopilot, session = self._autopilot, self._session
+        orders = [mode for mode in (autopilot.landing, autopilot.stopping) if mode is not None]
+        customs = [autopilot.custom_of(mode) for mode in orders]
+        names = [autopilot.mode_of(custom)[2] for custom in customs]
+        heartbeat, *sent = session.parts(*(mode_command(mode) for mode in orders))
+        signer = session.signer
+        settings = {
+            **{"system": session.source, "component": COMPONENT, "vehicle": session.target[0]},
+            **{"key": None if signer is None else signer.key, "link": _LINK_OF_WATCHDOG},
+            **{"heartbeat": heartbeat, "land": sent[0], "stop": sent[-1]},
+            **{"land_name": names[0], "stop_name": names[-1]},
+            **{"control": autopilot.custom_of(autopilot.control), "landing": customs[0]},
+            "stopping": None if autopilot.stopping is None else customs[-1],
+        }
+        return Ward(settings, lambda: session.place, self._reported)
+
+    def _reported(self) -> tuple[int, float, int]:
+        beat, signer = self._telemetry.heartbeat, self._session.signer
+        mode = 0 if beat is None else beat.custom_mode
+        return mode, self._telemetry.beat_s, 0 if signer is None else signer.newest
+
     def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
         """Values of parameters of a vehicle that was opened; those that it does not report are left out.
 
         Args:
             names: of the parameters.
         """
-        if self._parameters is None:
-            return {}
-        found = {name: self._parameters.read(name, _OPTIONAL_S) for name in names}
-        return {name: value for name, value in found.items() if value is not None}
+        return {} if self._parameters is None else self._parameters.read_all(names, _ANSWER_S)
 
     def poll(self, now_s: float) -> None:
         """Receive all that has arrived, and send periodic messages."""
@@ -236,8 +265,12 @@ class MavlinkLink:
         Raises:
             LinkError: the command is not possible now.
         """
-        if self._orders is None or self._encoder is None:
+        if self._orders is None or self._encoder is None or self._parameters is None:
             raise LinkError("a command before the vehicle was prepared")
+        if order is Order.SETTLE:
+            if self._autopilot.settling is not None:
+                self._parameters.start(self._autopilot.settling)
+            return
         if order is Order.HOLD and self._is_without_position:
             raise LinkError("hold is refused: the mode guided_nogps has no position")
         is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
@@ -348,11 +381,12 @@ class MavlinkLink:
             self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
-        if self._autopilot.own_safety is not None:
-            self.status.own_safety = self._autopilot.own_safety(
-                lambda name: parameters.read(name, _OPTIONAL_S),
-                flies_rates=self._options.flies_rates,
-            )
+        if self._autopilot.settling is not None:
+            parameters.read(self._autopilot.settling.name, _OPTIONAL_S)
+        self.status.own_safety = self._autopilot.own_safety(
+            parameters.read_all(self._autopilot.safety_parameters, _TOGETHER_S),
+            flies_rates=self._options.flies_rates,
+        )
         parameters.watch(self._autopilot.relied_on)
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)

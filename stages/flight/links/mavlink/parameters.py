@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -13,6 +14,7 @@ from alula.stages.flight.links.mavlink.autopilots import Parameter
 from alula.stages.flight.links.mavlink.session import Session
 
 _ANSWER_S = 3.0
+_AGAIN_S = 0.5  # between attempts of a change in flight
 _ROUND_S = 1.0  # all watched parameters are read once in this time
 _FORMATS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE of integers
 _LEFT = struct.Struct("<f")
@@ -33,7 +35,8 @@ class Parameters:
         self._changed: dict[str, tuple[float, float]] = {}  # old value, value that was set
         self._watched: dict[str, float] = {}  # value that each must keep
         self._asked = self._answers = self._judged = 0
-        self._asked_s = -math.inf
+        self._asked_s = self._again_s = -math.inf
+        self._started: tuple[str, float] | None = None  # a change that is sent until it is confirmed
 
     def take(self, message: Any) -> None:
         """Process a PARAM_VALUE."""
@@ -50,11 +53,37 @@ class Parameters:
 
     def read(self, name: str, timeout_s: float = _ANSWER_S) -> float | None:
         """Read a parameter within `timeout_s` [s]; None if the vehicle does not report it."""
-        self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
-        self._values.pop(name, None)
-        request = dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
-        self._session.wait(lambda: name in self._values, timeout_s, again=lambda: self._session.send(request))
-        return self._values.get(name)
+        return self._ask((name,), timeout_s, all).get(name)
+
+    def read_all(self, names: Iterable[str], timeout_s: float = _ANSWER_S) -> dict[str, float]:
+        """Read parameters together within `timeout_s` [s]; those that are not reported are left out."""
+        return self._ask(tuple(names), timeout_s, all)
+
+    def read_any(self, names: Iterable[str], timeout_s: float = _ANSWER_S) -> tuple[str, float] | None:
+        """Name and value of the parameter that is reported first within `timeout_s` [s]; None if none is.
+
+        Args:
+            names: of one parameter, in versions of the autopilot.
+            timeout_s: maximum time [s].
+        """
+        return next(iter(self._ask(tuple(names), timeout_s, any).items()), None)
+
+    def _ask(
+        self, names: tuple[str, ...], timeout_s: float, are_enough: Callable[[Iterable[bool]], bool]
+    ) -> dict[str, float]:
+        for name in names:
+            self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
+            self._values.pop(name, None)
+
+        def ask() -> None:
+            for name in names:
+                if name not in self._values:
+                    self._session.send(
+                        dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
+                    )
+
+        self._session.wait(lambda: are_enough(name in self._values for name in names), timeout_s, again=ask)
+        return {name: self._values[name] for name in names if name in self._values}
 
     def change(self, parameter: Parameter) -> str | None:
         """Set a parameter to the value that flights need; a line, or None if nothing was changed.
@@ -65,19 +94,35 @@ class Parameters:
         Raises:
             LinkError: the vehicle does not have it, or does not accept the value.
         """
-        present = self.read(parameter.name)
-        if present is None:
+        found = self.read_any(parameter.names)
+        if found is None:
             if parameter.is_required:
                 raise LinkError(f"the vehicle does not report its parameter {parameter.name}")
             return None
+        name, present = found
         required = parameter.required(present)
         if _is_same(present, required):
             return None
         # Remembered before writing: a value that may or may not have been accepted is restored too.
+        self._changed.setdefault(name, (present, required))
+        if not self._write(name, required, _ANSWER_S):
+            raise LinkError(f"the vehicle did not take {name} = {required:g}")
+        return f"{name}: {present:g} -> {required:g} ({parameter.why})"
+
+    def start(self, parameter: Parameter) -> None:
+        """Begin to set a parameter that was read before; `poll` repeats it until the vehicle confirms it.
+
+        Without effect for a vehicle that does not report the parameter, or has the value.
+
+        Args:
+            parameter: the parameter.
+        """
+        present = self._values.get(parameter.name)
+        if present is None or _is_same(present, parameter.required(present)):
+            return
+        required = parameter.required(present)
         self._changed.setdefault(parameter.name, (present, required))
-        if not self._write(parameter.name, required, _ANSWER_S):
-            raise LinkError(f"the vehicle did not take {parameter.name} = {required:g}")
-        return f"{parameter.name}: {present:g} -> {required:g} ({parameter.why})"
+        self._started = parameter.name, required
 
     def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
         """Check that parameters have allowed values.
@@ -117,6 +162,12 @@ class Parameters:
             self._session.send(
                 dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
             )
+        if self._started is not None and now_s - self._again_s >= _AGAIN_S:
+            self._again_s, (name, value) = now_s, self._started
+            if _is_same(self._values.get(name, math.nan), value):
+                self._started = None
+            else:
+                self._session.send(self._set(name, value))
         if self._answers == self._judged:
             return None
         self._judged = self._answers
@@ -155,18 +206,21 @@ class Parameters:
         return lines
 
     def _write(self, name: str, value: float, timeout_s: float) -> bool:
-        kind = self._types[name]
-        format_ = _FORMATS.get(kind)
-        sent = value
-        if self._is_bytewise and format_ is not None:
-            (sent,) = _LEFT.unpack(struct.pack(f"<{format_}", round(value)).ljust(4, b"\0"))
         self._values.pop(name, None)
-        message = dialect.MAVLink_param_set_message(*self._session.target, name.encode(), sent, kind)
+        message = self._set(name, value)
         return self._session.wait(
             lambda: name in self._values and _is_same(self._values[name], value),
             timeout_s,
             again=lambda: self._session.send(message),
         )
+
+    def _set(self, name: str, value: float) -> Any:
+        """PARAM_SET of a parameter that was read before."""
+        kind = self._types[name]
+        format_ = _FORMATS.get(kind)
+        if self._is_bytewise and format_ is not None:
+            (value,) = _LEFT.unpack(struct.pack(f"<{format_}", round(value)).ljust(4, b"\0"))
+        return dialect.MAVLink_param_set_message(*self._session.target, name.encode(), value, kind)
 
 
 def _is_same(a: float, b: float) -> bool:

@@ -14,6 +14,7 @@ from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.transport import Transport, open_transport
 from alula.stages.flight.links.mavlink.wire import Packet, Wire
 from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import Place
 
 GROUND_STATION = 255  # autopilots monitor the heartbeats of this system by default
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
@@ -21,9 +22,11 @@ AUTOPILOT_COMPONENT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 _MAX_READS = 64  # in one poll
 _MAX_BYTES = 1 << 15
-_HEARTBEAT_S = 1.0
-_RATES_HEARTBEAT_S = 0.1  # where the vehicle lands after half a second without one
+# ArduPilot lands half a second after the last one in flights by body rates, and in all later flights, too, if
+# such a flight was killed: its FS_GCS_TIMEOUT stays.
+_HEARTBEAT_S = 0.1
 _WAIT_S = 0.005
+_NOWHERE = Place(None, "")
 _DESERTED_S = 3.0  # after this time without packets another address may take the vehicle's place
 
 WANTED = (
@@ -75,7 +78,6 @@ class Session:
         self._transport: Transport | None = None
         self._peer: Any = None
         self._sequence: int | None = None
-        self._period_s = _RATES_HEARTBEAT_S if options.flies_rates else _HEARTBEAT_S
         self._beat_s = -math.inf
         self.start_s = options.clock()
         self.signer: Signer | None = None
@@ -147,18 +149,9 @@ class Session:
             self._receive(data, peer, now_s)
             if size > _MAX_BYTES:
                 break
-        if now_s - self._beat_s >= self._period_s:
+        if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
-            self.send(
-                dialect.MAVLink_heartbeat_message(
-                    dialect.MAV_TYPE_ONBOARD_CONTROLLER,
-                    dialect.MAV_AUTOPILOT_INVALID,
-                    0,
-                    0,
-                    dialect.MAV_STATE_ACTIVE,
-                    3,
-                )
-            )
+            self.send(_heartbeat())
             if self.signer is not None:
                 self.signer.keep_up()
 
@@ -171,6 +164,16 @@ class Session:
         assert self._transport is not None
         if not self._transport.send(self._wire.pack(message)):
             self.unsent += 1
+
+    @property
+    def place(self) -> Place:
+        """Where the vehicle is reached."""
+        return _NOWHERE if self._transport is None else self._transport.place
+
+    def parts(self, *commands: tuple[int, tuple[float, ...]]) -> list[tuple[int, int, bytes]]:
+        """A heartbeat, and COMMAND_LONGs by number and parameters, for frames of another process."""
+        messages = (_heartbeat(), *(self.command(*each) for each in commands))
+        return [self._wire.parts(message) for message in messages]
 
     def command(self, number: int, values: tuple[float, ...], confirmation: int = 0) -> Any:
         """A COMMAND_LONG to the vehicle.
@@ -265,6 +268,17 @@ class Session:
                 return
             self.lost += gap
         self._sequence = sequence
+
+
+def _heartbeat() -> Any:
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+        dialect.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        dialect.MAV_STATE_ACTIVE,
+        3,
+    )
 
 
 def _is_autopilot(packet: Packet) -> bool:

@@ -100,6 +100,11 @@ class Signer:
         self._saved_s = -math.inf
         self.save(_KEPT_AHEAD)
 
+    @property
+    def newest(self) -> int:
+        """The newest time stamp that was used or accepted."""
+        return self._last
+
     def next_stamp(self) -> int:
         """A time stamp larger than all before it."""
         self._last = max(self._now(), self._last + 1)

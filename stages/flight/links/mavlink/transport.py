@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
+from alula.stages.flight.links.protocol import Place
 
 _DATAGRAM = 4096
 _MAX_WAITING = 1024  # bytes that a stream has not accepted yet; beyond, whole frames are dropped
@@ -22,6 +23,11 @@ class Transport(Protocol):
     """A line for bytes; its methods raise LinkError when the connection is lost."""
 
     is_datagram: bool
+
+    @property
+    def place(self) -> Place:
+        """Where the vehicle is reached, for another process."""
+        ...
 
     def receive(self) -> tuple[bytes, Any] | None:
         """Received bytes and their sender; None if there are none."""
@@ -96,6 +102,10 @@ class _Udp:
         self._is_connected = not is_listening
         self._socket.setblocking(False)
 
+    @property
+    def place(self) -> Place:
+        return Place(self._socket.fileno(), "udp" if self._is_connected else "udp to", self._peer)
+
     def receive(self) -> tuple[bytes, Any] | None:
         try:
             return self._socket.recvfrom(_DATAGRAM)
@@ -159,6 +169,11 @@ class _Stream(ABC):
     def use(self, peer: Any) -> None:  # noqa: B027  the other end of a stream is always the same
         pass
 
+    @property
+    @abstractmethod
+    def place(self) -> Place:
+        """See `Transport`."""
+
     @abstractmethod
     def _read(self) -> bytes:
         """Some of the received bytes; empty at the end, OSError if there are none."""
@@ -174,6 +189,10 @@ class _Tcp(_Stream):
         self._socket = socket.create_connection((host, port), timeout=max(timeout_s, 0.1))
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
+
+    @property
+    def place(self) -> Place:
+        return Place(self._socket.fileno(), "stream")
 
     def _read(self) -> bytes:
         return self._socket.recv(_DATAGRAM)
@@ -196,6 +215,10 @@ class _Serial(_Stream):
         self._device, self._baud, self._clock = device, baud, clock
         self._again_s = 0.0
         self._file: int | None = _open_serial(device, baud)
+
+    @property
+    def place(self) -> Place:
+        return Place(self._file, "stream")
 
     def receive(self) -> tuple[bytes, Any] | None:
         with self._opened():

@@ -78,6 +78,12 @@ class Wire:
         self._writer.seq = (self._writer.seq + 1) % 256
         return frame
 
+    @staticmethod
+    def parts(message: Any) -> tuple[int, int, bytes]:
+        """Number, CRC_EXTRA and payload of a message, from which another process makes frames."""
+        frame = bytes(message.pack(dialect.MAVLink(None)))
+        return message.id, message.crc_extra, frame[_HEADER[_V2] : -_CRC]
+
     def forget(self) -> None:
         """Drop an incomplete frame: the bytes that follow come from another sender."""
         self._rest = b""

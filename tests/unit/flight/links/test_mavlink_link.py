@@ -38,7 +38,7 @@ def test_a_vehicle_is_found_and_named_and_asked_for_its_state():
         assert (beats[0].get_srcSystem(), beats[0].get_srcComponent()) == (255, 191)
         before = len(peer.of("HEARTBEAT"))
         time.run(link, 5.0)
-        assert len(peer.of("HEARTBEAT")) - before == 5
+        assert 45 <= len(peer.of("HEARTBEAT")) - before <= 50
         peer.heard.clear()
         link.close()
         peer.tick(time())

@@ -167,6 +167,35 @@ def test_motors_stop_on_the_ground_only():
         assert (command.param1, command.param2) == (0, 0)
 
 
+@pytest.mark.parametrize(("before", "meant"), [(0.0, 10.0), (30.0, 10.0), (5.0, 5.0)])
+def test_a_landing_vehicle_leans_less_until_the_end(before, meant):
+    peer = Peer()
+    peer.parameters["PSC_ANGLE_MAX"] = (before, m.MAV_PARAM_TYPE_REAL32)
+    with vehicle(peer=peer) as (peer, time, link):
+        peer.deaf_to.add("PSC_ANGLE_MAX")
+        link.order(Order.LAND, time())
+        link.order(Order.SETTLE, time())
+        time.run(link, 2.0)
+        assert link.status.mode == "LAND"  # the order before is not cancelled
+        peer.deaf_to.clear()
+        time.run(link, 1.0)
+        assert peer.parameters["PSC_ANGLE_MAX"][0] == meant
+        sent = [e for e in peer.of("PARAM_SET") if e.param_id == "PSC_ANGLE_MAX"]
+        assert len(sent) <= 6
+        time.run(link, 2.0)  # once confirmed it is not sent any more
+        assert len([e for e in peer.of("PARAM_SET") if e.param_id == "PSC_ANGLE_MAX"]) == len(sent)
+        assert not link.status.changed
+    assert peer.parameters["PSC_ANGLE_MAX"][0] == before
+
+
+def test_a_vehicle_without_such_a_limit_is_left_alone():
+    with vehicle() as (peer, time, link):
+        before = len(peer.of("PARAM_SET"))
+        link.order(Order.SETTLE, time())
+        time.run(link, 2.0)
+        assert len(peer.of("PARAM_SET")) == before
+
+
 def test_guided_without_position_takes_rates_alone():
     with vehicle(address="?mode=guided_nogps") as (_, time, link):
         assert link.accepts == {RatesSetpoint}
@@ -192,6 +221,20 @@ def test_parameters_are_set_verified_and_put_back():
         }
     assert peer.parameters == ARDUPILOT
     assert "ARMING_CHECK" not in {e.param_id for e in peer.of("PARAM_SET")}
+
+
+@pytest.mark.parametrize("name", ["ATC_ACCEL_{}_MAX", "ATC_ACC_{}_MAX"])  # before 4.7, and since
+def test_a_parameter_is_set_and_put_back_under_the_name_that_the_vehicle_has(name):
+    peer = Peer()
+    peer.parameters["FS_GCS_TIMEOUT"] = (5.0, m.MAV_PARAM_TYPE_REAL32)
+    accelerations = {name.format(axis): (1100.0, m.MAV_PARAM_TYPE_REAL32) for axis in "RP"}
+    peer.parameters |= accelerations
+    before = dict(peer.parameters)
+    with vehicle(peer=peer, ready=False, flies_rates=True) as (peer, _, link):
+        lines = link.prepare()
+        assert [line.split(":")[0] for line in lines[-2:]] == list(accelerations)
+        assert [peer.parameters[each][0] for each in accelerations] == [0.0, 0.0]
+    assert peer.parameters == before
 
 
 def test_parameters_of_a_vehicle_that_somebody_flies_are_not_touched():

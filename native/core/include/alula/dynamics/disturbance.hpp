@@ -30,6 +30,17 @@ struct DisturbanceOptions {
 // Throws std::invalid_argument for a number out of range; the estimate must be below gravity [m/s^2].
 void check(const DisturbanceOptions& options, double gravity);
 
+// What the margin of a filter grows by, one law for all filters: the way [m] that a disturbance of `bound` [m/s^2],
+// which the estimate does not contain, moves the vehicle in the time until it is estimated and countered. A free body
+// moves by bound t^2 / 2. Of a vehicle that follows velocities with a lag, the point where it would come to rest
+// moves with lag x bound (chord_filter.hpp), so by lag bound t.
+inline constexpr double kReactionTime = 0.5;  // [s]
+inline double way_before_reaction(double bound) { return kReactionTime * kReactionTime / 2 * bound; }
+inline double way_before_reaction(double bound, double lag_s) { return kReactionTime * lag_s * bound; }
+
+// The bound that noise of the velocity makes in calm air [m/s^2]: margins grow by what is beyond it.
+inline constexpr double kNoiseBound = 0.3;
+
 class DisturbanceObserver {
  public:
   explicit DisturbanceObserver(const DisturbanceOptions& options) : options_(options) {}
@@ -62,10 +73,13 @@ class Level {
 
   double scale() const { return scale_; }  // k: true thrust over that without a disturbance
   State operator()(const State& x) const;  // the state with the attitude S R
+  Vec3 acceleration(Vec3 modelled) const;  // k S^T a, the true one
+  bool is_still() const { return scale_ == 1 && !(sine_ != 0); }
 
  private:
   Vec3 turn_;  // rotation vector of S [rad, inertial axes]
-  double scale_ = 1;
+  Vec3 axis_;  // of S, a unit vector, with sine and cosine of the angle
+  double sine_ = 0, cosine_ = 1, scale_ = 1;
 };
 
 }  // namespace alula::flight

@@ -15,12 +15,15 @@
 
 namespace alula::flight {
 
-// Measurement of a state: a delay, and white noise with these standard deviations per axis.
+// Measurement of a state: a delay, and noise with these standard deviations per axis. It is white, unless the errors
+// of position and velocity have a correlation time: then they are first-order Gauss-Markov processes, as an
+// estimator's.
 struct SensorOptions {
   double position_noise_m = 0, velocity_noise_m_s = 0;
   double attitude_noise_rad = 0;  // of a random rotation vector about the body's axes
   double rate_noise_rad_s = 0;
-  double delay_s = 0;  // the newest state at least this old is measured; the first state until there is one
+  double noise_time_s = 0;  // correlation time of the errors of position and velocity; 0: white
+  double delay_s = 0;       // the newest state at least this old is measured; the first state until there is one
 };
 
 // Throws std::invalid_argument for a number that is negative or not finite.
@@ -47,6 +50,9 @@ class Sensor {
   RandomStream random_;
   std::vector<Sample> ring_;
   std::size_t oldest_ = 0, count_ = 0;
+  Vec3 position_error_, velocity_error_;  // of unit variance,
+  std::uint64_t steps_ = 0;               // of these steps
+  double time_ = 0;
 };
 
 struct PlantOptions {

@@ -38,7 +38,8 @@ class WallPlanes {
 };
 
 // polytope-cbf. The velocity that it returns is safe for a vehicle that follows it at once; for others there is
-// ChordFilter. With `is_bare` it returns the nominal velocity, and only reports the margin, in no time.
+// ChordFilter. It keeps `FlightState::more_margin_m` in addition. With `is_bare` it returns the nominal velocity, and
+// only reports the margin, in no time.
 class VelocityFilter final : public SafetyFilter {
  public:
   explicit VelocityFilter(const PolytopeCbf& filter, bool is_bare = false) : filter_(filter), is_bare_(is_bare) {}

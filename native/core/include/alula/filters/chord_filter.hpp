@@ -37,6 +37,19 @@
 // h_p / (1 / beta + tau), and the deceleration at most the speed divided by that time. A vehicle that cannot
 // decelerate as fast requires a larger tau or a lower speed.
 //
+// Wind and whatever else contradicts a first-order response of at most the lag tau are such an e. It is estimated as
+// d^ with a bound r on the rest (response.hpp: the residual of an interval of responses, so a vehicle that is merely
+// faster has none). The filter is then evaluated for the velocity u + tau d^ with which q moves, and what it returns
+// is reduced by tau d^ again. The rest moves q by at most
+//
+//   m = tau int |e - d^| dt <= tau r t,
+//
+// t the time until it is estimated and countered (`way_before_reaction`), and p comes to rest within the chord to the
+// moved q. So m is how many metres a residual of r moves the vehicle before it rests: the margin grows by m, and a
+// chord that keeps r + m before the residual keeps r after it. (For a residual that stays, m is the loss tau r / beta
+// above at beta = 1 / t.) Where a hull is nearer than the grown margin, D_k may not decrease. The grown margin drives
+// nothing out of hulls, because a velocity away from one hull leads to another.
+//
 // With a lag of its own for each axis, T = diag(tau_i), q = p + T v still moves with u, but p comes to rest along the
 // curve c(t) = p + T (1 - E) v, E = diag(exp(-t / tau_i)). Its points move with dc/dt = E v + (1 - E) u, and E v is
 // the tangent of the curve. So the condition at the point nearest to a hull is n . (1 - E) u >= -beta (D_k - r). With
@@ -69,6 +82,7 @@ class ChordFilter final : public SafetyFilter {
 
   CommandKind kind() const override { return CommandKind::velocity; }
   // `margin` and `active` are those of the point of the chord nearest to an obstacle.
+  // Throws like the filter. The velocity returned may exceed `max_speed` by the counter of a disturbance.
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
   void reset() override { filter_->reset(); }
   std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<ChordFilter>(*this); }
@@ -81,6 +95,7 @@ class ChordFilter final : public SafetyFilter {
     FilterReport report;
   };
 
+  FilterReport filter_moved(Vec3 u);
   FilterReport evaluate(Vec3 x, Vec3 share, Vec3 u);
   Evaluated point_at(double theta, Vec3 p, Vec3 chord, Vec3 u);
   void go_along(Vec3 p, Vec3 chord, Vec3 u);

@@ -37,6 +37,9 @@ namespace alula::flight {
 // e = (e_p, e_v) demands V' <= -c V + xi. The undisturbed tracking law satisfies it for c <= 1 / lambda_max(P), 0.73
 // for the default gains, so it acts only where a cone does. Source: FastBridge (arXiv 2607.01200), eq. 9-11; the rows
 // on gamma are alula's own.
+// Where the motion contradicts the model, the radius of each ellipsoid grows by `way_before_reaction`
+// (disturbance.hpp) of the state's bound, or by the largest half, quarter or eighth of that from which the vehicle is
+// still a second away: a growing ellipsoid is no reason for a violent turn.
 class ConeDi final : public SafetyFilter {
  public:
   // `solver` solves the program. Throws std::invalid_argument for invalid options.
@@ -49,7 +52,8 @@ class ConeDi final : public SafetyFilter {
   const ConeDiOptions& options() const { return options_; }
 
  private:
-  Cone cone(std::uint32_t item, Vec3 p, Vec3 v) const;  // cone of the enlarged ellipsoid
+  Cone cone(std::uint32_t item, Vec3 p, Vec3 v, double more) const;  // cone of the enlarged ellipsoid
+  Cone cone_of(const GrownEllipsoid& e, Vec3 p, Vec3 v) const;
   void add_tracking_row(const Nominal& nominal);
   Vec3 bias(Vec3 v) const;
 

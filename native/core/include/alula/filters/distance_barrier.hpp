@@ -7,6 +7,8 @@
 // Source: SAFER-Splat (arXiv 2409.09868), its public implementation for the published Hessian.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "alula/filters/collision_cone.hpp"
@@ -19,7 +21,17 @@ namespace alula::flight {
 struct DistanceLaw {
   double alpha = 5, beta = 1;  // poles of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]
   SaferHessian hessian = SaferHessian::correct;
+  // Added to r as far as there is room: h is 0 for less room than that, so the vehicle may not come nearer [m].
+  double more_m = 0;
 };
+
+// h at a signed distance, for the radius r and that of the law.
+inline double barrier_at(const DistanceLaw& law, double distance, double radius) {
+  const double h = distance * std::abs(distance) - radius * radius;
+  if (!(law.more_m > 0 && h > 0)) return h;
+  const double grown = radius + law.more_m;
+  return std::max(0.0, distance * distance - grown * grown);
+}
 
 struct DistanceBarrier {
   double h = 0;
@@ -55,7 +67,7 @@ class DistanceRowBound {
         v_(v),
         w_(u + (law.alpha + law.beta) * v),
         stiffness_(law.alpha * law.beta),
-        radius_(radius),
+        radius_(radius + law.more_m),
         is_radial_(law.hessian == SaferHessian::correct) {}
 
   double operator()(const geometry::Box& box, double ball) const {

@@ -30,8 +30,8 @@ class DistanceRows {
   const DistanceLaw& law() const { return law_; }
 
   // Starts a new state: measures the ellipsoids that may have the minimum h, or optionally all of them. Only
-  // ellipsoids nearer than `reach` have rows.
-  void start(Vec3 p, Vec3 v, bool all, double reach = std::numeric_limits<double>::infinity());
+  // ellipsoids nearer than `reach` have rows. `more_m` is that of the law from now on.
+  void start(Vec3 p, Vec3 v, bool all, double reach = std::numeric_limits<double>::infinity(), double more_m = 0);
 
   // Measures the ellipsoids whose rows `u` may violate and that were not measured in this tick, by the tree and in
   // the order of the bounds. It may stop after `enough` violated rows. Returns true if a new row is violated by more

@@ -29,7 +29,9 @@ class PolytopeCbf {
   PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config);
   PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config);
 
-  FilterOutput filter(const Vec3& x, const Vec3& u_nom);
+  // With `more_m` the radius is larger by up to that, as far as there is room: where s - r is less, x may not come
+  // nearer. `detail.margin_m` and `hard_margin_m` are for the radius itself.
+  FilterOutput filter(const Vec3& x, const Vec3& u_nom, double more_m = 0);
 
   // Hard and smooth psi and the gradient of the smooth one; hard is -FLT_MAX where x is refused.
   alula_polytope_value evaluate(const Vec3& x);

@@ -31,6 +31,8 @@ namespace alula::flight {
 // Without a solution `infeasible` is reported and the vehicle brakes, a = -v min(alpha/2, max_braking / |v|)
 // within the box. The status is `filtered` if this satisfies all rows and `recovering` if not; the published filter
 // flies the nominal input there. Inputs that are not finite are refused, with a = 0.
+// Where the motion contradicts the model, the radius of the rows grows by `way_before_reaction` (disturbance.hpp) of
+// the state's bound, as far as there is room (`DistanceLaw::more_m`).
 class SaferSplat final : public SafetyFilter {
  public:
   // Rows are also of the obstacles of `others`, if it has a map: those of `contact_barrier`, for its radius. Throws
@@ -46,7 +48,7 @@ class SaferSplat final : public SafetyFilter {
   const DistanceLaw& law() const { return rows_.law(); }
 
  private:
-  void add_nearest(Vec3 p, Vec3 v, FilterReport& report);
+  void add_nearest(Vec3 p, Vec3 v, double more, FilterReport& report);
   bool solve_on_demand(FilterReport& report, bool unsafe);
 
   SaferSplatOptions options_;

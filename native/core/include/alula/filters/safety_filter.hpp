@@ -6,6 +6,7 @@
 #include <optional>
 #include <span>
 
+#include "alula/dynamics/disturbance.hpp"
 #include "alula/dynamics/quadrotor.hpp"
 #include "alula/dynamics/racer.hpp"
 #include "alula/filters/geofence.hpp"
@@ -29,6 +30,7 @@ enum class SafetyStatus : std::uint8_t {
 // Vehicle state of a filter; thrust and its rate are the last applied values.
 struct FlightState {
   State x;
+  Level level;             // of what its attitude accounts for: the true acceleration by that of the model
   double thrust = 0;       // T [N]
   double thrust_rate = 0;  // T' [N/s]
   // Thrust of each rotor now [N], for a shield with a motor time constant; without a value the rotors hover.
@@ -36,9 +38,13 @@ struct FlightState {
   // What moves, predicted to now, as a tracker estimates it.
   std::span<const alula_track> tracks;
   Vec3 position_variance;  // of the estimate x.p, per axis [m^2]
-  // Acceleration that the model may leave out, beyond what the state accounts for [m/s^2]; see disturbance.hpp.
+  // Acceleration that the model leaves out, as estimated where the state does not account for it [m/s^2]; see
+  // response.hpp. Of accelerations the command that is sent counters it, so only filters of velocities use it.
+  Vec3 disturbance;
+  // What it may be in addition, beyond what noise makes [m/s^2]; see disturbance.hpp.
   double disturbance_bound = 0;
-  bool is_known = true;  // false: there is no navigation, and the state means nothing
+  double more_margin_m = 0;  // of velocities: margin to keep in addition, where there is that room
+  bool is_known = true;      // false: there is no navigation, and the state means nothing
   // Of a racing quadrotor: the attitude x.sigma as its unit quaternion w, x, y, z, where that is known to all bits.
   std::optional<Vec4> attitude;
 };

@@ -37,8 +37,12 @@
 // (a) and (b) are `certified_moving`. They alternate only where both are clear, and a manoeuvre that is being flown
 // comes first in the choice of (b). Safety by half the margin alone is never taken up for the tubes.
 //
+// A constant disturbance that the state accounts for (`FlightState::level`: wind, as estimated) is part of the model:
+// the body's acceleration is k S^T a where the model without it has a, and rollouts fly that. So with a disturbance d
+// a certified manoeuvre holds for the assumption |d - d^| <= bound. Rest is judged as without it.
+//
 // The margin grows by what a disturbance that the state does not account for can move the vehicle before it is
-// estimated (`FlightState::disturbance_bound`, less that of noise), for new inputs only: the manoeuvre that is being
+// estimated (`FlightState::disturbance_bound`, disturbance.hpp), for new inputs only: the manoeuvre that is being
 // flown stays accepted.
 //
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
@@ -58,6 +62,7 @@
 #include <vector>
 
 #include "alula/dynamics/actuators.hpp"
+#include "alula/dynamics/disturbance.hpp"
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
 #include "alula/filters/options.hpp"
@@ -122,7 +127,8 @@ class Shield {
   // The same, and the tracks from now on; initially and after `reset` there are none.
   void see(const FlightState& state) {
     see(state.rotors);
-    margin_ = options_.margin_m + kReaction * kReaction / 2 * std::max(0.0, state.disturbance_bound - kNoise);
+    level_ = state.level;
+    margin_ = options_.margin_m + way_before_reaction(state.disturbance_bound);
     tubes_.set(state.tracks, state.position_variance);
   }
 
@@ -150,9 +156,6 @@ class Shield {
   void reset();
 
  private:
-  static constexpr double kReaction = 0.5;  // time until a disturbance is estimated and countered [s]
-  static constexpr double kNoise = 0.3;     // bound that noise of the velocity makes in calm air [m/s^2]
-
   struct Tick {
     Vec3 p;
     double arc;  // bound on the length of the path up to here
@@ -217,6 +220,7 @@ class Shield {
   // With a rate loop: the limits of the thrust [N], and bounds on |omega'| by torque [rad/s^2] and, without torque,
   // per |omega|^2.
   double least_thrust_ = 0, most_thrust_ = 0, spin_up_ = 0, swing_ = 0;
+  Level level_;  // of a constant disturbance in all rollouts
   Tubes tubes_;
   double tail_ = 0;  // the vehicle stays within this distance of the end of the path [m]
   bool ended_early_ = false;

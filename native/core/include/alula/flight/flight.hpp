@@ -23,7 +23,9 @@
 //
 // Of a quadrotor that is commanded by wrenches or body rates, what its model leaves out can be estimated
 // (disturbance.hpp). Controller and filters then see the attitude, and give the thrust, for which the disturbance
-// vanishes; command and prediction have the true ones.
+// vanishes; command and prediction have the true ones. Of a quadrotor that follows velocities or accelerations itself
+// it is estimated from its response (response.hpp): a commanded acceleration is sent less the estimate, and filters
+// of velocities take it into account (chord_filter.hpp).
 #pragma once
 
 #include <cstdint>
@@ -33,8 +35,10 @@
 #include <vector>
 
 #include "alula/dynamics/disturbance.hpp"
+#include "alula/dynamics/response.hpp"
 #include "alula/dynamics/state_predictor.hpp"
 #include "alula/filters/safety_filter.hpp"
+#include "alula/flight/plan_clock.hpp"
 #include "alula/flight/simulated_vehicle.hpp"
 #include "alula/planning/reference_curve.hpp"
 
@@ -57,6 +61,7 @@ struct Mission {
   double gain = 2;
   double speed = std::numeric_limits<double>::infinity();  // [m/s]
   bool hovers = false;
+  std::optional<PlanClockOptions> clock;  // of a curve: its time waits for the vehicle; else it does not
 
   double duration() const { return kind == MissionKind::curve ? curve->duration() : 0; }
 };
@@ -68,6 +73,7 @@ struct FlightOptions {
   double stale_s = 0.5;               // a measurement older than this is not predicted any more
   bool has_losses = false;            // measurements can be missing: the predictor keeps commands for stale_s
   DisturbanceOptions disturbance;     // of a quadrotor commanded by wrenches or body rates
+  ResponseOptions response;           // of a quadrotor that follows velocities or accelerations
 };
 
 struct Observation {
@@ -115,7 +121,16 @@ class Flight {
   const Nominal& nominal() const { return first_; }  // of the mission, before any filter
   std::span<const FilterRecord> records() const { return records_; }
   const ReferencePoint& target() const { return target_; }
-  const DisturbanceObserver& disturbance() const { return observer_; }
+  // The estimated acceleration that the model leaves out, and the bound on what is missing in it [m/s^2].
+  Vec3 disturbance() const { return observer_.is_on() ? observer_.acceleration() : response_.acceleration(); }
+  double disturbance_bound() const { return observer_.is_on() ? observer_.bound() : response_.bound(); }
+  // What the margins of filters grow by because of the bound [m].
+  double added_margin() const {
+    const double bound = seen_.disturbance_bound;
+    return vehicle_.interface == Interface::velocity ? way_before_reaction(bound, vehicle_.velocity_lag_s.most())
+                                                     : way_before_reaction(bound);
+  }
+  const std::optional<PlanClock>& clock() const { return clock_; }
 
  private:
   bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
@@ -129,13 +144,16 @@ class Flight {
   void stand_in(CommandKind kind);
   void finish();
   void remember(const std::optional<Vec3>& command);
+  void go_on();
 
   VehicleSpec vehicle_;
   FlightOptions options_;
   Mission mission_;
+  std::optional<PlanClock> clock_;
   std::vector<std::unique_ptr<SafetyFilter>> filters_;
   StatePredictor predictor_;
   DisturbanceObserver observer_;
+  ResponseObserver response_;
   Level level_out_;              // of the disturbance,
   State true_;                   // and the predicted state with its true attitude
   std::int64_t sent_ticks_ = 0;  // since the flight began, for the times of measurements

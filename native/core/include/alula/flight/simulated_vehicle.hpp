@@ -9,7 +9,8 @@
 //
 // A command beyond what a plant takes itself is followed by the vehicle's own cascade: velocity to acceleration by
 // the gain, acceleration to attitude and thrust by the tracking controller, in each tick from the true state, as an
-// autopilot does with its own estimate.
+// autopilot does with its own estimate. With `following`, velocities and accelerations are shaped first, in each step
+// of the plant (autopilot.hpp).
 #pragma once
 
 #include <cmath>
@@ -20,6 +21,7 @@
 #include "alula/dynamics/plant.hpp"
 #include "alula/dynamics/racer.hpp"
 #include "alula/dynamics/tracking_controller.hpp"
+#include "alula/flight/autopilot.hpp"
 #include "alula/flight/encounter_plant.hpp"
 
 namespace alula::flight {
@@ -53,6 +55,7 @@ struct VehicleSpec {
   Vec3 rate_time_constant_s{0.02, 0.02,
                             0.02};   // of the rate loop, a first-order lag of each axis within the rotors' limits
   double velocity_gain = 2;          // of the velocity loop, a = gain (u - v) [1/s]
+  FollowingOptions following;        // of a quadrotor by velocities or accelerations, as an autopilot flies it
   geometry::PerAxis velocity_lag_s;  // assumed time constants of a vehicle that follows velocities; 0: at once
   double max_speed = std::numeric_limits<double>::infinity();         // of velocity commands, and of points [m/s]
   double max_acceleration = std::numeric_limits<double>::infinity();  // of points [m/s^2]
@@ -112,6 +115,7 @@ class SimulatedVehicle {
  private:
   Wrench wrench_of_rates() const;
   Wrench wrench_of_acceleration(Vec3 a) const;
+  bool is_shaped() const { return spec_.following.is_on() && command_.interface < Interface::wrench; }
 
   const VehicleSpec& spec_;
   double h_;
@@ -120,6 +124,7 @@ class SimulatedVehicle {
   EncounterPlant limited_;
   Racer racer_;
   Sensor sensor_;
+  Autopilot autopilot_;
   bool is_limited_ = false;  // a double integrator with limits of jerk, speed or delay
   Command command_;
   Wrench held_;

@@ -93,6 +93,7 @@ struct SimulatedFlight {
   std::vector<double> a_error;       // (ticks): largest |a - a_command| at the ends of the plant's steps
   std::vector<double> rotor_thrust;  // (ticks, 4) of the command, as model; 0 without a wrench [N]
   std::vector<double> command;       // (ticks, 11): velocity or acceleration or rates (3), wrench (4), sticks (4)
+  std::vector<double> plan_s;        // (ticks + 1): time along a plan that waits for the vehicle, else empty [s]
   std::vector<double> sticks;        // (ticks, 4) of the pilot, NaN when silent
   std::vector<double> obstacle;      // (ticks, n, 3)
   std::vector<double> track;         // (ticks, n, 3), NaN without one

@@ -45,6 +45,7 @@ class EllipsoidIndex {
   std::size_t size() const { return grown_.size(); }
   double radius() const { return radius_; }
   const GrownEllipsoid& grown(std::uint32_t item) const { return grown_[slot_[item]]; }
+  GrownEllipsoid grown(std::uint32_t item, double more_m) const;  // of a radius that is so much larger
 
   // The ungrown set of an item: an ellipsoid, and the radius of the ball that its losses add to it [m].
   geometry::Ellipsoid ellipsoid(std::uint32_t item) const { return at_slot(slot_[item]); }

@@ -1,0 +1,160 @@
+"""How all commands that fly reach the vehicle: options of the link, opening, preparing, and the watchdog."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import click
+
+from alula.cli import options
+from alula.cli.present import echo
+from alula.schemas.errors import LinkError
+
+if TYPE_CHECKING:
+    from alula.schemas.vehicle import Vehicle
+    from alula.stages.flight.links.protocol import Link
+    from alula.stages.flight.watchdog.watchdog import Watchdog
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+OPEN_S = 15.0  # maximum time until the first message of the vehicle
+
+
+class Route(NamedTuple):
+    """Options of a link besides its address.
+
+    Attributes:
+        allow_remote: allow addresses of other machines.
+        mocap: address of motion capture.
+        key_path: file with the key.
+        yaw: of the map [degrees].
+        origin: of the map [m].
+    """
+
+    allow_remote: bool
+    mocap: str | None
+    key_path: Path | None
+    yaw: float
+    origin: tuple[float, float, float]
+
+    def link(self, address: str, vehicle: Vehicle, **more: Any) -> Link:
+        """Make the link to an address; nothing is sent yet.
+
+        Args:
+            address: of the vehicle.
+            vehicle: the vehicle file.
+            more: further fields of `LinkOptions`.
+        """
+        from alula.stages.flight.links.mavlink.signing import read_key
+        from alula.stages.flight.links.open_link import open_link
+        from alula.stages.flight.links.options import LinkOptions
+        from alula.stages.vehicles.frames import LocalFrame
+
+        key = self.key_path
+        of_link = LinkOptions(
+            frame=LocalFrame(math.radians(self.yaw), self.origin),
+            vehicle=vehicle,
+            key=None if key is None else read_key(key),
+            signing_file=None if key is None else key.with_name(key.name + ".stamp"),
+            mocap=self.mocap,
+            allow_remote=self.allow_remote,
+            **more,
+        )
+        return open_link(address, of_link)
+
+    def parameters(self, address: str) -> dict[str, Any]:
+        """What a log or a file records of the link.
+
+        Args:
+            address: of the vehicle.
+        """
+        return {"link": address, "yaw_deg": self.yaw, "origin_m": list(self.origin)}
+
+
+def of_link(function: F) -> F:
+    """Add the options of a link besides its address; the function gets them as `route`."""
+
+    @functools.wraps(function)
+    def with_route(*args: Any, **given: Any) -> Any:
+        return function(*args, route=Route(*(given.pop(name) for name in Route._fields)), **given)
+
+    command: Any = with_route
+    for option in (
+        click.option(
+            "--origin",
+            type=options.POINT,
+            cls=options.NumbersOption,
+            default="0 0 0",
+            show_default=True,
+            help="Origin of the map in the vehicle's local frame, east north up [m].",
+        ),
+        click.option(
+            "--yaw",
+            type=options.FINITE_FLOAT,
+            default=0.0,
+            show_default=True,
+            help="Angle from east to the map's x axis, counter-clockwise [degrees].",
+        ),
+        click.option(
+            "--signing-key",
+            "key_path",
+            type=options.input_path(),
+            help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
+        ),
+        click.option(
+            "--mocap",
+            metavar="ADDRESS",
+            help="Address at which motion capture is received, udp:HOST:PORT; it is forwarded to the "
+            "vehicle.",
+        ),
+        click.option("--allow-remote", is_flag=True, help="Allow links to other machines than this one."),
+    ):
+        command = option(command)
+    found: F = command
+    return found
+
+
+class Contact(NamedTuple):
+    """A vehicle that was reached.
+
+    Attributes:
+        said: description of the vehicle.
+        changed: parameters that were set, a line each.
+        trouble: why they could not be set; empty if they could.
+        watchdog: of the flight, which runs; None for a link that has none.
+    """
+
+    said: str
+    changed: list[str]
+    trouble: str
+    watchdog: Watchdog | None
+
+
+def reach(link: Link, address: str, *, quiet: bool) -> Contact:
+    """Open a link, prepare the vehicle and start the watchdog; the checks judge a failure to prepare it.
+
+    Args:
+        link: to the vehicle; not yet open.
+        address: of the link, for people.
+        quiet: say nothing.
+
+    Raises:
+        LinkError: no vehicle answers, or it cannot be flown; or the watchdog does not run.
+    """
+    from alula.stages.flight.watchdog.watchdog import guard
+
+    if not quiet and not address.startswith("sim:"):  # sim: needs no wait
+        echo(f"link: waiting for the vehicle at {address}, at most {OPEN_S:g} s", err=True)
+    said = link.open(OPEN_S)
+    if not quiet:
+        echo(f"link: {said}", err=True)
+    changed, trouble = list[str](), ""
+    try:
+        changed = link.prepare()
+    except LinkError as error:
+        trouble = str(error)
+    return Contact(said, changed, trouble, guard(link))

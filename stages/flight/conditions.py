@@ -1,0 +1,112 @@
+"""Conditions of any flight: its geofence, requirements of its checks, and limits of its supervisor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from alula._core import Fence
+from alula.schemas.arrays import FloatArray
+from alula.schemas.configs.flight import FlightConfig
+from alula.schemas.vehicle import Vehicle
+from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint
+from alula.stages.flight.loop.failsafe_check import coasts
+from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.preflight import Needs, Obstacles
+from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.vehicles.velocity_lag import stop_m
+
+
+def guard_of(
+    config: FlightConfig,
+    vehicle: Vehicle,
+    fence: Fence,
+    accepts: frozenset[type[Setpoint]],
+    *,
+    reserve_m: float,
+) -> FenceGuard:
+    """Build the geofence behind all that is sent.
+
+    Args:
+        config: of the command.
+        vehicle: contents of the vehicle's file.
+        fence: volume to fly in, world frame.
+        accepts: kinds of set-points that the link accepts.
+        reserve_m: distance that it keeps beyond the radius [m].
+    """
+    return FenceGuard(
+        fence,
+        vehicle,
+        dt_s=1 / config.rate_hz,
+        takes_rates=RatesSetpoint in accepts,
+        reserve_m=reserve_m,
+        latency_s=config.latency_s,
+    )
+
+
+def needs_of(
+    config: FlightConfig,
+    vehicle: Vehicle,
+    *,
+    setpoints: Iterable[type[Setpoint]],
+    ends: tuple[FloatArray, FloatArray],
+    path: FloatArray,
+    obstacles: Sequence[tuple[str, Obstacles]],
+    margin_m: float,
+    fence: Fence,
+    plan: tuple[bool, str],
+    speed_m_s: float,
+    step_s: float = math.inf,
+) -> Needs:
+    """Requirements of a flight for the pre-flight checks.
+
+    Args:
+        config: of the command.
+        vehicle: contents of the vehicle's file.
+        setpoints: kinds of set-points; the link must accept one of them.
+        ends: start and goal, each of shape (3,), world frame [m].
+        path: points of the flight, shape (T, 3), world frame [m].
+        obstacles: by name, world frame.
+        margin_m: additional clearance of the climb path [m].
+        fence: volume to fly in, world frame.
+        plan: whether the flight is proven clear of the map, and how, in words.
+        speed_m_s: limit of the speed [m/s].
+        step_s: time between the points [s]; infinite for points that are not flown through in turn.
+    """
+    law = vehicle.following.horizontal_lag
+    model = rates_model(vehicle)
+    return Needs(
+        setpoints=frozenset(setpoints),
+        start=ends[0],
+        goal=ends[1],
+        path=path,
+        obstacles=obstacles,
+        radius_m=vehicle.body.radius_m,
+        margin_m=margin_m,
+        fence=fence,
+        plan=plan,
+        speed_m_s=speed_m_s,
+        coast=coasts(path, step_s, speed_m_s, lambda speed: stop_m(law, speed))
+        if math.isfinite(step_s)
+        else None,
+        stop_m=stop_m(law, speed_m_s),
+        near_m=config.near_m,
+        state_hz=min(20.0, 0.5 * config.rate_hz),
+        loop_hz=config.rate_hz,
+        stale_s=config.stale_s,
+        latency_s=config.latency_s,
+        battery_share=config.battery,
+        max_thrust_m_s2=sum(model.thrust),
+        gravity_m_s2=model.gravity,
+    )
+
+
+def limits_of(config: FlightConfig, **more: Any) -> SupervisorLimits:
+    """Limits of the supervisor.
+
+    Args:
+        config: of the command.
+        more: further fields.
+    """
+    return SupervisorLimits(stale_s=config.stale_s, battery_share=config.landing_share, **more)

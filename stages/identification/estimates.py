@@ -1,0 +1,58 @@
+"""Values with 95 % intervals: of a mean by Student's t, of a line's coefficients by least squares and t."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from alula.schemas.arrays import FloatArray
+
+_CONFIDENCE = 0.95
+
+
+class Estimate(NamedTuple):
+    """A value and its 95 % interval; None where there are too few measurements for one."""
+
+    value: float
+    interval: tuple[float, float] | None
+
+
+def mean_of(values: Sequence[float]) -> Estimate:
+    """Mean with its interval by Student's t.
+
+    Args:
+        values: independent measurements, at least one.
+    """
+    mean, n = float(np.mean(values)), len(values)
+    if n < 2:
+        return Estimate(mean, None)
+    half = float(stats.t.ppf(0.5 + _CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    return Estimate(mean, (mean - half, mean + half))
+
+
+def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) -> tuple[Estimate, Estimate]:
+    """Least-squares line y = a + b x, with the intervals of a and b.
+
+    Args:
+        x: at least two different values.
+        y: measurements, as many.
+    """
+    A = np.column_stack([np.ones(len(x)), np.asarray(x, np.float64)])
+    y = np.asarray(y, np.float64)
+    (a, b), *_ = np.linalg.lstsq(A, y, rcond=None)
+    degrees = len(y) - 2
+    if degrees < 1:
+        return Estimate(float(a), None), Estimate(float(b), None)
+    variance = float(((y - A @ (a, b)) ** 2).sum()) / degrees
+    half = float(stats.t.ppf(0.5 + _CONFIDENCE / 2, degrees)) * np.sqrt(
+        variance * np.diag(np.linalg.inv(A.T @ A))
+    )
+    first, second = (
+        Estimate(float(value), (float(value - wide), float(value + wide)))
+        for value, wide in zip((a, b), half, strict=True)
+    )
+    return first, second
