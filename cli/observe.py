@@ -73,8 +73,8 @@ def command(
     vehicle's radius goes there from the cameras without touching anything else. All rounding is towards
     less. What is not marked is unknown: plan --within stays out of it.
 
-    Memory: 14 bytes per voxel of the scene's box, up to 134,217,728 voxels; 160 to 270 bytes per Gaussian; per
-    job an image and 1 byte per voxel.
+    Memory: 14 bytes per voxel of the scene's box, up to 134,217,728 voxels; 160 to 270 bytes per Gaussian;
+    per job an image and 1 byte per voxel.
     """
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.kinds import SCENE, SEEN, VOXELS

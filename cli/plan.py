@@ -18,7 +18,8 @@ from alula.schemas.progress import Progress
 \b
   alula plan room.cover.npz -o room.plan.npz --start "-1 0 1" --goal "3 2 1.2"
   alula plan room.cover.npz -o fast.plan.npz --start "0 0 1" --goal "6 4 1" --via "3 2 1.5" --speed 3
-  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml""",
+  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml
+  alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
 @click.argument("cover", type=options.input_path())
 @click.option(
@@ -27,13 +28,18 @@ from alula.schemas.progress import Progress
     type=options.input_path(),
     help="Vehicle (.toml) that will fly the plan; default: the quadrotor of FastBridge.",
 )
+@click.option(
+    "--within", type=options.input_path(), help="Seen space (.seen.npz) that the flight must stay in."
+)
 @options.from_config(PlanConfig)
 @options.output(".plan.npz")
-def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_path: Path | None) -> None:
+def command(
+    common: options.Common, config: PlanConfig, cover: Path, vehicle_path: Path | None, within: Path | None
+) -> None:
     """Find a smooth collision-free trajectory through a cover."""
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import UsageError
-    from alula.schemas.kinds import COVER, PLAN
+    from alula.schemas.kinds import COVER, PLAN, SEEN
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
     from alula.stages.planning.plan import plan, resolve_plan
 
@@ -42,7 +48,10 @@ def command(common: options.Common, config: PlanConfig, cover: Path, vehicle_pat
     config = resolve_plan(config, FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path))
     paths = {"cover": cover} | ({} if vehicle_path is None else {"vehicle": vehicle_path})
 
+    paths |= {} if within is None else {"within": within}
+
     def build(progress: Progress) -> Artifact:
-        return plan(config, read_artifact(cover, COVER), jobs=common.jobs, progress=progress)
+        seen = None if within is None else read_artifact(within, SEEN)
+        return plan(config, read_artifact(cover, COVER), within=seen, jobs=common.jobs, progress=progress)
 
     runner.run_stage(common, PLAN, config, paths, build)

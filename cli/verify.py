@@ -18,6 +18,7 @@ Examples:
   alula verify room.cover.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
   alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
+  alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
 """
 
 
@@ -56,7 +57,8 @@ def command(
     answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
     were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
     the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
-    from its own bytes, against voxels or a cover.
+    from its own bytes, against voxels or a cover. Seen voxels (.seen.npz) are proven to touch no obstacle of
+    the voxels or the scene, and to be reached by their ball; what the cameras saw is not proven again.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -69,11 +71,12 @@ def command(
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
-    from alula.schemas.kinds import COVER, SCENE, VOXELS
-    from alula.schemas.provenance import Provenance
+    from alula.schemas.kinds import COVER, SCENE, SEEN, VOXELS
+    from alula.schemas.provenance import Provenance, read_provenance
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify import verify_map
     from alula.stages.compression.verify import SCHEMA, VERSION, verify
+    from alula.stages.planning.verify_seen import verify_seen
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -82,7 +85,10 @@ def command(
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
     is_map = cover is not None or _is_map(proven)
-    inputs = {"map" if is_map else "cover": proven}
+    is_seen = (
+        not is_map and (known_as := read_provenance(proven)) is not None and known_as.schema == SEEN.name
+    )
+    inputs = {"map" if is_map else "seen" if is_seen else "cover": proven}
     inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
@@ -103,6 +109,10 @@ def command(
             origin = None if cover is None else read_artifact(cover, COVER)
             certificate = verify_map(
                 image, cover=origin, **others, sha256=sha256, jobs=jobs, progress=progress
+            )
+        elif is_seen:
+            certificate = verify_seen(
+                read_artifact(proven, SEEN), **others, sha256=sha256, jobs=jobs, progress=progress
             )
         else:
             certificate = verify(

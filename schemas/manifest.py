@@ -151,10 +151,10 @@ class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):
 class SeenManifest(LevelManifest, frozen=True, kw_only=True):
     """Manifest of `alula/seen`: voxels that were taken for free, and why.
 
-    The level is that of the obstacles, none of which a voxel of the file touches. Outside of the box of `size`
-    voxels from voxel `lower`, and in all of its voxels that are not listed, nothing is known. A ball of
-    `radius_m` goes from the centres of the voxels `started_from` to the centre of a ball over each voxel of the
-    file, by steps of one voxel along an axis, and touches no other voxel on the way.
+    The level is that of the obstacles, none of which a voxel of the file touches. Outside of the box of
+    `size` voxels from voxel `lower`, and in all of its voxels that are not listed, nothing is known. A ball
+    of `radius_m` around the centres of the voxels `started_from` moves by steps of one voxel along an axis
+    until it has touched each voxel of the file, and touches no other voxel.
     """
 
     method: Literal["cameras", "reach"]

@@ -34,7 +34,9 @@ from alula.stages.planning.reach import (
     touched,
 )
 
-MAX_BOX = _core.MAX_VOXELS  # voxels of the box: 2 bytes for the views of each, and 12 while the reach is found
+MAX_BOX = (
+    _core.MAX_VOXELS
+)  # voxels of the box: 2 bytes for the views of each, and 12 while the reach is found
 _WORTH = 0.25  # excess of an ellipsoid's first bound that justifies the second [voxels]
 _TRIED = 2000  # places near a camera that are tried as a start, nearest first
 
@@ -76,11 +78,11 @@ def observe(
 
     With cameras, a voxel is free when `min_views` of them see it. A camera sees a voxel when its whole cube,
     grown by the inflation, is in the image and at least `near_m` deep, and when in each pixel that the cube
-    touches no ellipsoid, at the level of the obstacles, is as near as the cube's farthest corner. A pixel holds
-    the smallest depth of any surface in its whole pyramid, not only on its centre ray, and at most `range_m`.
-    The chain of voxels from the cube to the camera must hold no obstacle either, which closes gaps between
-    ellipsoids narrower than a voxel. Without cameras, all voxels around `reach` that no obstacle touches are
-    free, as far as they are closed in.
+    touches no ellipsoid, at the level of the obstacles, is as near as the cube's farthest corner. A pixel
+    holds the smallest depth of any surface in its whole pyramid, not only on its centre ray; `range_m`
+    where no surface touches it. The chain of voxels from the cube to the camera must hold no obstacle
+    either, which closes gaps between ellipsoids narrower than a voxel. Without cameras, all voxels around
+    `reach` that no obstacle touches are free, as far as they are closed in.
 
     Then the ball moves from the places nearest to the cameras that hold it, in sight of them, along the lines
     between the centres of neighbouring voxels; what it touches is kept. Everything else is unknown.
@@ -150,7 +152,10 @@ def _obstacles(config: ObserveConfig, voxels: Artifact) -> tuple[NDArray[np.int6
     index = np.asarray(voxels["index"], np.int64)
     if config.crop is not None:  # the voxels that lie wholly in the crop, where all obstacles are known
         edges = np.array(config.crop) / config.size_m
-        lower, upper = np.ceil(edges[:3] - 1e-9).astype(np.int64), np.floor(edges[3:] + 1e-9).astype(np.int64) - 1
+        lower, upper = (
+            np.ceil(edges[:3] - 1e-9).astype(np.int64),
+            np.floor(edges[3:] + 1e-9).astype(np.int64) - 1,
+        )
     elif len(index):
         lower, upper = index.min(axis=0), index.max(axis=0)
     else:
@@ -160,8 +165,8 @@ def _obstacles(config: ObserveConfig, voxels: Artifact) -> tuple[NDArray[np.int6
         raise InfeasibleError("--crop holds no whole voxel")
     if math.prod(size.tolist()) > MAX_BOX:
         raise InputError(
-            f"the box of the scene has {math.prod(size.tolist()):,} voxels, more than {MAX_BOX:,}; use --crop "
-            "or a larger --size"
+            f"the box of the scene has {math.prod(size.tolist()):,} voxels, more than {MAX_BOX:,}; use "
+            "--crop or a larger --size"
         )
     blocked = np.zeros(tuple(size.tolist()), np.bool_)
     inside = index[((index >= lower) & (index <= upper)).all(axis=1)] - lower
@@ -225,8 +230,8 @@ def _seen(
         "seen_voxels": int(free.sum()),
     }
     reason = (
-        f"at least {config.min_views} of {len(cameras)} cameras saw it, in front of every surface and at most "
-        f"{exact(config.range_m)} m deep where there is no surface"
+        f"at least {config.min_views} of {len(cameras)} cameras saw it, in front of every surface, and at "
+        f"most {exact(config.range_m)} m deep where there is none"
     )
     return _Space(lower, blocked, free, views, starts, figures, reason)
 
@@ -236,8 +241,8 @@ def _starts(
 ) -> tuple[NDArray[np.int64], int]:
     """Place of the ball nearest to each camera, in sight of it, and the number of cameras that have one.
 
-    A camera whose image is tan(t) high, from its axis to the nearest edge, shows a ball of radius r wholly from
-    r / sin(t) on; places up to two voxels farther count as next to the camera.
+    A camera whose image is tan(t) high, from its axis to the nearest edge, shows a ball of radius r wholly
+    from r / sin(t) on; places up to two voxels farther count as next to the camera.
     """
     assert config.radius_m is not None
     g, r = config.size_m, config.radius_m
@@ -268,7 +273,9 @@ def _closed(config: ObserveConfig, lower: NDArray[np.int64], blocked: Mask, radi
         raise InfeasibleError(f"{where} is outside of the scene's box")
     centres = centres_of(~blocked, radius, is_closed=False)
     if not centres[tuple(start)]:
-        raise InfeasibleError(f"{where} has no room for a ball of {config.radius_m:g} m{_nearest(config, lower, centres)}")
+        raise InfeasibleError(
+            f"{where} has no room for a ball of {config.radius_m:g} m{_nearest(config, lower, centres)}"
+        )
     label = components(centres)
     reached = label == label[tuple(start)]
     leaks = np.argwhere(reached & rim(blocked.shape, max(layers_of(radius), 1)))
@@ -279,7 +286,8 @@ def _closed(config: ObserveConfig, lower: NDArray[np.int64], blocked: Mask, radi
             f"the space around {where} is not closed: a ball of {config.radius_m:g} m leaves the scene's box "
             f"near ({point}); use a larger --radius, or cameras"
         )
-    reason = f"it is inside of closed space around ({' '.join(map(exact, config.reach))}) m, whether it was seen or not"
+    point = " ".join(map(exact, config.reach))
+    reason = f"it is inside of closed space around ({point}) m, whether it was seen or not"
     return _Space(lower, blocked, ~blocked, np.zeros(blocked.shape, np.uint16), start[None], {}, reason)
 
 
@@ -312,9 +320,9 @@ def _artifact(
         what += f", where at least {config.min_overlap} meet"
     where = "next to a camera" if space.figures else "around the point"
     statement = (
-        f"Each voxel was taken for free because {space.reason}. By the voxels of the same level, {what}. From a "
-        f"place {where}, a ball of {exact(config.radius_m or 0)} m goes to it and touches no voxel outside "
-        "of the file. Everything else is unknown"
+        f"Each voxel was taken for free because {space.reason}. By the voxels of the same level, {what}. "
+        f"From a place {where}, a ball of {exact(config.radius_m or 0)} m goes to it and touches no voxel "
+        "outside of the file. Everything else is unknown"
     )
     before = excluded_errors(scene, inflation, ignore_loss=config.ignore_loss)
     before += ["an error of the cameras' poses"] * bool(space.figures)

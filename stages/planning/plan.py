@@ -13,7 +13,7 @@ from alula._core import PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.plan import MARGIN_M, PlanConfig
-from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
@@ -33,6 +33,7 @@ from alula.stages.planning.trajectory import (
     septic_spline,
     subdivided,
 )
+from alula.stages.planning.unseen import joined, require_seen, unseen_hulls
 
 _SPLITS = 4  # times that a piece without proof is halved before it becomes a straight line
 
@@ -55,30 +56,47 @@ def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfi
     return dataclasses.replace(config, margin_m=0.0)
 
 
-def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
+def plan(
+    config: PlanConfig,
+    cover: Artifact,
+    *,
+    within: Artifact | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> Artifact:
     """Plan a smooth flight that provably keeps a distance from every hull of a cover.
 
     A lattice search joins the points by straight lines that keep `radius_m` exactly. A
     minimum-snap trajectory of degree 7 follows them within the limits of speed and acceleration,
     both over the continuous time. `certify` proves each of its pieces. A piece without proof gets
     more waypoints on its line, and in the end becomes that line, flown from rest to rest. So the
-    result is always proven.
+    result is always proven. With seen space, what was not seen is an obstacle like the hulls.
 
     Args:
         config: see `PlanConfig`; without a radius, for the quadrotor of FastBridge.
         cover: an `alula/cover`.
+        within: an `alula/seen` in the cover's frame, to stay in.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
+        InfeasibleError: a point is too close to a hull or to unseen space, or there is no path at this
+            resolution.
+        InputError: the seen space has another frame than the cover.
         UsageError: the lattice would be too large.
     """
     if config.radius_m is None:
         config = resolve_plan(config)
     require_solid_hulls(cover, jobs=jobs)
-    obstacles = hull_obstacles(Hulls.from_cover(cover))
+    hulls, kept_from = Hulls.from_cover(cover), "every hull of the cover"
+    if within is not None:
+        if within.manifest.frame != cover.manifest.frame:
+            raise InputError("the seen space has another frame than the cover")
+        unseen = unseen_hulls(within)
+        require_seen(config, within, hull_obstacles(unseen))
+        hulls, kept_from = joined([hulls, unseen]), f"{kept_from} and from all space that was not seen"
+    obstacles = hull_obstacles(hulls)
     path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
     waypoint, rest, time, coefficient, proof = _smooth(config, obstacles, path, jobs)
 
@@ -122,12 +140,13 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
             "visited_points": path.visited,
         },
         guarantee=Guarantee(
-            "Every point of the trajectory is at least radius_m from every hull of the cover, and speed and "
+            f"Every point of the trajectory is at least radius_m from {kept_from}, and speed and "
             "acceleration stay within their limits at every instant.",
             {
                 "radius_m": config.keep_m,
                 "speed_m_s": config.speed_m_s,
                 "acceleration_m_s2": config.acceleration_m_s2,
+                **({} if within is None else {"within_seen_space": True}),
             },
         ),
     )

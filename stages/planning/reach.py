@@ -1,9 +1,9 @@
 """Places that a ball can go to on a lattice of voxels, by steps of one voxel along an axis.
 
 The ball is open and its centre moves along the lines between the centres of neighbouring voxels. A voxel at
-the offset (a, b, c) from the voxel of the centre is at the squared distance sum max(|a| - 1/2, 0)^2 from it, and
-along such a line each term is monotone. So a ball that touches no other voxel at both ends of a step touches
-none on the way: the answers are exact, not sampled.
+the offset (a, b, c) from the voxel of the centre is at the squared distance sum max(|a| - 1/2, 0)^2 from it,
+and along such a line each term is monotone. So a ball that touches no blocked voxel at both ends of a step
+touches none on the way: the answers are exact, not sampled.
 """
 
 from __future__ import annotations

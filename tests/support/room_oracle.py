@@ -11,7 +11,9 @@ class Room:
     """Primitives of the room in the world frame [m]; independent of Gaussians and voxels."""
 
     def __init__(self):
-        self.rectangles, self.boxes, self.tubes, self.discs, self.spheres, self.toruses = ([] for _ in range(6))
+        self.rectangles, self.boxes, self.tubes, self.discs, self.spheres, self.toruses = (
+            [] for _ in range(6)
+        )
         recorders = {
             "rectangle": lambda corner, u, v, paint, **looks: self.rectangles.append((corner, u, v)),
             "box": lambda lower, upper, paint, **looks: self.boxes.append((lower, upper)) or [],
@@ -61,7 +63,9 @@ class Room:
         for low, high in self.boxes:
             deepest = np.maximum(deepest, np.minimum(upper - low, np.array(high) - lower).min(axis=1))
         for centre, radius in self.spheres:
-            deepest = np.maximum(deepest, radius - np.linalg.norm(np.clip(centre, lower, upper) - centre, axis=1))
+            deepest = np.maximum(
+                deepest, radius - np.linalg.norm(np.clip(centre, lower, upper) - centre, axis=1)
+            )
         for (x, y, z), radius, height, top in self.tubes:
             if top == radius and radius in (0.01, 0.015, 0.02, 0.2, 0.28):  # rods, the column and its foot
                 away = radius - np.linalg.norm(

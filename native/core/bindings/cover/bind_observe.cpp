@@ -87,7 +87,7 @@ void bind_observe(nb::module_& m) {
           },
           "rotation"_a, "centre"_a, "image"_a, "pixels"_a, "near"_a, "range"_a,
           "Depth image of one camera, given as by `observe`: (1 / z f32 (rows, columns), an upper bound for every\n"
-          "surface in the pixel's pyramid, at least 1 / range; whether an ellipsoid touches the camera).");
+          "surface in the pixel's pyramid, 1 / range without one; whether an ellipsoid touches the camera).");
   m.def(
       "observe",
       [](const alula::Occluders& occluders, Rotations rotation, alula::InRows3<double> centre,

@@ -309,7 +309,7 @@ Occluders::Occluders(const Splats& splats, const Level& level, double worth, uns
 
 Depth Occluders::depth(const Pinhole& camera, const SightLimits& limits) const {
   Depth depth;
-  depth.nearness.assign(camera.columns * camera.rows, rounded_up(1 / limits.range));
+  depth.nearness.assign(camera.columns * camera.rows, 0);
   Painter painter(camera, limits, depth);
   for (std::size_t i = 0; i < solid_.size(); ++i) {
     const Solid& first = solid_[i];
@@ -324,6 +324,9 @@ Depth Occluders::depth(const Pinhole& camera, const SightLimits& limits) const {
       painter.paint(one, nullptr);
     }
   }
+  const float without = rounded_up(1 / limits.range);
+  for (float& pixel : depth.nearness)
+    if (pixel == 0) pixel = without;
   return depth;
 }
 

@@ -43,11 +43,11 @@ struct Pinhole {
 
 struct SightLimits {
   double near = 0.1;   // smallest depth of a voxel that is seen
-  double range = 5.0;  // depth up to which a pixel without a surface sees
+  double range = 5.0;  // depth up to which a pixel sees that no surface touches
 };
 
 struct Depth {
-  std::vector<float> nearness;  // (rows, columns): upper bound on 1 / z of every surface in the pixel; >= 1 / range
+  std::vector<float> nearness;  // (rows, columns): upper bound on 1 / z of every surface in the pixel, or 1 / range
   bool blind = false;           // an ellipsoid touches the camera, which then sees nothing
 };
 
