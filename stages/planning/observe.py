@@ -241,11 +241,11 @@ def _starts(
 ) -> tuple[NDArray[np.int64], int]:
     """Place of the ball nearest to each camera, in sight of it, and the number of cameras that have one.
 
-    A camera whose image is tan(t) high, from its axis to the nearest edge, shows a ball of radius r wholly
-    from r / sin(t) on; places up to two voxels farther count as next to the camera.
+    A camera whose image is tan(t) high, from its axis to the nearest edge, shows all voxels that a ball of
+    radius r touches from (r + sqrt(3) g) / sin(t) on; places up to two voxels farther count as next to it.
     """
     assert config.radius_m is not None
-    g, r = config.size_m, config.radius_m
+    g, r = config.size_m, config.radius_m + math.sqrt(3) * config.size_m
     tangent = np.abs(cameras.image).min(axis=1)
     around = np.maximum(r * np.sqrt(1 + tangent**2) / np.maximum(tangent, 1e-3), config.near_m + r) + 2 * g
     place = cameras.poses.position / g - lower
