@@ -66,8 +66,8 @@ def parse_pinholes(text: str, name: str) -> tuple[Positions, FloatArray]:
     poses = parse_positions(text, name, orientations=True)
     _, rows, values = _named(_table(text, name, ("image", *_IMAGE)), _IMAGE)
     size, focal, middle = values[:, :2], values[:, 2:4], values[:, 4:]
-    for row, good in zip(rows, ((size > 0) & (focal > 0)).all(axis=1).tolist(), strict=True):
-        if not good:
+    for row, least in zip(rows, values[:, :4].min(axis=1), strict=True):
+        if least <= 0:
             raise InputError(f"{row}: width, height, fx and fy must be positive")
     return poses, np.concatenate([-middle / focal, (size - middle) / focal], axis=1)
 

@@ -190,7 +190,9 @@ def _seen(
     rows = rows_of(scene, retained(scene, config.min_opacity), ignore_loss=config.ignore_loss)
     assert config.inflation_m is not None
     occluders = _core.Occluders(
-        *(np.ascontiguousarray(a) for a in (rows.mean, rows.scale, rows.quat_wxyz)),
+        mean=np.ascontiguousarray(rows.mean),
+        scale=np.ascontiguousarray(rows.scale),
+        quat_wxyz=np.ascontiguousarray(rows.quat_wxyz),
         sigma=config.sigma,
         inflation=config.inflation_m,
         worth=_WORTH * config.size_m,
@@ -292,7 +294,7 @@ def _closed(config: ObserveConfig, lower: NDArray[np.int64], blocked: Mask, radi
 
 
 def _nearest(config: ObserveConfig, lower: NDArray[np.int64], centres: Mask) -> str:
-    found: FloatArray = (np.argwhere(centres) + lower + 0.5) * config.size_m
+    found: FloatArray = (np.argwhere(centres) + lower).astype(np.float64) * config.size_m + config.size_m / 2
     if len(found) == 0:
         return ", and nowhere else has"
     near = found[np.argmin(((found - np.array(config.reach)) ** 2).sum(axis=1))]
