@@ -8,6 +8,7 @@ import pytest
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
 from alula.schemas.kinds import SEEN
+from alula.schemas.run import read_run
 
 
 @pytest.fixture
@@ -129,3 +130,45 @@ def test_info_verify_and_plan_know_the_file(pipeline, tmp_path, capsys):
     err = capsys.readouterr().err
     assert "not seen" in err or "in the space that was seen" in err
     assert run(["merge", seen, "-o", str(tmp_path / "x.npz"), "--hulls", "3"]) == 3
+
+
+SCENARIO = """
+schema = "alula/scenario"
+version = "2.0"
+[vehicle]
+type = "single-integrator"
+radius_m = 0.1
+[world]
+seen = "tiny.seen.npz"
+[mission]
+kind = "goal"
+start_m = [1.2, 1.5, 1]
+goal_m = [2, 1.5, 6]
+[safety]
+filters = ["polytope-cbf"]
+[rules]
+max_time_s = 10.0
+"""
+
+
+def test_simulated_flights_stay_in_seen_space_and_are_judged_against_its_boundary(pipeline, tmp_path, capsys):
+    (tmp_path / "tiny.seen.npz").write_bytes((pipeline / "tiny.seen.npz").read_bytes())
+    scenario, out = tmp_path / "up.toml", tmp_path / "up.run.mcap"
+    scenario.write_text(SCENARIO)
+    words = ["simulate", str(scenario), "-o", str(out), "-f", "-q"]
+    run(words)
+    record = read_run(out)
+    assert record.summary["collisions"] == 0
+    assert record.trials[0].outcome != "reached"
+    assert 0 <= record.summary["min_map_clearance_m"] < 0.2
+    assert "all space that was not seen" in record.guarantee.statement
+    assert [ref.role for ref in record.provenance.inputs] == ["scenario", "seen"]
+    run([*words, "--filter", "none"])
+    assert read_run(out).summary["collisions"] == 1
+    capsys.readouterr()
+    assert run([*words, "--set", "mission.start_m=1.2,1.5,9"]) == 2
+    assert "(1.200 1.500 9.000) is not in the space that was seen" in capsys.readouterr().err
+    assert run([*words, "--set", "world.seen=missing.seen.npz"]) == 3
+    missing = [*words[:1], str(pipeline / "tiny.cover.npz"), *words[2:], "--planned"]
+    assert run([*missing, "--set", f"world.seen={tmp_path / 'tiny.seen.npz'}"]) == 2
+    assert "these plans know the cover alone" in capsys.readouterr().err
