@@ -7,8 +7,12 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.errors import UsageError
 from alula.schemas.kinds import SEEN
 from alula.schemas.run import read_run
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.flight.mission import make_mission, make_safety
 
 
 @pytest.fixture
@@ -172,3 +176,29 @@ def test_simulated_flights_stay_in_seen_space_and_are_judged_against_its_boundar
     missing = [*words[:1], str(pipeline / "tiny.cover.npz"), *words[2:], "--planned"]
     assert run([*missing, "--set", f"world.seen={tmp_path / 'tiny.seen.npz'}"]) == 2
     assert "these plans know the cover alone" in capsys.readouterr().err
+
+
+def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_path):
+    cover, scene, seen = (
+        read_artifact(pipeline / f"tiny.{name}.npz") for name in ("cover", "metric.scene", "seen")
+    )
+    words = ["plan", str(pipeline / "tiny.cover.npz"), "-o", str(tmp_path / "a.plan.npz"), "-q"]
+    assert run([*words, "--start", "-1 1.5 1", "--goal", "2 1.5 1"]) == 0
+    plan = read_artifact(tmp_path / "a.plan.npz")
+    config = FlyConfig(speed_m_s=1.0)
+    free = make_mission(config, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False)
+    assert free.is_clear[0]
+    # the plan begins behind the first camera, where nobody looked
+    with pytest.raises(UsageError, match=r"m from the map, and polytope-cbf keeps 0.25 m"):
+        make_mission(config, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
+    tight = FlyConfig(speed_m_s=1.0, allow_tight=True)
+    kept = make_mission(tight, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
+    assert not kept.is_clear[0]
+    assert "the plan begins outside of the space that was seen" in kept.is_clear[1]
+    assert len(kept.hulls) > len(free.hulls)
+    assert make_safety(kept) is not None
+    inside = read_artifact(pipeline / "tiny.plan.npz")
+    good = make_mission(config, inside, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
+    assert good.is_clear == (True, "proven clear of all hulls and of unseen space by 0.15 m")
+    with pytest.raises(UsageError, match="--within needs a cover"):
+        make_mission(config, plan, FASTBRIDGE, cover=None, scene=scene, is_splat=True, within=seen)
