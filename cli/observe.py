@@ -14,6 +14,7 @@ from alula.cli.interruption import handlers_kept
 from alula.cli.options import PATH
 from alula.schemas.configs.observe import ObserveConfig
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.files import text_of
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
@@ -140,18 +141,9 @@ def _pinholes(colmap: Path | None, cameras: Path | None, nerfstudio: Path | None
         found = read_pinholes(colmap)
     else:
         assert cameras is not None
-        found = Pinholes(*parse_pinholes(_text(cameras), cameras.name))
+        found = Pinholes(*parse_pinholes(text_of(cameras), cameras.name))
     if nerfstudio is None:
         return found
     path = training.transform_files(nerfstudio)["nerfstudio"]
-    frame = training.parse_training_frame(_text(path), path.name)
+    frame = training.parse_training_frame(text_of(path), path.name)
     return found.moved(inverse(frame.original_from_training))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error

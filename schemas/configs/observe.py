@@ -32,8 +32,8 @@ class ObserveConfig(VoxelizeConfig):
         default=0.1, metadata={"help": "Smallest depth of a voxel that is seen [m].", "option": "--near"}
     )
     columns: int = field(
-        default=800,
-        metadata={"help": "Pixels along the longer side of a depth image; more see closer to surfaces."},
+        default=400,
+        metadata={"help": "Pixels along the longer side of a depth image."},
     )
     min_views: int = field(default=1, metadata={"help": "Minimum number of cameras that see a voxel."})
     reach: tuple[float, float, float] | None = field(

@@ -78,7 +78,6 @@ class Room:
             centre = np.array(shape[0])
             near = np.flatnonzero(np.linalg.norm((lower + upper) / 2 - centre, axis=1) < shape[2] + 0.2)
             points = lower[near, None] + corner * (upper - lower)[near, None]
-            inside = -_torus_distance(points.reshape(-1, 3), *shape).reshape(len(near), -1).max(axis=1)
             inside = -_torus_distance(points.reshape(-1, 3), *shape).reshape(len(near), -1)
             deepest[near] = np.maximum(deepest[near], inside.max(axis=1))
         return deepest
