@@ -241,9 +241,14 @@ def test_boxes_fill_what_is_marked_once():
 def test_every_point_is_in_seen_space_or_in_a_box(seen):
     hulls = unseen_hulls(seen)
     rng = np.random.default_rng(1)
-    points = rng.uniform(LOWER + 0.1, UPPER - 0.1, (4000, 3))
+    index = np.asarray(seen["index"], float)
+    points = (
+        rng.uniform(index.min(axis=0) - 1, index.max(axis=0) + 2, (20_000, 3)) * G
+    )  # and one voxel around
     lower, upper = hulls.bounds()
-    boxed = ((points[:, None] >= lower) & (points[:, None] <= upper)).all(axis=2).any(axis=1)
+    boxed = np.zeros(len(points), bool)
+    for low, high in zip(lower, upper, strict=True):
+        boxed |= ((points >= low) & (points <= high)).all(axis=1)
     np.testing.assert_array_equal(boxed, ~is_seen(seen, points))
     some = unseen_hulls(seen, lower_m=(0, 0, 0), upper_m=(0.5, 2, 1))
     assert 0 < len(some) < len(hulls)
