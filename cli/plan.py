@@ -24,7 +24,8 @@ if TYPE_CHECKING:
   alula plan room.cover.npz -o room.plan.npz --start "-1 0 1" --goal "3 2 1.2"
   alula plan room.cover.npz -o fast.plan.npz --start "0 0 1" --goal "6 4 1" --via "3 2 1.5" --speed 3
   alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml
-  alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap""",
+  alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap
+  alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
 @click.argument("map_path", metavar="MAP", type=options.input_path())
 @click.option(
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     "vehicle_path",
     type=options.input_path(),
     help="Vehicle (.toml) that will fly the plan; default: the quadrotor of FastBridge.",
+)
+@click.option(
+    "--within", type=options.input_path(), help="Seen space (.seen.npz) that the flight must stay in."
 )
 @click.option(
     "--free-points",
@@ -53,6 +57,7 @@ def command(
     map_path: Path,
     scene_path: Path | None,
     vehicle_path: Path | None,
+    within: Path | None,
     count: int | None,
 ) -> None:
     """Find a smooth collision-free trajectory through a map.
@@ -73,7 +78,7 @@ def command(
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
     if config.confidence is not None and options.is_given(context, "sigma"):
         raise UsageError("give --sigma or --confidence, not both")
-    paths = _maps(map_path, scene_path)
+    paths = _maps(map_path, scene_path) | ({} if within is None else {"within": within})
     vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
     config = resolve_plan(config, vehicle)
     if count is not None:
@@ -116,9 +121,9 @@ def _first_bytes(path: Path) -> bytes:
 def _read(paths: dict[str, Path]) -> dict[str, Any]:
     """The maps by role."""
     from alula.schemas.artifact import read_artifact
-    from alula.schemas.kinds import COVER, SCENE
+    from alula.schemas.kinds import COVER, SCENE, SEEN
 
-    kinds = {"cover": COVER, "scene": SCENE}
+    kinds = {"cover": COVER, "scene": SCENE, "within": SEEN}
     return {
         role: path.read_bytes() if role == "image" else read_artifact(path, kinds[role])
         for role, path in paths.items()

@@ -15,7 +15,8 @@ from alula.cli.interruption import handlers_kept
 from alula.cli.options import PATH, Common, Numbers, NumbersOption
 from alula.cli.present import print_json
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
+from alula.schemas.files import text_of
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
@@ -232,18 +233,18 @@ def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
 
     points = None
     if files.correspondences is not None:
-        points = tables.parse_pairs(_text(files.correspondences), files.correspondences.name)
+        points = tables.parse_pairs(text_of(files.correspondences), files.correspondences.name)
     elif files.reference is not None or files.poses is not None:
         points = _cameras(config, files)
     if files.cloud is not None:
-        initial = parse_transform(_text(files.initial), files.initial.name) if files.initial else points
+        initial = parse_transform(text_of(files.initial), files.initial.name) if files.initial else points
         return Cloud(files.cloud.name, cloud_files.read_cloud(files.cloud), initial)
     if points is not None:
         return points
     if config.scale is not None:
         return Given(scale_only(config.scale), "scale", facts={"unmeasured": ["rotation", "translation"]})
     if files.transform is not None:
-        return parse_transform(_text(files.transform), files.transform.name)
+        return parse_transform(text_of(files.transform), files.transform.name)
     if files.nerfstudio is not None:
         frame = _training_frame(files.nerfstudio)
         warning = "the scene is in the frame of the source poses; it is in metres only if those were"
@@ -257,12 +258,12 @@ def _cameras(config: ScaleAlignConfig, files: Files) -> Correspondences:
 
     oriented = files.poses is not None
     if files.poses is not None:
-        wanted = tables.parse_positions(_text(files.poses), files.poses.name, orientations=True)
+        wanted = tables.parse_positions(text_of(files.poses), files.poses.name, orientations=True)
     else:
         assert files.reference is not None
-        wanted = tables.parse_reference(_text(files.reference), files.reference.name, config.origin)
+        wanted = tables.parse_reference(text_of(files.reference), files.reference.name, config.origin)
     if files.cameras is not None:
-        found = tables.parse_positions(_text(files.cameras), files.cameras.name, orientations=oriented)
+        found = tables.parse_positions(text_of(files.cameras), files.cameras.name, orientations=oriented)
     else:
         assert files.colmap is not None
         found = colmap.read_model(files.colmap)
@@ -279,13 +280,6 @@ def _training_frame(path: Path) -> TrainingFrame:
     found = nerfstudio.transform_files(path)
     data = found.get("nerfstudio data")
     name = found["nerfstudio"].name
-    return nerfstudio.parse_training_frame(_text(found["nerfstudio"]), name, _text(data) if data else None)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    return nerfstudio.parse_training_frame(
+        text_of(found["nerfstudio"]), name, text_of(data) if data else None
+    )

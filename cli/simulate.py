@@ -151,7 +151,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
     from alula.cli.journal import JournalFile
     from alula.schemas.artifact import read_artifact
     from alula.schemas.journal import TRIALS
-    from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.vehicle import contents
     from alula.schemas.world import FILES
@@ -179,7 +179,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         read = {
             role: read_artifact(paths[role], kind)
-            for role, kind in (("cover", COVER), ("scene", SCENE), ("plan", PLAN))
+            for role, kind in (("cover", COVER), ("scene", SCENE), ("seen", SEEN), ("plan", PLAN))
             if role in paths
         }
         kept.begin(provenance)
@@ -192,6 +192,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
                     vehicle,
                     cover=read.get("cover"),
                     scene=read.get("scene"),
+                    seen=read.get("seen"),
                     plan=read.get("plan"),
                     pairs=pairs,
                     journal=journal,

@@ -20,6 +20,7 @@ Examples:
   alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
   alula verify room.plan.npz --map room.cover.npz --scene room.metric.scene.npz
   alula verify among.plan.npz --map room.scene.npz
+  alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
 """
 
 
@@ -29,6 +30,7 @@ Examples:
 @click.option(
     "--map", "map_path", type=options.input_path(), help="The cover or scene that a plan keeps away from."
 )
+@click.option("--within", type=options.input_path(), help="Seen space (.seen.npz) that a plan stays in.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
 @click.option(
@@ -43,6 +45,7 @@ def command(
     proven: Path,
     cover: Path | None,
     map_path: Path | None,
+    within: Path | None,
     voxels: Path | None,
     scene: Path | None,
     output: Path | None,
@@ -62,9 +65,11 @@ def command(
     answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
     were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
     the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
-    from its own bytes, against voxels or a cover. A plan is proven against the map of --map, a cover or the
-    scene that it was made in: clearance, corridor, limits of the motion, continuity; with --scene beside a
-    cover, against its ellipsoids, too.
+    from its own bytes, against voxels or a cover. Seen voxels (.seen.npz) are proven to touch no obstacle of
+    the voxels or the scene, and to be reached by their ball; what the cameras saw is not proven again. A plan
+    is proven against the map of --map, a cover or the scene that it was made in: clearance, corridor, limits
+    of the motion, continuity; with --scene beside a cover, against its ellipsoids, too; with --within against
+    the space that was not seen.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -78,12 +83,13 @@ def command(
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
-    from alula.schemas.kinds import COVER, PLAN, SCENE, VOXELS
-    from alula.schemas.provenance import Provenance
+    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
+    from alula.schemas.provenance import Provenance, read_provenance
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify import verify_map
     from alula.stages.compression.verify import SCHEMA, VERSION, verify
     from alula.stages.planning.verify import verify_plan
+    from alula.stages.planning.verify_seen import verify_seen
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -93,14 +99,21 @@ def command(
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
     is_plan = map_path is not None or _is_plan(proven)
     is_map = not is_plan and (cover is not None or _is_map(proven))
+    known_as = None if is_plan or is_map else read_provenance(proven)
+    is_seen = known_as is not None and known_as.schema == SEEN.name
     if is_plan and (map_path is None or cover is not None or voxels is not None):
-        raise UsageError("a plan is proven against the map of --map, and --scene; leave out other files")
+        raise UsageError(
+            "a plan is proven against the map of --map, --scene and --within; leave out other files"
+        )
+    if within is not None and not is_plan:
+        raise UsageError("--within is for plans")
     if map_path is not None and map_role(map_path) == "scene":
         if scene is not None:
             raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
         map_path, scene = None, map_path
-    inputs = {"plan" if is_plan else "map" if is_map else "cover": proven}
+    inputs = {"plan" if is_plan else "map" if is_map else "seen" if is_seen else "cover": proven}
     inputs |= {"cover": map_path} if map_path is not None else {}
+    inputs |= {"within": within} if within is not None else {}
     inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
@@ -121,6 +134,7 @@ def command(
                 read_artifact(proven, PLAN),
                 cover=None if map_path is None else read_artifact(map_path, COVER),
                 scene=others["scene"],
+                within=None if within is None else read_artifact(within, SEEN),
                 sha256=sha256,
                 jobs=jobs,
             )
@@ -129,6 +143,10 @@ def command(
             origin = None if cover is None else read_artifact(cover, COVER)
             certificate = verify_map(
                 image, cover=origin, **others, sha256=sha256, jobs=jobs, progress=progress
+            )
+        elif is_seen:
+            certificate = verify_seen(
+                read_artifact(proven, SEEN), **others, sha256=sha256, jobs=jobs, progress=progress
             )
         else:
             certificate = verify(

@@ -55,6 +55,23 @@ def read_small(path: Path, most_bytes: int) -> bytes:
     return raw
 
 
+def text_of(path: Path) -> str:
+    """Text of a file in UTF-8.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it cannot be read, or is no such text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text in UTF-8") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+
+
 def printable(name: str) -> str:
     """Convert a file's name to text for UTF-8; other bytes become a backslash and their code.
 

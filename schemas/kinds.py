@@ -12,6 +12,7 @@ from alula.schemas.manifest import (
     Manifest,
     PlanManifest,
     SceneManifest,
+    SeenManifest,
     VoxelsManifest,
 )
 
@@ -100,6 +101,18 @@ VOXELS = Kind(
     ),
 )
 
+SEEN = Kind(
+    "alula/seen",
+    ".seen.npz",
+    SeenManifest,
+    (
+        ArrayRule(
+            "index", "<i4", ("M", 3), "voxel", "lower corner, sorted and unique", "strictly_increasing"
+        ),
+        ArrayRule("views", "<u2", ("M",), "1", "number of cameras that see the voxel"),
+    ),
+)
+
 COVER = Kind(
     "alula/cover",
     ".cover.npz",
@@ -180,4 +193,4 @@ PLAN = Kind(
     version="1.1",
 )
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (SCENE, VOXELS, COVER, PLAN)}
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (SCENE, VOXELS, SEEN, COVER, PLAN)}

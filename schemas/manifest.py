@@ -29,6 +29,9 @@ Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-contents.LARGEST, le=contents.LARGEST)]
 Vector = Annotated[list[Coordinate], msgspec.Meta(min_length=3, max_length=3)]
+Index = Annotated[
+    list[Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)]], msgspec.Meta(min_length=3, max_length=3)
+]
 Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
@@ -143,6 +146,31 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
 
 class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):
     """Manifest of `alula/voxels`: voxel i is the closed cube [i g, (i + 1) g]."""
+
+
+class SeenManifest(LevelManifest, frozen=True, kw_only=True):
+    """Manifest of `alula/seen`: voxels that were taken for free, and why.
+
+    The level is that of the obstacles, none of which a voxel of the file touches. Outside of the box of
+    `size` voxels from voxel `lower`, and in all of its voxels that are not listed, nothing is known. A ball
+    of `radius_m` around the centres of the voxels `started_from` moves by steps of one voxel along an axis
+    until it has touched each voxel of the file, and touches no other voxel.
+    """
+
+    method: Literal["cameras", "reach"]
+    radius_m: Length
+    lower: Index
+    size: Index
+    started_from: Annotated[list[Index], msgspec.Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        """Refuse an empty box, and starts outside of it."""
+        super().__post_init__()
+        if min(self.size) < 1:
+            raise ValueError("`size` has no voxels")
+        for start in self.started_from:
+            if not all(0 <= i - a < n for i, a, n in zip(start, self.lower, self.size, strict=True)):
+                raise ValueError("a voxel of `started_from` lies outside of the box")
 
 
 class CoverManifest(LevelManifest, frozen=True, kw_only=True):

@@ -186,11 +186,19 @@ class WorldTable(Table, frozen=True, kw_only=True):
     fence: Annotated[FenceTable | None, about("permitted region; None: no fence")] = None
     moving: Annotated[tuple[ObstacleTable, ...], about("moving obstacles", max_length=100)] = ()
     walls: Annotated[tuple[WallTable, ...], about("boxes that are static obstacles")] = ()
+    seen: Annotated[
+        FileName | None, about("seen space; all other space is a static obstacle; None: all was seen")
+    ] = None
+
+    @property
+    def has_boxes(self) -> bool:
+        """Whether there are boxes beside the hulls of a cover: walls, or space that was not seen."""
+        return bool(self.walls) or self.seen is not None
 
     @property
     def has_hulls(self) -> bool:
-        """Whether there are convex polytopes to keep out of: of a cover, or walls."""
-        return self.cover is not None or bool(self.walls)
+        """Whether there are convex polytopes to keep out of: of a cover, walls, or unseen space."""
+        return self.cover is not None or self.has_boxes
 
     @property
     def is_static(self) -> bool:

@@ -31,6 +31,11 @@ Examples:
 )
 @click.option("--scene", "scene_path", type=options.input_path(), help="Metric scene, if --map is a cover.")
 @click.option(
+    "--within",
+    type=options.input_path(),
+    help="Seen space (.seen.npz) to stay in, beside a cover; unseen space counts like hulls.",
+)
+@click.option(
     "--vehicle",
     "vehicle_path",
     type=options.input_path(),
@@ -61,6 +66,7 @@ def command(
     source: Path,
     map_path: Path | None,
     scene_path: Path | None,
+    within: Path | None,
     vehicle_path: Path | None,
     address: str | None,
     route: Route,
@@ -87,7 +93,7 @@ def command(
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.schemas.artifact import read_artifact
-    from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
@@ -98,6 +104,7 @@ def command(
         require_viser()
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
+    paths |= {} if within is None else {"within": within}
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
     if address is None:
@@ -120,6 +127,7 @@ def command(
         cover=read_artifact(paths["cover"], COVER) if "cover" in paths else None,
         scene=read_artifact(paths["scene"], SCENE) if "scene" in paths else None,
         is_splat=is_splat,
+        within=None if within is None else read_artifact(within, SEEN),
         jobs=common.jobs,
     )
     unused = ("filter_parameters",) if not mission.config.filter_parameters else ()

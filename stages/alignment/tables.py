@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.stages.alignment.evidence import Correspondences, Positions, distinct
 from alula.stages.alignment.georeference import GEODETIC, Origin, enu_from_geodetic
@@ -17,6 +18,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 _XYZ = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 LARGEST = 1e12  # coordinates beyond it overflow in the sums of squares of an alignment
+_IMAGE = ("width", "height", "fx", "fy", "cx", "cy")
 _UNIT = 0.01  # maximum difference of a quaternion's length from 1
 
 
@@ -44,6 +46,30 @@ def parse_positions(text: str, name: str, *, orientations: bool = False) -> Posi
                 raise InputError(f"{row}: the quaternion qw,qx,qy,qz has length {found:.4g}, not 1")
         axes = matrix_from_quat_wxyz(values[:, 3:] / length[:, None])
     return Positions(names, values[:, :3], rows, axes)
+
+
+def parse_pinholes(text: str, name: str) -> tuple[Positions, FloatArray]:
+    """Parse rows `image,x,y,z,qw,qx,qy,qz,width,height,fx,fy,cx,cy` of cameras without distortion.
+
+    The poses are those of `parse_positions`; the rest is in pixels, with the corner of the image at 0, 0.
+
+    Args:
+        text: text of the table.
+        name: the file's name, for messages.
+
+    Returns:
+        The poses, and left, top, right and bottom of each image as x/z and y/z, shape (n, 4).
+
+    Raises:
+        InputError: a row is wrong; the message names it.
+    """
+    poses = parse_positions(text, name, orientations=True)
+    _, rows, values = _named(_table(text, name, ("image", *_IMAGE)), _IMAGE)
+    size, focal, middle = values[:, :2], values[:, 2:4], values[:, 4:]
+    for row, least in zip(rows, values[:, :4].min(axis=1), strict=True):
+        if least <= 0:
+            raise InputError(f"{row}: width, height, fx and fy must be positive")
+    return poses, np.concatenate([-middle / focal, (size - middle) / focal], axis=1)
 
 
 def parse_reference(text: str, name: str, origin: Origin | None = None) -> Positions:

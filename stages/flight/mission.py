@@ -36,6 +36,7 @@ from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
 from alula.stages.planning.plan_samples import curve_of, sample_plan
+from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.fence import KeepOut, fence
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
@@ -62,6 +63,8 @@ class Mission:
         config: complete configuration, see `resolve_fly`.
         plan, vehicle: as given.
         cover, scene: the map; at least one of them.
+        hulls: of the cover, and the boxes of unseen space where the flight must stay in seen space; None
+            without a cover.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
             else one of velocities among the hulls of the cover.
         curve: the plan.
@@ -80,6 +83,7 @@ class Mission:
     vehicle: Vehicle
     cover: Artifact | None
     scene: Artifact | None
+    hulls: Hulls | None
     is_splat: bool
     curve: _core.ReferenceCurve
     start: FloatArray
@@ -190,6 +194,7 @@ def make_mission(
     cover: Artifact | None,
     scene: Artifact | None,
     is_splat: bool,
+    within: Artifact | None = None,
     jobs: int = 0,
 ) -> Mission:
     """Build a mission from its artifacts, and prove again that the plan is clear of the map.
@@ -203,6 +208,7 @@ def make_mission(
         cover: map of hulls, if there is one.
         scene: map of ellipsoids, if there is one.
         is_splat: a filter of the whole quadrotor flies, else one of velocities among the hulls.
+        within: seen space to stay in, beside a cover; unseen space counts like hulls.
         jobs: number of threads, 0 for all cores.
 
     Raises:
@@ -214,7 +220,7 @@ def make_mission(
     if not is_splat:
         _require_deceleration(config, vehicle, is_given=has_lag)
     frame = plan.manifest.frame
-    for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
+    for role, other in (("cover", cover), ("scene", scene), ("within", within), ("plan", plan)):
         if other is not None:
             require_metric(role, other)
         if other is not None and other.manifest.frame != frame:
@@ -224,11 +230,19 @@ def make_mission(
     radius = vehicle.body.radius_m
     obstacles: Obstacles = []
     proofs: list[tuple[bool, str]] = []
+    hulls = None
+    if within is not None and cover is None:
+        raise UsageError("--within needs a cover: its filter keeps from hulls and unseen space alike")
     if cover is not None:
         require_solid_hulls(cover, jobs=jobs)
         hulls = Hulls.from_cover(cover)
+        if within is not None:
+            hulls = joined([hulls, unseen_hulls(within)])
         obstacles.append(("a hull", hull_obstacles(hulls)))
-        proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), "hulls", radius))
+        what = "hulls" if within is None else "hulls and of unseen space"
+        proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), what, radius))
+        if within is not None and not is_seen(within, curve_of(plan).at(np.zeros(1))[:, :3]).all():
+            proofs.append((False, "the plan begins outside of the space that was seen"))
     if scene is not None:
         ellipsoids = scene_obstacles(scene, config.sigma)
         obstacles.append(("an ellipsoid", ellipsoids))
@@ -247,6 +261,11 @@ def make_mission(
     sees_hulls = not is_splat or keeps_from_hulls(
         config.filter, config.filter_parameters, has_ellipsoids=scene is not None
     )
+    if within is not None and not sees_hulls:
+        raise UsageError(
+            f"--within: {config.filter} keeps from ellipsoids alone here; fly it with the cover alone, or "
+            "with --set shield_map=hulls"
+        )
     keeps = {"a hull": hull_keep if sees_hulls else None, "an ellipsoid": keep if is_splat else None}
     notes = require_room(
         along,
@@ -265,6 +284,7 @@ def make_mission(
         vehicle=vehicle,
         cover=cover,
         scene=scene,
+        hulls=hulls,
         is_splat=is_splat,
         curve=curve,
         start=np.array(curve.at(np.zeros(1))[0, :3]),
@@ -321,10 +341,10 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
             hull_radius_m=mission.hull_keep_m,
         )
         return make_filter(config.filter, world, config.filter_parameters)
-    assert mission.cover is not None
+    hulls = mission.hulls
+    assert hulls is not None
     assert config.speed_m_s is not None
     assert config.fence is not None
-    hulls = Hulls.from_cover(mission.cover)
     reach = float(np.abs(hulls.vertices_world).max(initial=0.0))
     parameters = dict(config.filter_parameters)
     if config.filter == "polytope-cbf":

@@ -35,6 +35,7 @@ from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
+from alula.stages.planning.unseen import require_seen
 
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
 METHOD_STRAIGHT = "straight lines from rest to rest"
@@ -65,6 +66,7 @@ def plan(
     *,
     scene: Artifact | None = None,
     image: bytes | None = None,
+    within: Artifact | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
     jobs: int = 0,
@@ -83,6 +85,7 @@ def plan(
         cover: an `alula/cover`; one map at least is needed, and plans keep away from all.
         scene: an `alula/scene`.
         image: an onboard map.
+        within: an `alula/seen` to stay in; what was not seen is an obstacle like the others.
         vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
@@ -99,8 +102,12 @@ def plan(
     if config.radius_m is None:
         config = resolve_plan(config, vehicle)
     limits = motion_limits(config, vehicle)
-    space = plan_space(config, cover, scene, image, jobs=jobs)
+    space = plan_space(config, cover, scene, image, within, jobs=jobs)
+    if within is not None:
+        require_seen(within, config.points)
     path = find_polyline(config, space, jobs=jobs, progress=progress)
+    if within is not None:
+        require_seen(within, path.flown)
     corridor = find_corridor(
         path.point, _via_points(path), space.solids(), space.keep_m, (path.lower, path.upper), jobs=jobs
     )
@@ -136,9 +143,7 @@ def plan(
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
         vehicle=vehicle.name,
         certificate={
-            "method": "; ".join(
-                dict.fromkeys(METHOD if p.role == "cover" else MAP_METHOD for p in space.parts)
-            ),
+            "method": "; ".join(dict.fromkeys(METHOD if p.is_of_hulls else MAP_METHOD for p in space.parts)),
             "pieces": len(coefficient),
             "checked_pairs": proof.pairs,
             "depth": proof.depth,
@@ -162,7 +167,11 @@ def plan(
         guarantee=Guarantee(
             f"Every point of the trajectory is at least {_distances(space)}, and its motion stays within the "
             "limits at every instant.",
-            {"radius_m": space.keep_m, **limits.record()},
+            {
+                "radius_m": space.keep_m,
+                **limits.record(),
+                **({} if within is None else {"within_seen_space": True}),
+            },
         ),
     )
 

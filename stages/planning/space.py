@@ -22,9 +22,15 @@ from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.planning.corridor import Kept, Obstacles
+from alula.stages.planning.unseen import unseen_hulls
 
 IMAGE_FRAME = "world"  # an onboard map does not name its frame
-_WORDS = {"cover": "hull of the cover", "scene": "ellipsoid of the scene", "image": "hull of the onboard map"}
+_WORDS = {
+    "cover": "hull of the cover",
+    "scene": "ellipsoid of the scene",
+    "image": "hull of the onboard map",
+    "seen": "point that was not seen",
+}
 _FAR_M = 1e3  # distances of maps are measured up to this
 
 
@@ -33,7 +39,7 @@ class Part:
     """One map among the obstacles of a plan.
 
     Attributes:
-        role: cover, scene or image.
+        role: cover, scene, image, or seen, whose obstacles are what was not seen.
         keep_m: distance that the plan keeps from it [m].
         obstacles: what the proof of the plan is about.
         map: the same as a native map.
@@ -58,6 +64,11 @@ class Part:
         """Largest coordinate of the box around the obstacles [m]."""
         corners = [each for each in (self.lower, self.upper) if each is not None]
         return float(np.abs(corners).max(initial=0.0))
+
+    @property
+    def is_of_hulls(self) -> bool:
+        """Whether the proof is by separating planes."""
+        return isinstance(self.obstacles, _core.PolytopeSet)
 
     @property
     def words(self) -> str:
@@ -144,6 +155,7 @@ def plan_space(
     cover: Artifact | None = None,
     scene: Artifact | None = None,
     image: bytes | None = None,
+    within: Artifact | None = None,
     *,
     jobs: int = 0,
 ) -> PlanSpace:
@@ -158,21 +170,23 @@ def plan_space(
         cover: an `alula/cover`.
         scene: an `alula/scene`.
         image: an onboard map.
+        within: an `alula/seen`; what it does not list is an obstacle, from which plans keep `radius_m`.
         jobs: threads.
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
             is damaged.
-        InputError: a map is not metric, or cover and scene are in different frames.
+        InputError: a map is not metric, or the maps are in different frames.
         UsageError: the level is invalid for these ellipsoids.
     """
-    given = {"cover": cover, "scene": scene}
+    given = {"cover": cover, "scene": scene, "seen space": within}
     maps = {role: each for role, each in given.items() if each is not None}
     for role, each in maps.items():
         require_metric(role, each)
     frames = {role: each.manifest.frame for role, each in maps.items()}
     if len(set(frames.values())) > 1:
-        raise InputError(f"the cover is in frame {frames['cover']!r}, the scene in {frames['scene']!r}")
+        words = ", ".join(f"the {role} is in frame {frame!r}" for role, frame in frames.items())
+        raise InputError(f"the maps do not fit each other: {words}")
     suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
     is_whole = config.margin_m is None
     inflation = suggested if config.inflation_m is None else config.inflation_m
@@ -185,23 +199,33 @@ def plan_space(
     if scene is not None:
         sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
         parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
+    if within is not None:
+        parts.append(_seen_part(within, config.keep_m))
     return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME))
 
 
 def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> Part:
     require_solid_hulls(cover, jobs=jobs)
-    hulls = Hulls.from_cover(cover)
+    facts = {"map": "cover", "inflation_m": beyond_m, "keep_m": keep_m + beyond_m}
+    return _hull_part("cover", Hulls.from_cover(cover), keep_m + beyond_m, facts)
+
+
+def _seen_part(within: Artifact, keep_m: float) -> Part:
+    return _hull_part("seen", unseen_hulls(within), keep_m, {"map": "seen", "keep_m": keep_m})
+
+
+def _hull_part(role: str, hulls: Hulls, keep_m: float, facts: dict[str, Any]) -> Part:
     obstacles = hull_obstacles(hulls)
     points = hulls.vertices_world
     return Part(
-        role="cover",
-        keep_m=keep_m + beyond_m,
+        role=role,
+        keep_m=keep_m,
         solids=obstacles,
         obstacles=obstacles,
         map=_core.HullMap(obstacles),
         lower=points.min(axis=0) if len(points) else None,
         upper=points.max(axis=0) if len(points) else None,
-        facts={"map": "cover", "inflation_m": beyond_m, "keep_m": keep_m + beyond_m},
+        facts=facts,
     )
 
 

@@ -20,6 +20,7 @@ from alula.stages.compression.verify import LISTED, Certificate, Check, Offence,
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
+from alula.stages.planning.unseen import is_seen, unseen_hulls
 
 _JUMP = (
     2.0**-30
@@ -34,6 +35,7 @@ def verify_plan(
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
+    within: Artifact | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
 ) -> Certificate:
@@ -52,6 +54,8 @@ def verify_plan(
         plan: an `alula/plan`.
         cover: the `alula/cover` that it keeps away from; without one, the scene that it was made in.
         scene: the `alula/scene` that it was made in, or that of the cover.
+        within: the `alula/seen` that it stays in: it begins in a seen voxel, and keeps the distance from all
+            others as from hulls.
         sha256: hashes of the files "cover" and "scene"; a difference from the plan's inputs becomes a note.
         jobs: threads, 0 for all processors.
 
@@ -61,7 +65,7 @@ def verify_plan(
     """
     manifest = plan.manifest
     assert isinstance(manifest, PlanManifest)
-    for what, other in (("cover", cover), ("scene", scene)):
+    for what, other in (("cover", cover), ("scene", scene), ("seen space", within)):
         if other is not None and (other.manifest.frame, other.manifest.unit) != (manifest.frame, "m"):
             raise UsageError(
                 f"the {what} is in the frame {other.manifest.frame} in {other.manifest.unit}, the plan in "
@@ -97,7 +101,16 @@ def verify_plan(
             statements.append("every cell of its corridor from every ellipsoid of the scene")
         else:
             not_checked.append("the distance from ellipsoids: the plan has no corridor")
-    given = {"cover": cover, "scene": scene}
+    if within is not None:
+        unseen = hull_obstacles(unseen_hulls(within))
+        checks.append(_clearance(plan, unseen, manifest.radius_m, "unseen voxel", jobs))
+        begin = np.asarray(plan["coefficient"])[:1, :3, 0]
+        offences = [] if is_seen(within, begin).all() else [Offence(fault="the plan begins in unseen space")]
+        checks.append(_check("begins in seen space", 1, offences, "the voxel of its start"))
+        statements.append("within the space that was seen")
+    given = {"cover": cover, "scene": scene, "within": within}
+    if "seen" in made_in and within is None:
+        not_checked.append("the space that was seen, in which the plan was made")
     for role in ("cover", "scene"):
         if role in made_in and given[role] is None:
             not_checked.append(f"the distance from the {role} that the plan was made in")
@@ -107,9 +120,9 @@ def verify_plan(
     proven = all(check.ok for check in checks)
     notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
     recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
-    for role in ("cover", "scene"):
+    for role in ("cover", "scene", "within"):
         if sha256 and role in recorded and given[role] is not None and sha256.get(role) != recorded[role]:
-            notes.append(f"the plan was made from another {role} file")
+            notes.append(f"the plan was made from another {'seen' if role == 'within' else role} file")
     return Certificate(
         covered=proven,
         checks=checks,

@@ -24,6 +24,7 @@ Facts = dict[str, Any]
 WHAT = {
     "alula/scene": "Gaussians of a splat: ellipsoids with opacity and colour, the obstacles.",
     "alula/voxels": "Voxels that obstacles touch; voxel i is the closed cube [i g, (i + 1) g].",
+    "alula/seen": "Voxels that were seen to be free and that a vehicle can reach; all else is unknown.",
     "alula/cover": "Convex polytopes with integer planes, which together contain the voxels.",
     "alula/plan": "A trajectory: polynomials of degree 7 in time for x, y, z and yaw, piece by piece.",
     "alula/run": "Flights behind a safety filter: states, margins and how each flight ended.",
@@ -131,7 +132,13 @@ def _plan(plan: Artifact) -> Facts:
     }
 
 
-_MEASURES = {"alula/scene": _scene, "alula/voxels": _voxels, "alula/cover": _cover, "alula/plan": _plan}
+_MEASURES = {
+    "alula/scene": _scene,
+    "alula/voxels": _voxels,
+    "alula/seen": _voxels,
+    "alula/cover": _cover,
+    "alula/plan": _plan,
+}
 
 
 def provenance_facts(found: Provenance) -> Facts:

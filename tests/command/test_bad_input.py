@@ -68,6 +68,15 @@ CASES = {
         {"tiny.metric.scene.npz": FLOATS},
         wrong_kind={"tiny.metric.scene.npz": "tiny.cover.npz"},
     ),
+    "observe": Case(
+        "observe tiny.metric.scene.npz --voxels tiny.voxels.npz --cameras cameras.csv --radius 0.15 -o OUT",
+        {
+            "tiny.metric.scene.npz": FLOATS,
+            "tiny.voxels.npz": NPZ,
+            "cameras.csv": (*TEXT, damage.not_a_number_csv, damage.words_csv),
+        },
+        wrong_kind={"tiny.metric.scene.npz": "tiny.cover.npz", "tiny.voxels.npz": "tiny.seen.npz"},
+    ),
     "merge": Case(
         "merge tiny.voxels.npz --hulls 9 -o OUT",
         {"tiny.voxels.npz": NPZ},
@@ -89,6 +98,17 @@ CASES = {
             "tiny.voxels.npz": "tiny.cover.npz",
             "tiny.cover.npz": "tiny.map.bin",
         },
+    ),
+    "verify seen space": Case(
+        "verify tiny.seen.npz --voxels tiny.voxels.npz -o OUT",
+        {"tiny.seen.npz": NPZ, "tiny.voxels.npz": NPZ},
+        out="out.json",
+        wrong_kind={"tiny.voxels.npz": "tiny.seen.npz"},
+    ),
+    "plan within seen space": Case(
+        "plan tiny.cover.npz --start=1,1.5,1 --goal=3,1.5,1 --radius 0.2 --within tiny.seen.npz -o OUT",
+        {"tiny.seen.npz": NPZ},
+        wrong_kind={"tiny.seen.npz": "tiny.voxels.npz"},
     ),
     "plan": Case(
         "plan tiny.cover.npz --start=0.5,1.5,1 --goal=3.5,1.5,1 -o OUT",

@@ -175,7 +175,7 @@ def test_an_onboard_map_is_planned_in(cover, tmp_path):
 def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
     output = tmp_path / "p.plan.npz"
     assert plan(cover, output, "--start", "2 2 2", "--goal", "-1 -1 -1") == 0
-    assert plan(output, tmp_path / "q.plan.npz", "--start", "2 2 2", "--goal", "-1 -1 -1") == 3
+    assert plan(output, tmp_path / "q.plan.npz", "--start", "2 2 2", "--goal", "-1 -1 -1") == 4
     assert "alula/plan" in capsys.readouterr().err
 
 

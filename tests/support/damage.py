@@ -105,11 +105,11 @@ def newer_toml(path: Path) -> None:
 
 
 def not_a_number_csv(path: Path) -> None:
-    path.write_text(path.read_text().replace("1,0,0", "nan,0,0"))
+    path.write_text(path.read_text().replace("1,0,0", "nan,0,0").replace("100,100", "nan,100"))
 
 
 def words_csv(path: Path) -> None:
-    path.write_text(path.read_text().replace("1,0,0", "one,0,0"))
+    path.write_text(path.read_text().replace("1,0,0", "one,0,0").replace("100,100", "one,100"))
 
 
 def _rewrite(path: Path, edit) -> None:

@@ -33,6 +33,13 @@ def write_tiny_splat(path: Path) -> None:
     path.write_bytes("\n".join(header).encode() + rows.tobytes())
 
 
+# Two cameras at the ends of the walls that look at each other.
+CAMERAS = """image,x,y,z,qw,qx,qy,qz,width,height,fx,fy,cx,cy
+a.jpg,0.3,1.5,1,0.5,-0.5,0.5,-0.5,200,200,100,100,100,100
+b.jpg,3.7,1.5,1,0.5,-0.5,-0.5,0.5,200,200,100,100,100,100
+"""
+
+
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory) -> Path:
     """A folder with one file of every kind, each made by its command."""
@@ -51,6 +58,7 @@ def write_pipeline(folder: Path) -> None:
     (folder / "pairs.csv").write_text(
         "sx,sy,sz,wx,wy,wz\n" + "".join(",".join(map(str, p)) + "\n" for p in pairs)
     )
+    (folder / "cameras.csv").write_text(CAMERAS)
     (folder / "tiny.toml").write_text(SCENARIO)
     (folder / "tiny.vehicle.toml").write_bytes(FASTBRIDGE.read_bytes())
     f = lambda name: str(folder / name)  # noqa: E731
@@ -58,6 +66,10 @@ def write_pipeline(folder: Path) -> None:
         ["import-splat", f("tiny.ply"), "-o", f("tiny.scene.npz")],
         ["scale-align", f("tiny.scene.npz"), "-o", f("tiny.metric.scene.npz"), "--scale", "1"],
         ["voxelize", f("tiny.metric.scene.npz"), "-o", f("tiny.voxels.npz"), "--size", "0.2"],
+        [
+            *("observe", f("tiny.metric.scene.npz"), "-o", f("tiny.seen.npz"), "--radius", "0.15"),
+            *("--voxels", f("tiny.voxels.npz"), "--cameras", f("cameras.csv")),
+        ],
         ["merge", f("tiny.voxels.npz"), "-o", f("tiny.cover.npz"), "--hulls", "12"],
         ["verify", f("tiny.cover.npz"), "--voxels", f("tiny.voxels.npz"), "-o", f("tiny.certificate.json")],
         ["export", f("tiny.cover.npz"), "-o", f("tiny.map.bin")],

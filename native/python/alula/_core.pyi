@@ -38,6 +38,33 @@ def joined_voxels(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Merge disjoint sorted lists of voxels into one sorted list (index, count): rows start[i] ... start[i + 1] - 1.
     """
 
+class Occluders:
+    """
+    Ellipsoids at level sigma, grown by a ball of radius inflation (outer bounds) and by
+    `loss` (N, 3) of each, prepared for the depth images of many cameras.
+    """
+
+    def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, inflation: float = 0.0, worth: float = 0.01, jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        An ellipsoid whose bound exceeds its sum with the ball by more than `worth` gets a second bound.
+        """
+
+    def depth(self, rotation: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], centre: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], image: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], pixels: Annotated[NDArray[numpy.int64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], near: float, range: float) -> tuple[NDArray[numpy.float32], bool]:
+        """
+        Depth image of one camera, given as by `observe`: (1 / z f32 (rows, columns), an upper bound for every
+        surface in the pixel's pyramid, 1 / range without one; whether an ellipsoid touches the camera).
+        """
+
+def observe(occluders: Occluders, rotation: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], centre: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], image: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], pixels: Annotated[NDArray[numpy.int64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], near: float, range: float, voxel_size: float, lower: Sequence[int], blocked: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], margin: float = 0.0, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint16], NDArray[numpy.uint64], NDArray[numpy.uint8]]:
+    """
+    Count the cameras that see each voxel of a box wholly: (u16 like `blocked`; u64 (K,): voxels that each camera
+    sees; u8 (K,): 1 where an ellipsoid touches the camera, which then sees nothing). Cameras are pinholes: x =
+    rotation (world - centre), x right, y down, z forward; `image` (K, 4) has the smallest x/z and y/z and the
+    largest x/z and y/z, `pixels` (K, 2) the columns and rows. Voxels in `blocked`, u8 (X, Y, Z) from voxel
+    `lower`, are never seen, and hide what lies behind them. `margin` grows voxels at the image's border and at
+    the depth `near`. The result does not depend on `jobs`.
+    """
+
 def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
     """
     Voxels outside `index` (M, 3) that are not proven to be touched by fewer than min_overlap ellipsoids:

@@ -12,6 +12,7 @@ from alula.schemas.filter_options import FILTERS
 from alula.schemas.filters.values import Options
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.world_tables import WorldTable
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import level_words, mass_within
 from alula.stages.simulation.world.prepare import plant_steps_of
@@ -80,9 +81,7 @@ def judged_words(run: WorldRun) -> str:
     if run.world.ellipsoids is not None:
         parts.append(f"the scene's ellipsoids at {level_words(run.world.sigma)}")
     if run.world.polytopes is not None:
-        parts.append(
-            _hulls_words(table.cover is not None, bool(table.walls), "the cover's hulls", "the walls")
-        )
+        parts.append(_hulls_words(table, "the cover's hulls", "the walls"))
     if len(run.world.faces):
         parts.append("the fence")
     if table.moving:
@@ -174,9 +173,7 @@ def _certified_words(run: WorldRun, left: list[str]) -> str:
     table = scenario.world
     kept = {
         "ellipsoids": "every ellipsoid",
-        "hulls": _hulls_words(
-            table.cover is not None, bool(table.walls), "every hull of the cover", "every wall"
-        ),
+        "hulls": _hulls_words(table, "every hull of the cover", "every wall"),
         "fence": "the outside of the fence",
     }
     shield, radius_m = _shield_of(scenario), world.most_keep_m
@@ -289,8 +286,10 @@ def _tested(shield: dict[str, Any]) -> str:
     return words
 
 
-def _hulls_words(has_cover: bool, has_walls: bool, cover: str, walls: str) -> str:
-    return " and ".join([*([cover] if has_cover else []), *([walls] if has_walls else [])])
+def _hulls_words(table: WorldTable, cover: str, walls: str) -> str:
+    parts = ((cover, table.cover is not None), (walls, bool(table.walls)))
+    found = [words for words, is_there in (*parts, ("all space that was not seen", table.seen)) if is_there]
+    return " and ".join(found)
 
 
 def _listed(words: list[str] | tuple[str, ...]) -> str:

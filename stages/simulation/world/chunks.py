@@ -42,6 +42,7 @@ class RunParts:
     vehicle: Vehicle | None = field(compare=False)
     cover: Artifact | None = field(compare=False)
     scene: Artifact | None = field(compare=False)
+    seen: Artifact | None = field(default=None, compare=False)
     plan: Artifact | None = field(compare=False)
     pairs: Pairs | None = field(compare=False)
 

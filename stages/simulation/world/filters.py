@@ -52,7 +52,7 @@ def filter_world(
     """
     rules, table, fence = scenario.rules, scenario.vehicle, scenario.world.fence
     box = None if fence is None or fence.box_m is None else (fence.box_m[:3], fence.box_m[3:])
-    is_read = scenario.world.onboard and not scenario.world.walls
+    is_read = scenario.world.onboard and not scenario.world.has_boxes
     return FilterWorld(
         radius_m=world.keep_m,
         dt_s=rules.dt_s * rules.filter_ticks,
@@ -110,6 +110,11 @@ def safety_filters(
         )
     made: list[_core.SafetyFilter] = []
     for name, given, table in wanted:
+        if FILTER_COMMANDS.get(name) == "sticks" and scenario.world.seen is not None:
+            raise UsageError(
+                f"`$.safety.filters`: {name} keeps inside a fence and out of a cover, not in seen space; "
+                "leave out world.seen"
+            )
         if FILTER_COMMANDS.get(name) == "sticks" and scenario.world.walls:
             raise UsageError(
                 f"`$.safety.filters`: {name} keeps inside a fence and out of a cover, not of walls; leave "

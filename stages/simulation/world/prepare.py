@@ -52,6 +52,7 @@ def prepare(
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
+    seen: Artifact | None = None,
     plan: Artifact | None = None,
     pairs: Pairs | None = None,
     jobs: int = 0,
@@ -64,6 +65,7 @@ def prepare(
         vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
+        seen: space that it names.
         plan: that it names.
         pairs: starts and goals of the run that it names.
         jobs: threads, 0 for all processors.
@@ -78,7 +80,7 @@ def prepare(
     """
     if vehicle is None:
         vehicle = vehicle_of(scenario, Path())
-    require_named(scenario, cover=cover, scene=scene, plan=plan)
+    require_named(scenario, cover=cover, scene=scene, seen=seen, plan=plan)
     foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
     if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
@@ -95,6 +97,7 @@ def prepare(
         radius_m=table.radius_m,
         cover=cover,
         scene=scene,
+        seen=seen,
         needs_image=full.world.onboard or needs_image(full),
         jobs=jobs,
     )

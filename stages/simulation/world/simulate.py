@@ -72,6 +72,7 @@ def simulate_world(
     *,
     cover: Artifact | None = None,
     scene: Artifact | None = None,
+    seen: Artifact | None = None,
     plan: Artifact | None = None,
     pairs: Pairs | None = None,
     journal: TrialJournal[FlownChunk] | None = None,
@@ -90,6 +91,7 @@ def simulate_world(
         vehicle: of the file that it names; default: the one built in by its name.
         cover: that it names.
         scene: that it names.
+        seen: space that it names.
         plan: that it names.
         pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
@@ -102,7 +104,14 @@ def simulate_world(
         LinkError: see `distribute`.
     """
     parts = RunParts(
-        key=uuid4().hex, scenario=scenario, vehicle=vehicle, cover=cover, scene=scene, plan=plan, pairs=pairs
+        key=uuid4().hex,
+        scenario=scenario,
+        vehicle=vehicle,
+        cover=cover,
+        scene=scene,
+        seen=seen,
+        plan=plan,
+        pairs=pairs,
     )
     planning = None
     if scenario.mission.planned:
@@ -170,7 +179,7 @@ def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
 
 
 def _prepared(parts: RunParts, jobs: int, progress: Progress | None = None) -> PreparedRun:
-    given = {role: getattr(parts, role) for role in ("cover", "scene", "plan", "pairs")}
+    given = {role: getattr(parts, role) for role in ("cover", "scene", "seen", "plan", "pairs")}
     return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs, progress=progress)
 
 

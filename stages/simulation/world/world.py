@@ -26,6 +26,7 @@ from alula.stages.filtering.obstacles import (
     require_obstacles,
     union_of,
 )
+from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.fence import fence_faces
 
 # Around static obstacles and references; a flight that leaves this box is refused. Those among moving
@@ -45,12 +46,13 @@ class StaticWorld:
         inflation_m: length that filters add to the radius [m].
         keep_m: distance that filters keep from ellipsoids: the radius and the inflation [m].
         hull_keep_m: the same from hulls, which have grown by the cover's own inflation already [m].
-        hulls: of the cover and the walls; None without any.
+        hulls: of the cover, the walls and unseen space; None without any.
         polytopes: the same as a native set.
         ellipsoids: of the scene, for the judge; None without a scene.
         index: of the scene for filters; empty without a scene.
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
         parts: native maps by name, of those there are: ellipsoids, hulls, fence.
+        seen: space that was seen; the boxes of all other space are among the hulls.
         image: the cover as an onboard map; empty unless filters read it.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
         claims: of the guarantees of scene and cover, for that of the run.
@@ -67,6 +69,7 @@ class StaticWorld:
     index: _core.EllipsoidIndex
     faces: FloatArray
     parts: dict[str, _core.ObstacleMap]
+    seen: Artifact | None
     image: bytes
     centres: FloatArray
     claims: dict[str, Any]
@@ -146,13 +149,14 @@ def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
 
     Args:
         scenario: any.
-        files: by role: cover, scene, plan; None where there is none.
+        files: by role: cover, scene, seen, plan; None where there is none.
 
     Raises:
         UsageError: the scenario names another set of files.
         InputError: one is not metric, or they are not in one frame.
     """
-    named = {"cover": scenario.world.cover, "scene": scenario.world.scene, "plan": scenario.mission.plan}
+    table = scenario.world
+    named = {"cover": table.cover, "scene": table.scene, "seen": table.seen, "plan": scenario.mission.plan}
     for role, file in files.items():
         key = f"{'mission' if role == 'plan' else 'world'}.{role}"
         if file is None and named[role] is not None:
@@ -175,6 +179,7 @@ def static_world(
     radius_m: float,
     cover: Artifact | None,
     scene: Artifact | None,
+    seen: Artifact | None = None,
     needs_image: bool,
     jobs: int,
 ) -> StaticWorld:
@@ -185,6 +190,7 @@ def static_world(
         radius_m: of the vehicle [m].
         cover: that the scenario names.
         scene: that the scenario names.
+        seen: space that the scenario names.
         needs_image: whether a filter reads the cover as an onboard map.
         jobs: threads.
 
@@ -201,7 +207,7 @@ def static_world(
     inflation = suggested if table.inflation_m is None else table.inflation_m
     keep = radius_m + inflation
     hull_keep = radius_m + beyond_hulls(table.inflation_m, cover, suggested)
-    hulls = static_walls(table.walls, cover)
+    hulls = static_walls(table.walls, cover, seen)
     polytopes = None if hulls is None else hull_obstacles(hulls)
     index = ellipsoid_index(scene, sigma, keep)
     box = None if table.fence is None else table.fence.box_m
@@ -211,7 +217,7 @@ def static_world(
         parts["ellipsoids"] = _core.EllipsoidMap(index)
     image = encode_map(cover, indexed=True, jobs=jobs) if cover is not None and needs_image else b""
     if polytopes is not None and hulls is not None and len(hulls.plane_start) > 1:
-        reads = table.onboard and image and not table.walls
+        reads = table.onboard and image and not table.has_boxes
         parts["hulls"] = _core.ImageMap(image) if reads else _core.HullMap(polytopes)
     if len(faces):
         parts["fence"] = _core.FenceMap(np.ascontiguousarray(faces[:, :3]), np.ascontiguousarray(faces[:, 3]))
@@ -232,6 +238,7 @@ def static_world(
         index=index,
         faces=faces,
         parts=parts,
+        seen=seen,
         image=image,
         centres=np.concatenate(centres),
         claims={
@@ -259,6 +266,9 @@ def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) 
     Raises:
         UsageError: one does.
     """
+    if world.seen is not None and not (known := is_seen(world.seen, points)).all():
+        where = " ".join(f"{value:.3f}" for value in points[np.argmin(known)])
+        raise UsageError(f"{what} at ({where}) is not in the space that was seen")
     clear: NDArray[Any] = world.clearance(points, points, world.radius_m + 1, jobs) - world.radius_m
     if len(clear) and clear.min() < 0:
         i = int(np.argmin(clear))
@@ -268,30 +278,22 @@ def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) 
         )
 
 
-def static_walls(walls: Sequence[WallTable], cover: Artifact | None) -> Hulls | None:
-    """Join the hulls of a cover and the boxes of a scenario to one set; None when there are none.
+def static_walls(
+    walls: Sequence[WallTable], cover: Artifact | None, seen: Artifact | None = None
+) -> Hulls | None:
+    """Join hulls of a cover, boxes of a scenario and those of unseen space to one set; None without any.
 
     Args:
         walls: the boxes.
         cover: an `alula/cover`, in metres, if there is one.
+        seen: an `alula/seen`, if there is one.
     """
     parts = [_box(wall) for wall in walls]
     if cover is not None:
         parts.insert(0, Hulls.from_cover(cover))
-    if not parts:
-        return None
-
-    def starts(each: list[Any]) -> Any:
-        lengths = np.concatenate([np.diff(start) for start in each])
-        return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-
-    return Hulls(
-        normal_world=np.concatenate([part.normal_world for part in parts]),
-        offset_m=np.concatenate([part.offset_m for part in parts]),
-        plane_start=starts([part.plane_start for part in parts]),
-        vertices_world=np.concatenate([part.vertices_world for part in parts]),
-        vertex_start=starts([part.vertex_start for part in parts]),
-    )
+    if seen is not None:
+        parts.append(unseen_hulls(seen))
+    return joined(parts) if parts else None
 
 
 def _box(wall: WallTable) -> Hulls:
