@@ -15,7 +15,8 @@ from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
 
 _REACH_M = 1.5  # of a cell beyond its segment
-_COMFORT = 1.25  # times the radius: distance that cells keep where there is room
+_COMFORT = 1.5  # times the radius: distance that cells keep where there is room
+_SHARE = 0.75  # of what a segment keeps beyond the radius, for its cell; the rest is room to move in
 _MARGIN_M = 1e-9  # that a segment keeps beyond the distance of its cell; that of the path is as large
 _ROOM = (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a joint within its two cells, in radii
 METHOD = "half-spaces at the radius, separated by duality"
@@ -81,9 +82,9 @@ def find_corridor(
     """Make a corridor along a path whose segments keep `radius_m`.
 
     Points of the path that a straight line can pass by are left out first, from the start on, as far as the
-    line keeps as much as they do, up to a comfortable distance, 1.25 times the radius. Each remaining segment
-    gets a cell by `corridor_cells`. What the segment keeps beyond the radius, up to half of it, is shared in
-    equal parts: every point of the cell keeps one beyond the radius, and the other is room to move in.
+    line keeps as much as they do, up to a comfortable distance, 1.5 times the radius. Each remaining segment
+    gets a cell by `corridor_cells`. Of what the segment keeps beyond the radius every point of the cell
+    keeps three quarters, up to the comfortable distance; the rest is room to move in.
 
     Args:
         point: the path, shape (W, 3) [m].
@@ -100,8 +101,8 @@ def find_corridor(
     corner, via = path[chosen], kept[chosen][1:-1]
     begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
     lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
-    own = _clearance(begin, end, kept_from, (2 * _COMFORT - 1) * radius_m, jobs)
-    kept_m = radius_m + np.maximum(0.5 * (own - radius_m) - _MARGIN_M, 0)
+    own = _clearance(begin, end, kept_from, radius_m + (comfort - radius_m) / _SHARE, jobs)
+    kept_m = radius_m + np.maximum(_SHARE * (own - radius_m) - _MARGIN_M, 0)
     normals, offsets, lengths, free = [], [], [], []
     for i, distance in enumerate(kept_m.tolist()):
         cell = [

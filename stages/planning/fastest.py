@@ -17,7 +17,7 @@ from alula.stages.planning.trajectory import DEGREE
 PIECES_PER_CELL = (3, 5)  # tried in turn; the first is less, but 2 at least, in a corridor of many cells
 _FEW_PIECES = 20
 _LEAST_DURATION_S = 0.02  # of a piece
-_GAP = 2e-3  # of the barrier method, in units of the total time
+_GAP = 1e-2  # of the barrier method, in units of the total time; less costs more than it saves in flight
 _MOST_STEPS = 300  # of Newton's method
 # A straight piece from rest to rest, class C4, in two halves: control points along the way.
 _STRAIGHT = np.array([[0, 0, 0, 0, 0, 0.125, 0.3125, 0.5], [0.5, 0.6875, 0.875, 1, 1, 1, 1, 1]])

@@ -13,9 +13,12 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import PLAN
+from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.clearance import clearance_to_hulls, hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.curve_certificate import certify, certify_curve
+from alula.stages.planning.fastest import MovingState
+from alula.stages.planning.limits import motion_limits
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
@@ -310,3 +313,27 @@ def test_a_cover_whose_planes_and_vertices_disagree_is_not_planned_in(spoil):
     bad = dataclasses.replace(cover, arrays={**cover.arrays, spoil: array})
     with pytest.raises(ArtifactError, match=r"the cover is not sound: .*hull 0"):
         plan(PlanConfig(start=(0.5, 1.5, 1.5), goal=(2.5, 1.5, 1.5)), bad)
+
+
+def test_a_plan_begins_in_motion_and_a_motion_that_leads_out_of_the_path_is_refused_in_words():
+    config = PlanConfig(
+        start=(0.2, 0.3, 0.3), goal=(2.5, 0.3, 0.3), radius_m=0.15, bounds=(0, 0, 0, 3, 3, 3), speed_m_s=2.0
+    )
+    cover = boxes_cover(WALL_WITH_HOLE)
+    still = np.zeros(3)
+    result = plan(config, cover, motion=MovingState(np.array([0.0, 0.6, 0.3]), still, still))
+    assert verify_plan(result, cover=cover).covered
+    time, c = result["time"], result["coefficient"]
+    np.testing.assert_allclose(evaluate(time, c, 0.0, 1)[:3], [0, 0.6, 0.3], atol=1e-9)
+    assert time[-1] < plan(config, cover)["time"][-1]
+    with pytest.raises(InfeasibleError, match="no curve leads from this motion along the path"):
+        plan(config, cover, motion=MovingState(np.array([-1.9, 0, 0]), still, still))
+
+
+def test_a_plan_records_the_limits_of_its_vehicle():
+    config = PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), radius_m=0.2, acceleration_m_s2=2.0)
+    made = plan(config, boxes_cover([]))
+    assert made.manifest.version == "1.1"
+    assert made.manifest.vehicle == "fastbridge"
+    assert made.manifest.limits == motion_limits(config, FASTBRIDGE).record()
+    assert made.manifest.limits["tilt_rad"] == pytest.approx(math.asin(2.0 / 9.81))

@@ -106,7 +106,7 @@ def moved_box(array):
         ({"coefficient": bump(3, 4, 5.0)}, {"continuity"}),
         ({"cell_offset": moved_plane}, {"cells and hulls"}),
         ({"cell_offset": moved_box}, {"pieces in cells"}),
-        ({"piece_cell": lambda array: array.__setitem__(0, 1)}, {"pieces in cells"}),
+        ({"piece_cell": lambda array: array.__setitem__(0, array[-1])}, {"pieces in cells"}),
         ({"piece_cell": lambda array: array.__setitem__(0, 99)}, {"pieces in cells"}),
     ],
 )

@@ -55,7 +55,10 @@ void PlanClock::advance(double dt_s, double error_m) {
   time_ = std::min(time_ + rate_ * dt_s, end);
   while (next_ < o.via_s.size() && time_ >= o.via_s[next_]) {
     waited_s_ += dt_s;
-    if (error_m > passed_m && waited_s_ < kWait) break;
+    if (error_m > passed_m && waited_s_ < kWait) {
+      rate_ = 0;  // the reference stands still: its velocity would lead the vehicle past the point
+      break;
+    }
     ++next_, waited_s_ = 0;
   }
   turn_ -= std::clamp(turn_, -kTurn * dt_s, kTurn * dt_s);
