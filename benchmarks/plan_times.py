@@ -4,8 +4,8 @@
 stretched until speed and acceleration hold: how `plan` timed flights before version 1.1 of its artifact.
 `scaled` fixes the durations by the lengths of the segments, minimises snap in the same corridor, and
 stretches all of it until the limits hold, as Splat-Nav does (Chen et al. 2024). `bound` is a point that
-follows the merged path with full acceleration and deceleration and stops for no corner. Times of planning are CPU seconds
-after the map is loaded.
+follows the merged path with full acceleration and deceleration and stops for no corner. Times of
+planning are CPU seconds after the map is loaded.
 
     python benchmarks/plan_times.py room.cover.npz --pairs 100 --speed 1 --speed 3
 """

@@ -134,7 +134,7 @@ class PlanClock:
         while self._via_s and self.time_s >= self._via_s[0]:
             self._waited_s += dt_s
             if error_m > self._passed_m and self._waited_s < _WAIT_S:
-                self.rate = 0.0  # the reference stands still: its velocity would lead the vehicle past the point
+                self.rate = 0.0  # else the velocity of the reference would lead the vehicle past the point
                 return
             self._via_s.pop(0)
             self._waited_s = 0.0
