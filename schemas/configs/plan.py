@@ -72,14 +72,14 @@ class PlanConfig:
         default=None,
         metadata={
             "help": "Maximum jerk [m/s^3]; default: what the body rates and rotors of the vehicle allow.",
-            "option": "--jerk",
+            "option": "--max-jerk",
         },
     )
     snap_m_s4: float | None = field(
         default=None,
         metadata={
             "help": "Maximum snap [m/s^4]; default: what the rotors of the vehicle allow.",
-            "option": "--snap",
+            "option": "--max-snap",
         },
     )
     tilt_rad: float | None = field(
@@ -145,8 +145,8 @@ class PlanConfig:
             ("--margin", self.margin_m, 0.0, 100.0),
             ("--speed", self.speed_m_s, 1e-3, 1e3),
             ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
-            ("--jerk", self.jerk_m_s3, 1e-3, 1e6),
-            ("--snap", self.snap_m_s4, 1e-3, 1e8),
+            ("--max-jerk", self.jerk_m_s3, 1e-3, 1e6),
+            ("--max-snap", self.snap_m_s4, 1e-3, 1e8),
             ("--tilt", self.tilt_rad, 1e-3, 1.5),
             ("--body-rate", self.body_rate_rad_s, 1e-3, 1e3),
             ("--smooth", self.smooth, 1.0, 100.0),

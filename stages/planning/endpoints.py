@@ -11,6 +11,7 @@ from alula.schemas.errors import InfeasibleError
 from alula.schemas.progress import Progress
 from alula.stages.planning.space import PlanSpace
 
+_TOUCHES_M = 1e-9  # a smaller depth is none
 _NEAREST_M = 1e-3  # tolerance of the nearest free point
 _NEAREST_CELLS = 400_000  # of its search
 _DECIMALS = 3  # of points that are printed
@@ -50,10 +51,11 @@ def free_points_of_flight(
             moved.append((name, point, nearest))
             continue
         where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
+        what = space.nearest_part(point)
         place = (
-            f"is inside an obstacle, {-distance:.3g} m deep"
-            if distance <= 0
-            else f"is {distance:.6g} m from an obstacle, and the plan must keep {space.keep_m:g} m (--radius)"
+            f"is inside {what}, {-distance:.3g} m deep"
+            if distance < -_TOUCHES_M
+            else f"is {max(distance, 0.0):.6g} m from {what}, and the plan must keep {space.keep_m:g} m (--radius)"
         )
         if nearest is None:
             raise InfeasibleError(f"{where} {place}; no free point was found near it")

@@ -31,6 +31,7 @@ _WORDS = {
     "image": "hull of the onboard map",
     "seen": "point that was not seen",
 }
+_NEAR = ("an obstacle", "space that was not seen")
 _FAR_M = 1e3  # distances of maps are measured up to this
 
 
@@ -119,6 +120,16 @@ class PlanSpace:
             return None
         lower, upper = (np.array(each) for each in zip(*boxes, strict=True))
         return lower.min(axis=0), upper.max(axis=0)
+
+    def nearest_part(self, point: Sequence[float]) -> str:
+        """What is nearest to a point, beyond the distance to keep from it: an obstacle, or unseen space.
+
+        Args:
+            point: shape (3,) [m].
+        """
+        at = np.array([point], np.float64)
+        away = [float(part.map.distance(at, part.keep_m)[0]) - part.keep_m for part in self.parts]
+        return _NEAR[self.parts[int(np.argmin(away))].role == "seen"]
 
     def is_free(self, points: ArrayLike, radius_m: float) -> Any:
         """Whether balls at points are free, shape (N,); never wrongly true.

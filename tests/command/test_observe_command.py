@@ -130,6 +130,10 @@ def test_info_verify_and_plan_know_the_file(pipeline, tmp_path, capsys):
     assert run([*planned, "--goal", "2.8 1.5 1", "--within", seen, "-q"]) == 0
     roles = [ref.role for ref in read_artifact(tmp_path / "a.plan.npz").manifest.inputs]
     assert roles == ["cover", "within"]
+    proof = ["verify", str(tmp_path / "a.plan.npz"), "--map", cover]
+    capsys.readouterr()
+    assert run([*proof, "--within", seen]) == 0
+    assert "within the space that was seen" in capsys.readouterr().out
     assert run([*planned, "-f", "--goal", "2.8 2.7 1.9", "--within", seen, "-q"]) == 5
     err = capsys.readouterr().err
     assert "not seen" in err or "in the space that was seen" in err

@@ -175,7 +175,7 @@ def test_an_onboard_map_is_planned_in(cover, tmp_path):
 def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
     output = tmp_path / "p.plan.npz"
     assert plan(cover, output, "--start", "2 2 2", "--goal", "-1 -1 -1") == 0
-    assert plan(output, tmp_path / "q.plan.npz", "--start", "2 2 2", "--goal", "-1 -1 -1") == 4
+    assert plan(output, tmp_path / "q.plan.npz", "--start", "2 2 2", "--goal", "-1 -1 -1") == 3
     assert "alula/plan" in capsys.readouterr().err
 
 
@@ -184,5 +184,5 @@ def test_help_shows_the_line_of_the_command_list_and_examples():
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.count("alula plan room.cover.npz") == 4
+    assert done.stdout.count("alula plan room.cover.npz") == 5
     assert "--via" in done.stdout

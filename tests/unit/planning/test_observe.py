@@ -270,7 +270,7 @@ def test_a_plan_stays_with_its_whole_ball_in_seen_space(room):
     both = observe(CONFIG, scene, TWO)
     made = plan(config, cover, within=both)
     assert made.manifest.guarantee.claims["within_seen_space"] is True
-    assert "all space that was not seen" in made.manifest.guarantee.statement
+    assert "every point that was not seen" in made.manifest.guarantee.statement
     time = np.linspace(0, made["time"][-1], 400)
     path = evaluate(np.asarray(made["time"]), np.asarray(made["coefficient"])[:, :3], time)
     rng = np.random.default_rng(2)

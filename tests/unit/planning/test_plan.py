@@ -83,9 +83,9 @@ def test_a_plan_goes_through_a_hole_and_through_points_on_the_way():
     assert waypoints.index(list(via[0])) < waypoints.index(list(via[1]))
 
 
-@pytest.mark.parametrize(("radius", "stops"), [(0.14998, 0), (0.15 - 1e-7, 1)])
-def test_a_narrow_corner_is_planned_even_when_smooth_curves_do_not_fit(radius, stops):
-    """A duct 0.3 m wide: with 20 micrometres of room a curve passes its corner, with 0.1 only a stop."""
+@pytest.mark.parametrize("radius", [0.14998, 0.15 - 1.1e-6])
+def test_a_narrow_corner_is_passed_without_a_stop(radius):
+    """A duct 0.3 m wide, with 20 micrometres of room, or one."""
     boxes = [
         [0, 0, 0, 23, 20, 10],
         [0, 0, 13, 23, 20, 20],
@@ -101,7 +101,7 @@ def test_a_narrow_corner_is_planned_even_when_smooth_curves_do_not_fit(radius, s
     points = evaluate(result["time"], result["coefficient"], np.linspace(0, result["time"][-1], 20000))[:, :3]
     assert box_distance(points, boxes).min() >= radius - 1e-12
     assert result.manifest.summary["min_clearance_m"] < 0.151
-    assert (result.manifest.summary["stops"] > 0) == (stops > 0)
+    assert result.manifest.summary["stops"] == 0
     assert verify_plan(result, cover=boxes_cover(boxes)).covered
 
 

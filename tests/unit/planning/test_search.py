@@ -274,7 +274,7 @@ def test_the_search_is_the_same_every_time():
 
 
 def test_maps_of_different_frames_are_refused():
-    with pytest.raises(InputError, match="the cover is in frame 'world', the scene in 'hall'"):
+    with pytest.raises(InputError, match="the cover is in frame 'world', the scene is in frame 'hall'"):
         plan_space(config(), boxes_cover([]), balls([[9, 9, 9]], 0.1, frame="hall"))
 
 

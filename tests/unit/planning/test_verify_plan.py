@@ -58,7 +58,7 @@ def test_a_plan_is_proven_with_its_corridor_and_all_limits(good, cover):
     assert certificate.covered
     assert certificate.notes == []
     assert [check.name for check in certificate.checks] == [
-        "clearance",
+        "clearance from hulls",
         "cells and hulls",
         "pieces in cells",
         "limits",
@@ -117,7 +117,7 @@ def test_damage_of_a_plan_is_found(good, cover, change, found):
 @pytest.mark.parametrize(
     ("fields", "found"),
     [
-        ({"radius_m": 0.3}, {"clearance", "cells and hulls"}),
+        ({"radius_m": 0.3}, {"clearance from hulls", "cells and hulls"}),
         ({"via_m": [[1.5, 1.0, 1.5]]}, {"start, vias, goal"}),
         ({"parameters": {"goal": [2.6, 2.5, 1.6]}}, {"start, vias, goal"}),
         ({"parameters": {"start": [2.6, 2.5, 1.5]}}, {"start, vias, goal"}),
@@ -138,7 +138,7 @@ def test_a_hull_in_the_way_is_found(good):
     middle = np.asarray(good["coefficient"])[len(good["time"]) // 2, :3, 0]
     low = np.floor(10 * middle).astype(int) - 1
     blocked = boxes_cover([*BOXES, [*low, *(low + 2)]])
-    assert {"clearance", "cells and hulls"} <= set(failed(good, blocked))
+    assert {"clearance from hulls", "cells and hulls"} <= set(failed(good, blocked))
 
 
 def test_a_plan_without_corridor_or_limits_is_proven_as_far_as_it_goes(good, cover):
@@ -146,7 +146,7 @@ def test_a_plan_without_corridor_or_limits_is_proven_as_far_as_it_goes(good, cov
     older = altered(good, {"limits": {}}, **cells)
     certificate = verify_plan(older, cover=cover)
     assert certificate.covered
-    assert [check.name for check in certificate.checks][0:2] == ["clearance", "limits"]
+    assert [check.name for check in certificate.checks][0:2] == ["clearance from hulls", "limits"]
     assert certificate.notes == ["an older plan: its limit of speed and three derivatives are checked"]
     assert failed(altered(older, **scaled_time(1.2)), cover) == ["limits"]
 
@@ -193,7 +193,7 @@ def test_the_command_proves_a_plan_and_exits_with_4_where_it_is_damaged(good, co
     assert "proven: every point of the plan is at least 0.2 m from every hull" in capsys.readouterr().out
     assert verify(altered(good, {"radius_m": 0.3}), "--map", str(map_path)) == 4
     captured = capsys.readouterr()
-    assert "clearance: piece" in captured.err
+    assert "clearance from hulls: piece" in captured.err
     assert captured.err.count("\n") == 1
     assert verify(good) == 2
-    assert "a plan is proven against the cover of --map" in capsys.readouterr().err
+    assert "a plan is proven against the map of --map" in capsys.readouterr().err
