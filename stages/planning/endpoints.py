@@ -53,10 +53,10 @@ def free_points_of_flight(
         where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
         what = space.nearest_part(point)
         place = (
-            f"is inside {what}, {-distance:.3g} m deep"
-            if distance < -_TOUCHES_M
-            else f"is {max(distance, 0.0):.6g} m from {what}, and the plan must keep {space.keep_m:g} m (--radius)"
+            f"is {max(distance, 0.0):.6g} m from {what}, and the plan must keep {space.keep_m:g} m (--radius)"
         )
+        if distance < -_TOUCHES_M:
+            place = f"is inside {what}, {-distance:.3g} m deep"
         if nearest is None:
             raise InfeasibleError(f"{where} {place}; no free point was found near it")
         free = " ".join(f"{x:g}" for x in nearest)

@@ -134,9 +134,9 @@ def test_info_verify_and_plan_know_the_file(pipeline, tmp_path, capsys):
     capsys.readouterr()
     assert run([*proof, "--within", seen]) == 0
     assert "within the space that was seen" in capsys.readouterr().out
-    assert run([*planned, "-f", "--goal", "2.8 2.7 1.9", "--within", seen, "-q"]) == 5
+    assert run([*planned, "-f", "--goal", "9 9 9", "--within", seen, "-q"]) == 5
     err = capsys.readouterr().err
-    assert "not seen" in err or "in the space that was seen" in err
+    assert "the goal (9 9 9) is not in the space that was seen (--within)" in err
     assert run(["merge", seen, "-o", str(tmp_path / "x.npz"), "--hulls", "3"]) == 3
 
 
