@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,20 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import MapImage
 
 _OUTWARD_ULPS = 8.0  # more than the roundings of offset * g / |normal| and of the unit normal together
+
+
+class Planes(NamedTuple):
+    """Integer half-spaces {x : normal . x <= offset} of polytopes on a lattice.
+
+    Attributes:
+        normal: outward, shape (F, 3).
+        offset: shape (F,).
+        start: first plane of each polytope and the end, shape (n + 1,).
+    """
+
+    normal: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    start: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +63,14 @@ class Hulls:
         Raises:
             ArtifactError: the planes of an outer polytope bound no solid.
         """
-        names = ("plane_normal", "plane_offset", "plane_start")
-        planes = tuple(np.asarray(cover[name], np.int64) for name in names)
-        return cls.from_lattice(float(cover.manifest.voxel_size_m), *planes, *_corners(cover))  # type: ignore[attr-defined]
+        edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+        return cls.from_lattice(edge, _planes(cover), *_corners(cover))
 
     @classmethod
     def from_lattice(
         cls,
         voxel_size_m: float,
-        plane_normal: NDArray[np.int64],
-        plane_offset: NDArray[np.int64],
-        plane_start: NDArray[np.int64],
+        planes: Planes,
         corner: NDArray[np.float64],
         corner_start: NDArray[np.int64],
     ) -> Self:
@@ -67,21 +78,19 @@ class Hulls:
 
         Args:
             voxel_size_m: unit of the lattice [m].
-            plane_normal: outward normals, shape (F, 3).
-            plane_offset: normal . x <= offset in units of the lattice, shape (F,).
-            plane_start: first plane of each polytope and the end, shape (n + 1,).
+            planes: in units of the lattice.
             corner: corners in units of the lattice, shape (V, 3).
             corner_start: first corner of each polytope and the end, shape (n + 1,).
         """
-        integer = plane_normal.astype(np.float64)
+        integer = planes.normal.astype(np.float64)
         length = np.sqrt((integer * integer).sum(axis=1))
         vertices = corner * voxel_size_m
         extent = float(np.abs(vertices).max(initial=0.0)) + voxel_size_m
-        offset = plane_offset.astype(np.float64) * (voxel_size_m / length)
+        offset = planes.offset.astype(np.float64) * (voxel_size_m / length)
         return cls(
             normal_world=integer / length[:, None],
             offset_m=offset + _OUTWARD_ULPS * np.finfo(np.float64).eps * extent,
-            plane_start=plane_start,
+            plane_start=planes.start,
             vertices_world=vertices,
             vertex_start=corner_start,
         )
@@ -116,12 +125,17 @@ def image_hulls(image: MapImage) -> Hulls:
     normal = np.concatenate([np.tile(faces, (count, 1)), image.normal.astype(np.int64)])[by_hull]
     offset = np.concatenate([box.reshape(-1), image.offset])[by_hull]
     start = image.plane_start + 6 * np.arange(count + 1)
-    planes = tuple(np.ascontiguousarray(each, np.int64) for each in (normal, offset, start))
+    planes = Planes(*(np.ascontiguousarray(each, np.int64) for each in (normal, offset, start)))
     try:
-        found = _core.outer_solids(*planes, 0)
+        found = _core.outer_solids(planes.normal, planes.offset, planes.start, 0)
     except ValueError as error:
         raise ArtifactError(f"the onboard map is not sound: {error}") from error
-    return Hulls.from_lattice(image.voxel_size_m, *planes, found["point"], found["point_start"])
+    return Hulls.from_lattice(image.voxel_size_m, planes, found["point"], found["point_start"])
+
+
+def _planes(cover: Artifact) -> Planes:
+    names = ("plane_normal", "plane_offset", "plane_start")
+    return Planes(*(np.ascontiguousarray(cover[name], np.int64) for name in names))
 
 
 def _hull_of(start: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -146,10 +160,9 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     Raises:
         ArtifactError: the planes of a hull bound no solid within the lattice's range.
     """
-    names = ("plane_normal", "plane_offset", "plane_start")
-    normal, offset, start = (np.ascontiguousarray(cover[name], np.int64) for name in names)
+    planes = _planes(cover)
     try:
-        found: dict[str, NDArray[Any]] = _core.outer_solids(normal, offset, start, jobs)
+        found: dict[str, NDArray[Any]] = _core.outer_solids(planes.normal, planes.offset, planes.start, jobs)
     except ValueError as error:
         raise ArtifactError(f"the cover is not sound: {error}") from error
     return found

@@ -169,7 +169,10 @@ def test_an_onboard_map_is_planned_in(cover, tmp_path):
     image, output = tmp_path / "cube.map.bin", tmp_path / "p.plan.npz"
     assert run(["export", str(cover), "-o", str(image)]) == 0
     assert plan(image, output, "--start", "0.5 0.5 1.6", "--goal", "0.5 0.5 -0.6", "--radius", "0.2") == 0
-    assert read_artifact(output, PLAN).manifest.maps[0]["map"] == "image"
+    made = read_artifact(output, PLAN)
+    assert made.manifest.maps[0]["map"] == "image"
+    assert made.manifest.method == "minimum time in a corridor of convex cells"
+    assert run(["verify", str(output), "--map", str(cover)]) == 0
 
 
 def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
