@@ -192,13 +192,15 @@ class Telemetry:
         estimator = self._copter.estimator
         fixed = estimator.has_fix
         lat, lon, alt = estimator.global_position(self._motion.position) if fixed else (0.0, 0.0, 0.0)
-        speed = round(100 * math.hypot(*self._motion.velocity[:2])) if fixed else 0
+        north, east, _ = self._copter.airframe.truth.velocity
+        speed = round(100 * math.hypot(north, east)) if fixed else 0
+        course = round(100 * math.degrees(math.atan2(east, north)) % 36000) % 36000
         return mavlink.MAVLink_gps_raw_int_message(
             round(1e6 * (estimator.fix_s or 0.0)),
             6 if fixed else 1,
             *_degrees(lat, lon),
             round(alt * 1000),
-            *(121 if fixed else 9999, 200 if fixed else 9999, speed, 0, 10 if fixed else 0),
+            *(121 if fixed else 9999, 200 if fixed else 9999, speed, course, 10 if fixed else 0),
         )
 
     def _attitude(self) -> Message:

@@ -120,6 +120,78 @@ def test_fixes_that_stop_are_noticed(reports, at, trouble):
     assert satellites.trouble(at) == trouble
 
 
+def velocity_report(stamp, speed_m_s, course_deg, kind="gps_raw_int", accuracy_m_s=0.1):
+    made = report(stamp, 3, kind)
+    made.vel, made.cog, made.vel_acc = (
+        round(100 * speed_m_s),
+        round(100 * course_deg),
+        round(1e3 * accuracy_m_s),
+    )
+    return made
+
+
+@pytest.mark.parametrize(
+    ("speed", "course", "accuracy", "is_wrong"),
+    [
+        (1.0, 90.0, 0.1, False),  # as estimated: 1 m/s to the east
+        (2.1, 90.0, 0.1, False),
+        (2.3, 90.0, 0.1, True),
+        (1.0, 0.0, 0.1, True),  # by 1.41 m/s: the course counts
+        (1.0, 0.0, 0.3, False),  # a bad receiver
+        (655.35, 0.0, 0.1, False),  # unknown
+        (1.0, 655.35, 0.1, False),
+    ],
+)
+def test_an_estimate_that_contradicts_the_velocity_of_satellites_is_noticed(
+    speed, course, accuracy, is_wrong
+):
+    satellites = Satellites()
+    satellites.is_watched = True
+    satellites.estimated(0.0, 1.0)
+    for i in range(5):
+        satellites.take(velocity_report(i, speed, course, accuracy_m_s=accuracy), 0.2 * i)
+        assert satellites.trouble(0.2 * i) == "" or i >= 3
+    assert ("differs from that of the satellites" in satellites.trouble(0.8)) == is_wrong
+    satellites.take(velocity_report(9, 1.0, 90.0), 1.0)
+    assert satellites.trouble(1.0) == ""
+
+
+def test_one_of_two_receivers_alone_does_not_contradict():
+    satellites = Satellites()
+    satellites.is_watched = True
+    satellites.estimated(0.0, 1.0)
+    for i in range(10):
+        satellites.take(velocity_report(i, 5.0, 90.0), 0.2 * i)
+        satellites.take(velocity_report(i, 1.0, 90.0, "gps2_raw"), 0.2 * i)
+    assert satellites.trouble(1.9) == ""
+
+
+def test_an_estimate_that_drifts_away_in_flight_lands_it():
+    """The estimator takes a false velocity, as after the fault of an accelerometer."""
+
+    def mislead(flight):
+        estimator = flight.copter.estimator
+        kind = type(estimator)
+        own = kind.reported.fget
+
+        def reported(self):
+            motion = own(self)
+            north, east, down = motion.velocity
+            return motion._replace(velocity=(north + 1.5, east, down))
+
+        flight.monkeypatch.setattr(kind, "reported", property(reported))
+
+    patch = pytest.MonkeyPatch()
+    with patch.context() as patched:
+        made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
+        flight = Flight(made, [Upset(State.FLY, 0.5, mislead)])
+        flight.monkeypatch = patched
+        flight.fly()
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 1.2
+    assert "differs from that of the satellites" in str(said_of(flight.loop))
+
+
 def test_a_second_receiver_is_enough():
     satellites = Satellites()
     satellites.is_watched = True

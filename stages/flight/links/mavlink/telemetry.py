@@ -101,6 +101,9 @@ class Telemetry:
         elif kind in KINDS:
             self.satellites.take(message, now_s)
             return []
+        elif kind == "LOCAL_POSITION_NED":
+            self.satellites.estimated(message.vx, message.vy)
+            return []
         else:
             return []
         self._arrived_s[kind] = now_s
