@@ -7,6 +7,7 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import write_artifact
+from alula.schemas.kinds import PLAN
 from alula.schemas.salvage import salvage
 from support.fabricate import (
     box,
@@ -217,7 +218,8 @@ def test_a_newer_artifact_is_refused_but_its_manifest_is_shown(folder, capsys):
     path = folder / "a.plan.npz"
     with zipfile.ZipFile(path) as archive:
         members = {i.filename: archive.read(i) for i in archive.infolist()}
-    members["manifest.json"] = members["manifest.json"].replace(b'"version": "1.0"', b'"version": "9.0"')
+    written = f'"version": "{PLAN.version}"'.encode()
+    members["manifest.json"] = members["manifest.json"].replace(written, b'"version": "9.0"')
     with zipfile.ZipFile(path, "w") as archive:
         for name, raw in members.items():
             archive.writestr(name, raw)

@@ -156,7 +156,7 @@ def test_near_an_edge_the_euclidean_distance_counts_not_the_planes():
     [
         ((0.5, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle, 0.5 m deep"),
         ((3, 3, 3), (0.5, 0.5, 1.1), "the goal .* is 0.1 m from an obstacle, and the plan must keep 0.25 m"),
-        ((1.0, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle"),
+        ((1.0, 0.5, 0.5), (3, 3, 3), "the start .* is 0 m from an obstacle, and the plan must keep 0.25 m"),
     ],
 )
 def test_points_in_obstacles_are_named_with_their_clearance(start, goal, message):
