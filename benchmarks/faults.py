@@ -253,9 +253,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "satellites lost": Fault(lambda scene: scene.set(SIM_GPS1_ENABLE=0), BLIND),
     "satellites 22 m off": Fault(lambda scene: scene.set(SIM_GPS1_GLTCH_X=0.0002), BLIND, is_lasting=True),
-    "accelerometer 1 m/s² off": Fault(
-        lambda scene: scene.set(SIM_ACC1_BIAS_Y=1), (*BLIND, *PERTURBED), stops=False, is_lasting=True
-    ),
+    "accelerometer 1 m/s² off": Fault(lambda scene: scene.set(SIM_ACC1_BIAS_Y=1), BLIND, is_lasting=True),
     "radio lost": Fault(lambda scene: scene.set(SIM_RC_FAIL=1), ((6, f"{OWN} .*Radio"),)),
     "battery low": Fault(
         lambda scene: scene.set(SIM_BATT_VOLTAGE=11.2),
