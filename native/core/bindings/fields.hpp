@@ -232,9 +232,9 @@ void add_attributes(Class& bound, Path path, const std::string& prefix = {}) {
       add_attributes<M>(bound, inner, prefix + entry.prefix);
     } else {
       using Out = std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>;
-      bound.def_prop_ro(
-          (prefix + entry.name).c_str(), [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
-          *entry.doc == '\0' ? nullptr : entry.doc);
+      bound.def_prop_ro((prefix + entry.name).c_str(),
+                        [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
+                        *entry.doc == '\0' ? nullptr : entry.doc);
     }
   };
   std::apply([&](const auto&... entry) { (one(entry), ...); }, Fields<T>::all);
