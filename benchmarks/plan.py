@@ -2,7 +2,9 @@
 
 Pairs are points of a grid with a spacing of a quarter of the radius. Two neighbours are joined where their
 distances from the map, which are 1-Lipschitz, prove that the segment between them keeps the radius; a pair
-is two points of one connected component. All figures are for a start and an end at rest, at equal limits.
+is two points of one connected component. Flights begin and end at rest. Limits of speed and acceleration are
+equal; plans also keep those of thrust, tilt, body rates and rotors, and room for filters beside obstacles,
+which `time_over_today` pays for.
 
 - `time_over_today`: over the minimum-snap spline through the points of the same path with its own allocation
   of times, stretched until speed and acceleration hold: how `plan` timed flights before 1.1 of its artifact;
@@ -233,7 +235,7 @@ def main() -> int:
     else:
         sys.stdout.write(_table(found))
     if given.markdown is not None:
-        preface = "# Plans, measured\n\nWritten by `python benchmarks/plan.py --markdown FILE`.\n" + __doc__
+        preface = "# Plans, measured\n\nWritten by `python benchmarks/plan.py --markdown FILE`.\n\n" + __doc__
         given.markdown.write_text(f"{preface}\n{_table(found)}")
     missed = any(each["planned_pairs"] < each["connected_pairs"] for each in found)
     return int(missed or any(each["limit_violations"] for each in found))
