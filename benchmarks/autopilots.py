@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -162,14 +162,18 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
 _INTERFACES = {"velocities": "velocity", "accelerations": "acceleration", "body rates": "body-rates"}
 
 
-def scenario_of(folder: Path, vehicle: Path, cells: list[Cell]) -> dict[str, Any]:
-    """The scenario of the flights of a filter along a plan, with the noise of the simulated autopilot."""
+def scenario_of(folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None) -> dict[str, Any]:
+    """The scenario of the flights of a filter along a plan, with the noise of the simulated autopilot.
+
+    They begin as a real flight did, or else a little below the plan's start on the climb to it.
+    """
     from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
 
     first, noise = cells[0], EstimatorOptions()
     kind = FILTERS[first.name][1]
     by_rates = FILTERS[first.name][0] == "body rates"
     x, y, z = (START, GOAL)[first.number % 2]
+    begin = begin or [x, y, (1 - _BELOW) * z, 0.0, 0.0, _CLIMB_M_S]
     return {
         "schema": "alula/scenario",
         "version": "2.0",
@@ -183,8 +187,8 @@ def scenario_of(folder: Path, vehicle: Path, cells: list[Cell]) -> dict[str, Any
         "mission": {
             "kind": "plan",
             "plan": str(first.plan(folder)),
-            "start_m": (x, y, (1 - _BELOW) * z),
-            "start_velocity_m_s": (0.0, 0.0, _CLIMB_M_S),
+            "start_m": tuple(begin[:3]),
+            "start_velocity_m_s": tuple(begin[3:]),
         },
         "safety": {"filters": [first.name]},
         "estimation": {
@@ -205,12 +209,14 @@ def scenario_of(folder: Path, vehicle: Path, cells: list[Cell]) -> dict[str, Any
     }
 
 
-def fly_scenario(folder: Path, vehicle: Path, cells: list[Cell]) -> list[dict[str, Any]]:
+def fly_scenario(
+    folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None
+) -> list[dict[str, Any]]:
     """Fly cells along the same plan behind the same filter by `alula simulate`."""
     judge = Judge(folder)
     with tempfile.TemporaryDirectory() as name:
         words, log = Path(name) / "flights.toml", Path(name) / "flights.run.mcap"
-        tables = scenario_of(folder, vehicle, cells)
+        tables = scenario_of(folder, vehicle, cells, begin)
         heads = [
             f"{key} = {toml_value(value)}" for key, value in tables.items() if not isinstance(value, dict)
         ]
@@ -292,12 +298,20 @@ class Vehicles:
         end = time.monotonic() if end is None else end
         path = np.array([row[1:4] for row in list(sim.truth) if begin <= row[0] <= end])
         path += (START[0], START[1], 0.0)
-        figures |= {"flight_s": end - begin} | self.judge(cell, path)
+        figures |= {"begin": begin_of(sim.truth, begin), "flight_s": end - begin} | self.judge(cell, path)
         if not is_finished or figures["hull_clearance_m"] <= 0:
             kept = self.keep.parent / cell.key.replace("/", " ")
             shutil.copy(folder / "f.run.mcap", f"{kept}.run.mcap")
             np.save(f"{kept}.npy", path)
         return figures
+
+
+def begin_of(truth: Iterable[tuple[float, ...]], begin_s: float) -> list[float]:
+    """True position and velocity, world frame, at the first set-point: fitted to half a second around it."""
+    rows = np.array([row[:4] for row in list(truth) if abs(row[0] - begin_s) <= 0.25])
+    fits = [np.polyfit(rows[:, 0] - begin_s, rows[:, i], 1) for i in (1, 2, 3)]
+    east, north, up = (float(fit[1]) for fit in fits)
+    return [START[0] + east, START[1] + north, up, *(float(fit[0]) for fit in fits)]
 
 
 Group = tuple[str, float, str]  # filter, speed, autopilot
@@ -453,20 +467,27 @@ def main() -> int:
             ):
                 kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
                 kept.flush()
+    real = [cell for cell in missing if cell.autopilot == REAL]
+    if real:
+        Vehicles(folder, real, options.jobs, results).run()
+    rows = map(json.loads, results.read_text().splitlines()) if results.exists() else ()
+    begins = {row["key"]: row["begin"] for row in rows if "begin" in row}
     groups: dict[tuple[str, float, int], list[Cell]] = {}
     for cell in missing:
         if cell.autopilot == SCENARIO:
-            groups.setdefault((cell.name, cell.speed_m_s, cell.number % 2), []).append(cell)
+            is_alone = dataclasses.replace(cell, autopilot=REAL).key in begins
+            groups.setdefault(
+                (cell.name, cell.speed_m_s, cell.number if is_alone else -1 - cell.number % 2), []
+            ).append(cell)
     if groups:
-        given = [folder] * len(groups), [options.identified.resolve()] * len(groups), groups.values()
+        starts = [begins.get(dataclasses.replace(group[0], autopilot=REAL).key) for group in groups.values()]
+        count = len(groups)
+        given = [folder] * count, [options.identified.resolve()] * count, groups.values(), starts
         with ProcessPoolExecutor(options.jobs) as pool, results.open("a") as kept:
             for group, flown in zip(groups.values(), pool.map(fly_scenario, *given), strict=True):
                 for cell, figures in zip(group, flown, strict=True):
                     kept.write(json.dumps({"key": cell.key, **figures}) + "\n")
                 kept.flush()
-    real = [cell for cell in missing if cell.autopilot == REAL]
-    if real:
-        Vehicles(folder, real, options.jobs, results).run()
     rows = [json.loads(line) for line in results.read_text().splitlines()]
     wanted = {cell.key for cell in cells}
     found = {row.pop("key"): row for row in rows if row["key"] in wanted}
