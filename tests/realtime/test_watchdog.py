@@ -1,8 +1,8 @@
 """The watchdog process: it survives what ends its flight, and acts in time on every kind of line."""
 
 import os
-import re
 import pty
+import re
 import signal
 import socket
 import subprocess
