@@ -397,9 +397,9 @@ _PREFACE = """
 The same plans through the built-in room, there and back, with `examples/vehicles/arducopter.toml`.
 "{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
 the default noise of its estimate. "{scenario}" is `alula simulate` with that noise, states 0.02 s old, and
-the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where `fly`
-takes over from the take-off: below the plan by 0.03 of the height, when the first set-point acts, at a
-climb of 0.4 m/s.
+the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where the
+real flight of the same number did; without one, where `fly` takes over from the take-off: below the plan by
+0.03 of the height, when the first set-point acts, at a climb of 0.4 m/s.
 
 Clearances are those of the true motion while set-points were sent, to the
 hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
