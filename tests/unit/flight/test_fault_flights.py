@@ -110,8 +110,8 @@ def test_no_flight_begins_on_a_line_that_was_always_slow(room, seconds, way):
 
 HELD, LOST = ["fly", "hold", "land", "done"], ["fly", "hold", "land", "hand-over", "done"]
 ENDING = {  # the fault, the cause that ends the flight, and its states
-    "freeze": (fault("freeze"), Event.TIMED_OUT, HELD),
-    "no numbers": (fault("nan"), Event.TIMED_OUT, HELD),
+    "freeze": (fault("freeze"), Event.ESTIMATOR_BAD, HELD),  # satellites contradict it
+    "no numbers": (fault("nan"), Event.ESTIMATOR_BAD, HELD),
     "150 ms late": (fault("delay", amount=0.15), Event.TIMED_OUT, HELD),
     "400 ms late": (fault("delay", amount=0.4), Event.TIMED_OUT, HELD),
     "silence": (fault("drop"), Event.LINK_LOST, LOST),

@@ -360,7 +360,7 @@ PLOTS = {
         f"{state.value}: {event.value}": Plot(
             [(state, event)],
             [*before, *on(state, do, after=after)],
-            {"jump_m": 9.0, "drift_m": 9.0, "settle_s": 3.0},
+            {"jump_m": 9.0, "drift_m": 9.0, "settle_s": 3.0, "model_s": 9.0},
             {},
             CRASHES,
             {},

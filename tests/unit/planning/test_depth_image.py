@@ -164,7 +164,9 @@ def is_hidden(points, centre, mean, scale, quat):
 def test_every_ray_to_a_seen_voxel_is_free_and_in_the_image(seed):
     rng = np.random.default_rng(seed)
     total = 0
-    for _ in range(3):
+    for i in range(30):
+        if i >= 3 and total > 0:  # some cameras see nothing
+            break
         scene, camera = random_scene(rng, 12), random_camera(rng, 200)
         (views, count, _), lower = seen_by(_core.Occluders(*scene, 1.0), camera, 0.25, range=6.0)
         voxel = np.argwhere(views) + lower
