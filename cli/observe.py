@@ -72,7 +72,7 @@ def command(
     SCENE is a metric scene; the cameras are those that the splat was trained on. A voxel counts when a camera
     sees its whole cube in front of every surface, at the level of the obstacles, and a ball of the
     vehicle's radius goes there from the cameras without touching anything else. All rounding is towards
-    less. What is not marked is unknown: plan --within stays out of it.
+    less. Unmarked voxels are unknown: plan --within stays out of it.
 
     Memory: 14 bytes per voxel of the scene's box, up to 134,217,728 voxels; 160 to 270 bytes per Gaussian;
     per job an image and 1 byte per voxel.

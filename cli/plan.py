@@ -63,8 +63,8 @@ def command(
     """Find a smooth collision-free trajectory through a map.
 
     It takes minimum time, and stays within the limits of speed, acceleration, thrust, tilt and body rates at
-    every instant. What is not given follows from the vehicle, of whose limits 0.8 are used: the rest is left
-    to its controller.
+    every instant. Limits that are not given follow from the vehicle, of whose limits 0.8 are used: the rest
+    is left to its controller.
 
     MAP is a cover, a scene or an onboard map (.bin); with --scene the plan keeps away from both. Without a
     path exit code 5 says which radius would pass, and where the narrowest place is.

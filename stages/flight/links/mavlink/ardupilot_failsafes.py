@@ -130,7 +130,7 @@ def _not_home(values: Mapping[str, float]) -> list[str]:
 
 
 def _unjudged(values: Mapping[str, float], kinds: int) -> list[str]:
-    """What is not judged: polygons of the fence, and a bad estimate with which it flies on."""
+    """Name unjudged failsafes: polygons of the fence, and a bad estimate with which it flies on."""
     found = []
     if kinds & _HAS_POLYGONS and values.get("FENCE_TOTAL"):
         found.append(

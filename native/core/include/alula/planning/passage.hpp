@@ -11,7 +11,7 @@
 namespace alula {
 
 struct PassageOptions {
-  double enough = 0;           // radius at which a passage is wide enough; wider ones are not told apart [m]
+  double enough = 0;           // radius at which a passage is wide enough; wider ones are not distinguished [m]
   double tolerance = 0;        // difference of the two bounds at which the search ends [m]
   std::size_t most_cells = 0;  // the search ends once it has made so many cells
 };
