@@ -116,7 +116,6 @@ def _identify(
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.flight.recorder.samples import INFO
-    from alula.stages.identification.own_limits import PARAMETERS
     from alula.stages.identification.survey import (
         make_step_flight,
         make_step_guard,
@@ -124,6 +123,7 @@ def _identify(
         make_step_options,
         make_survey,
     )
+    from alula.stages.vehicles.own_limits import PARAMETERS
 
     interrupts = Interrupts()
     head = FlightHead(
@@ -194,8 +194,8 @@ def _conclude(
     from alula.schemas.vehicle import check_vehicle, contents, vehicle_text
     from alula.stages.flight.loop.supervisor import Event
     from alula.stages.identification.fit import fit
-    from alula.stages.identification.own_limits import rate_notes
     from alula.stages.identification.result import disagreements, identified_vehicle
+    from alula.stages.vehicles.own_limits import rate_notes
 
     cause = loop.supervision.cause
     if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):

@@ -10,7 +10,7 @@ import msgspec
 from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, RatesTable, Vehicle, VelocitiesTable
 from alula.stages.identification.estimates import Estimate
 from alula.stages.identification.fit import Identification
-from alula.stages.identification.own_limits import AXES, Limit, own_limits
+from alula.stages.vehicles.own_limits import AXES, Limit, own_limits
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _DISAGREES = 1.25  # factor between a measurement and the first guess that is worth a warning

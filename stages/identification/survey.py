@@ -19,10 +19,10 @@ from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, Velocity
 from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.preflight import Needs
-from alula.stages.identification.own_limits import first_guess, own_limits
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import Steps, plan_steps
 from alula.stages.vehicles.fence import fence
+from alula.stages.vehicles.own_limits import first_guess, own_limits
 from alula.stages.vehicles.velocity_lag import stop_m, stop_time_s
 
 _BETWEEN_S = 20.0  # maximum time from the end of a step to the start of the next

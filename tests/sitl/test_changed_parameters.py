@@ -11,7 +11,11 @@ pytestmark = pytest.mark.sitl
 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
-    [("GUID_OPTIONS", 0, "GUID_OPTIONS is 0, not 8"), ("FS_GCS_TIMEOUT", 60, "FS_GCS_TIMEOUT is 60, not 5")],
+    [
+        ("GUID_OPTIONS", 0, "GUID_OPTIONS is 0, not 8"),
+        ("FS_GCS_TIMEOUT", 60, "FS_GCS_TIMEOUT is 60, not 5"),
+        ("WP_ACC", 1.25, "WP_ACC is 1.25, not 2.5"),
+    ],
 )
 def test_a_changed_parameter_lands_it_and_is_named(tmp_path, name, value, words):
     with sitl(tmp_path) as sim, flight(sim, tmp_path) as fly:

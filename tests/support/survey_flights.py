@@ -10,7 +10,6 @@ from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.control_loop import ControlLoop
-from alula.stages.identification.own_limits import PARAMETERS
 from alula.stages.identification.survey import (
     make_step_flight,
     make_step_guard,
@@ -21,6 +20,7 @@ from alula.stages.identification.survey import (
 from alula.stages.sim_vehicle.common.quaternions import cos_tilt
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.frames import LocalFrame
+from alula.stages.vehicles.own_limits import PARAMETERS
 from support.autopilot_client import EXACT
 from support.fake_vehicle import Kept
 from support.mavlink_peer import Time

@@ -29,6 +29,7 @@ def silently(name, value):
         ("GUID_OPTIONS", 0.0, "GUID_OPTIONS is 0, not 8"),
         ("GUID_TIMEOUT", 3.0, "GUID_TIMEOUT is 3, not 0.3"),
         ("FS_EKF_ACTION", 0.0, "FS_EKF_ACTION is 0, not 1"),
+        ("WPNAV_ACCEL", 125.0, "WPNAV_ACCEL is 125, not 250"),  # it stops half as fast
     ],
 )
 def test_a_changed_parameter_lands_it_and_is_named(how, name, value, words):

@@ -10,11 +10,11 @@ from alula.schemas.errors import CheckError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.identification.estimates import line_of, mean_of
 from alula.stages.identification.fit import fit
-from alula.stages.identification.own_limits import first_guess
 from alula.stages.identification.recording import Phase, Recording
 from alula.stages.identification.responses import crossing, smoothed
 from alula.stages.identification.result import disagreements, identified_vehicle
 from alula.stages.identification.steps import Step, plan_steps
+from alula.stages.vehicles.own_limits import first_guess
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 G, HOVER, RATE_HZ = 9.81, 0.31, 50.0

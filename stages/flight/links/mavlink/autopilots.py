@@ -18,6 +18,7 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VelocitySetpoint,
 )
+from alula.stages.vehicles.own_limits import RESPONSES
 
 _MULTICOPTERS = (2, 13, 14, 15, 29, 35)  # MAV_TYPE
 _THROTTLE_HZ = 25.0
@@ -62,6 +63,8 @@ class Autopilot:
         ground_station: possible names of the parameter with the system id of the monitored ground station.
         watched: names of further parameters that flights rely on; they are watched in flight with those that
             were set.
+        responses: names, in all its versions, of parameters that limit how set-points are followed; they are
+            watched, too.
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
         hover: name of the parameter with the hover throttle.
@@ -90,6 +93,7 @@ class Autopilot:
     fixed: tuple[tuple[str, tuple[float, ...]], ...]
     ground_station: tuple[str, ...]
     watched: tuple[str, ...]
+    responses: tuple[str, ...]
     position_source: tuple[str, float] | None
     hover: str
     yaw_filter: str
@@ -116,7 +120,10 @@ class Autopilot:
             *(name for each in self.needed(flies_rates=True) for name in each.names),
             *(name for name, _ in self.fixed),
         )
-        return tuple(dict.fromkeys((*set_or_checked, *self.ground_station, *source, *self.watched)))
+        settling = "" if self.settling is None else self.settling.name  # a landing changes it
+        responses = (name for name in self.responses if name != settling)
+        named = (*self.ground_station, *source, *self.watched, *responses)
+        return tuple(dict.fromkeys((*set_or_checked, *named)))
 
     def needed(self, *, flies_rates: bool) -> tuple[Parameter, ...]:
         """Parameters that a flight needs.
@@ -206,6 +213,7 @@ ARDUPILOT = Autopilot(
     ),
     ground_station=("MAV_GCS_SYSID", "SYSID_MYGCS"),
     watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
+    responses=RESPONSES,
     position_source=("EK3_SRC1_POSXY", 3.0),
     hover="MOT_THST_HOVER",
     yaw_filter="ATC_RAT_YAW_FLTE",
@@ -243,6 +251,11 @@ PX4 = Autopilot(
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
     watched=(),
+    responses=(
+        *("MPC_ACC_HOR", "MPC_ACC_UP_MAX", "MPC_ACC_DOWN_MAX", "MPC_JERK_MAX", "MPC_TILTMAX_AIR"),
+        *("MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN"),
+        *("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX"),
+    ),
     position_source=None,
     hover="MPC_THR_HOVER",
     yaw_filter="",

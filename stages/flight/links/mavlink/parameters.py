@@ -155,8 +155,9 @@ class Parameters:
         Returns:
             Those that no longer have their value, in words; None if no value arrived since the last call.
         """
-        if self._watched and now_s - self._asked_s >= _ROUND_S / len(self._watched):
-            self._asked_s = now_s
+        interval_s = _ROUND_S / max(len(self._watched), 1)
+        if self._watched and now_s - self._asked_s >= interval_s:
+            self._asked_s = max(self._asked_s, now_s - 2 * interval_s) + interval_s  # on time on the average
             name = list(self._watched)[self._asked % len(self._watched)]
             self._asked += 1
             self._session.send(

@@ -35,6 +35,8 @@ _SOURCES: dict[str, tuple[tuple[str, float], ...]] = {
 }
 _FEEDS_FORWARD = "ATC_RATE_FF_ENAB"
 PARAMETERS = (*(name for sources in _SOURCES.values() for name, _ in sources), _FEEDS_FORWARD)
+# Those of them that stay as they are in flight; the hover throttle is learned there.
+RESPONSES = tuple(name for name in PARAMETERS if name != "MOT_THST_HOVER")
 AXES = ("roll", "pitch", "yaw")
 
 
