@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import shutil
@@ -58,6 +59,7 @@ FILTERS = {
     "cone-backup": ("body rates", "scene"),
     "shield": ("body rates", "cover"),
 }
+_INTERFACES = {"velocities": "velocity", "accelerations": "acceleration", "body rates": "body-rates"}
 REAL, SIMULATED, SCENARIO = "ArduPilot's own simulation", "sim-vehicle", "simulate"
 # Where the first set-point of `fly` acts after the take-off: below the plan by this part of the height.
 _BELOW, _CLIMB_M_S = 0.03, 0.4
@@ -84,23 +86,29 @@ class Cell:
 
     def plan(self, folder: Path) -> Path:
         """Its plan."""
-        return folder / f"{self.speed_m_s:g}.{self.number % 2}.plan.npz"
+        return plan_path(folder, self.speed_m_s, self.number % 2, FILTERS[self.name][0])
 
     def map(self, folder: Path) -> Path:
         """Its map."""
         return folder / f"{FILTERS[self.name][1]}.npz"
 
 
+def plan_path(folder: Path, speed_m_s: float, back: int, setpoints: str) -> Path:
+    """Plan there (0) or back (1) for a kind of set-points."""
+    return folder / f"{speed_m_s:g}.{back}.{_INTERFACES[setpoints]}.plan.npz"
+
+
 def make_plans(folder: Path, speeds: list[float]) -> None:
     """Write the plans there and back; they keep the filters' radius and margin from all hulls."""
-    for speed in speeds:
-        for back, (start, goal) in enumerate(((START, GOAL), (GOAL, START))):
-            words = ["plan", str(folder / "cover.npz"), "-o", str(folder / f"{speed:g}.{back}.plan.npz")]
-            words += ["-f", "-q", "--speed", str(speed), "--radius", "0.25"]
-            for option, point in (("--start", start), ("--via", VIA), ("--goal", goal)):
-                words += [option, "{} {} {}".format(*point)]
-            if alula(words) != 0:
-                raise SystemExit("there is no plan")
+    for speed, back, setpoints in itertools.product(speeds, (0, 1), _INTERFACES):
+        start, goal = ((START, GOAL), (GOAL, START))[back]
+        path = plan_path(folder, speed, back, setpoints)
+        words = ["plan", str(folder / "cover.npz"), "-o", str(path), "--vehicle", str(VEHICLE), "-f", "-q"]
+        words += ["--speed", str(speed), "--radius", "0.25", "--interface", _INTERFACES[setpoints]]
+        for option, point in (("--start", start), ("--via", VIA), ("--goal", goal)):
+            words += [option, "{} {} {}".format(*point)]
+        if alula(words) != 0:
+            raise SystemExit("there is no plan")
 
 
 class Judge:
@@ -158,8 +166,6 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
 
 
 # `alula simulate`, as a user flies it.
-
-_INTERFACES = {"velocities": "velocity", "accelerations": "acceleration", "body rates": "body-rates"}
 
 
 def scenario_of(folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Literal
 
 from alula.schemas.errors import UsageError
 
@@ -95,6 +96,13 @@ class PlanConfig:
             "help": "Maximum rate of the thrust axis [rad/s]; default: 0.8 of that of the vehicle, or less "
             "for its rotors.",
             "option": "--body-rate",
+        },
+    )
+    interface: Literal["body-rates", "acceleration", "velocity"] = field(
+        default="body-rates",
+        metadata={
+            "help": "What the vehicle will be commanded by. A plan for accelerations or velocities keeps to "
+            "the accelerations and the jerk with which the vehicle's own autopilot follows them.",
         },
     )
     smooth: float = field(

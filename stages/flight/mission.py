@@ -35,6 +35,7 @@ from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
+from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
@@ -458,6 +459,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """
     config = mission.config
     assert config.speed_m_s is not None
+    setpoints = tuple(setpoints)
     return needs_of(
         config,
         mission.vehicle,
@@ -467,10 +469,27 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         obstacles=mission.obstacles,
         margin_m=config.margin_m,
         fence=mission.fence,
-        plan=mission.is_clear,
+        plan=_plan_verdict(mission, setpoints[0]),
         speed_m_s=config.speed_m_s,
         step_s=_FAILSAFE_STEP_S,
     )
+
+
+def _plan_verdict(mission: Mission, setpoint: type[Setpoint]) -> tuple[bool, str]:
+    """Whether a plan can be flown by set-points of a kind, and how this was found, in words.
+
+    Behind accelerations that the vehicle follows late it gets faster than planned, and no filter of
+    accelerations stops it in time: such a plan is refused. By velocities it only lags.
+    """
+    holds, words = mission.is_clear
+    asked = "" if setpoint is RatesSetpoint else beyond_followed(mission.plan, mission.vehicle)
+    if not asked:
+        return holds, words
+    if setpoint is VelocitySetpoint:
+        return holds, f"{words}; it {asked}: the vehicle will be late"
+    if mission.config.allow_tight:
+        return holds, f"{words}; it {asked}, as --allow-tight insists"
+    return False, f"it {asked}: plan with --interface acceleration and this --vehicle, or fly by body rates"
 
 
 def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:

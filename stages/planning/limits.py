@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from alula._core import MotionLimits
+from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
+from alula.stages.planning.trajectory import evaluate
 from alula.stages.vehicles.bodies import quadrotor
+from alula.stages.vehicles.following import following_options
 
 LIMIT_SHARE = (
     0.8  # of the way from hovering to a limit of the vehicle, for plans; the rest is the controller's
@@ -19,6 +22,8 @@ LIMIT_SHARE = (
 _TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
 _SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
 _WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
+_STEP_S = 0.01  # between samples of a plan
+_SLACK = 0.01  # of the limits of what a vehicle follows, which are fitted
 _FASTEST_FALL = 0.9  # of gravity, for an acceleration without a lower limit of the thrust
 
 
@@ -103,7 +108,63 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle) -> Limits:
             jerk_m_s3=jerk,
             snap_m_s4=snap,
         )
-    return _quadrotor_limits(config, vehicle, acceleration, jerk, snap)
+    if config.interface == "body-rates":
+        return _quadrotor_limits(config, vehicle, acceleration, jerk, snap)
+    followed = followed_limits(vehicle)
+    acceleration = min(acceleration, followed.acceleration_m_s2)
+    limits = _quadrotor_limits(config, vehicle, acceleration, min(jerk, followed.jerk_m_s3), snap)
+    return replace(
+        limits,
+        most_thrust_m_s2=min(limits.most_thrust_m_s2, followed.most_thrust_m_s2),
+        least_thrust_m_s2=max(limits.least_thrust_m_s2, followed.least_thrust_m_s2),
+    )
+
+
+def followed_limits(vehicle: Vehicle) -> Limits:
+    """Limits of motions that a quadrotor's own autopilot follows, by velocities or accelerations.
+
+    Those by which it shapes set-points, see `following_options`: level acceleration and jerk. The vertical
+    acceleration A is bounded through the thrust: g - A <= a_z + g and |a + g e3| <= g + A.
+
+    Args:
+        vehicle: a quadrotor.
+    """
+    shaping, gravity = following_options(vehicle), vehicle.body.gravity_m_s2
+    return Limits(
+        speed_m_s=math.inf,
+        acceleration_m_s2=shaping.horizontal_acceleration_m_s2,
+        jerk_m_s3=min(shaping.horizontal_jerk_m_s3, shaping.vertical_jerk_m_s3),
+        gravity_m_s2=gravity,
+        most_thrust_m_s2=gravity + shaping.vertical_acceleration_m_s2,
+        least_thrust_m_s2=gravity - shaping.vertical_acceleration_m_s2,
+    )
+
+
+def beyond_followed(plan: Artifact, vehicle: Vehicle) -> str:
+    """What a plan asks beyond `followed_limits`, in words; empty if nothing.
+
+    Its derivatives are sampled every 10 ms: this is about how well it is followed, and proves nothing.
+
+    Args:
+        plan: an `alula/plan`.
+        vehicle: a quadrotor.
+    """
+    knots = np.asarray(plan["time"], np.float64)
+    coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
+    time = np.linspace(0, knots[-1], max(2, math.ceil(knots[-1] / _STEP_S)))
+    acceleration, jerk = (evaluate(knots, coefficient, time, derivative) for derivative in (2, 3))
+    limits = followed_limits(vehicle)
+    up = limits.most_thrust_m_s2 - limits.gravity_m_s2
+    asked = (
+        ("accelerates by", np.linalg.norm(acceleration, axis=1).max(), limits.acceleration_m_s2, "m/s^2"),
+        ("accelerates vertically by", np.abs(acceleration[:, 2]).max(), up, "m/s^2"),
+        ("has a jerk of", np.linalg.norm(jerk, axis=1).max(), limits.jerk_m_s3, "m/s^3"),
+    )
+    return ", ".join(
+        f"{what} {value:.3g} {unit}, of which {vehicle.name} follows {most:.3g}"
+        for what, value, most, unit in asked
+        if value > (1 + _SLACK) * most
+    )
 
 
 def _quadrotor_limits(

@@ -113,9 +113,10 @@ def test_lost_thrust_is_seen_as_an_acceleration_downwards(name):
 
 @pytest.mark.parametrize("limit_cm_s2", [250.0, 60.0])
 def test_a_vehicle_that_brakes_too_slowly_is_noticed(limit_cm_s2):
-    """WPNAV_ACCEL of the vehicle is lowered in flight, without a report; its plan leads into a wall."""
+    """WPNAV_ACCEL of the vehicle is lowered in flight, which it does not tell; its plan leads into a wall."""
 
     def slow(flight):
+        flight.link._parameters.watch(())
         assert flight.copter.parameters.set("WPNAV_ACCEL", limit_cm_s2)
 
     made = mission(
