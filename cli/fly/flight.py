@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.mission import Mission
-    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.channels import FlightHead
+    from alula.stages.flight.recorder.log import FlightRecorder
     from alula.stages.flight.recorder.pipe import FlightPipe
 
 _CLOSE_S = 2.0  # maximum time until the live view ends
@@ -34,7 +35,12 @@ class _Flown(NamedTuple):
 
 
 def fly(
-    mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
+    mission: Mission,
+    link: Link,
+    provenance: Provenance,
+    common: Common,
+    live: int | None = None,
+    start_ns: int | None = None,
 ) -> None:
     """Fly a mission over a link.
 
@@ -44,6 +50,7 @@ def fly(
         provenance: of the log and the record.
         common: common options of commands.
         live: port of the live view; None for none.
+        start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -63,15 +70,17 @@ def fly(
         make_safety,
         wanted_setpoints,
     )
-    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.channels import FlightHead
+    from alula.stages.flight.recorder.log import FlightRecorder
     from alula.stages.runlog.maps import map_message
 
     interrupts = Interrupts()
     safety = make_safety(mission)
-    frame = mission.map.manifest.frame
+    frame, points = mission.map.manifest.frame, _points(mission)
     head = FlightHead(
         provenance=provenance,
-        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [_points(mission)], frame),
+        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [points], frame, 0),
+        plan=points.tolist(),
         **head_facts(mission),
     )
     view = None if live is None else _open_view(live, mission, head, common)
@@ -82,6 +91,7 @@ def fly(
         echo=not common.quiet,
         view=view,
         rate_hz=mission.config.rate_hz,
+        start_ns=start_ns,
     )
     # From here on messages are sent to the vehicle; everything that takes long has been done.
     try:
@@ -143,7 +153,7 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
         vehicle=head.vehicle,
         radius_m=mission.vehicle.body.radius_m,
         map_message=head.map_message,
-        plan=_points(mission).tolist(),
+        plan=head.plan,
     )
     view, address = open_view(port, facts)
     if not common.quiet:

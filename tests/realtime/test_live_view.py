@@ -48,7 +48,7 @@ def view_head(made):
         filter="none",
         vehicle="v",
         radius_m=0.1,
-        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world"),
+        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world", 0),
         plan=[(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)],
     )
 

@@ -19,7 +19,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError, UsageError
 from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.recorder.log import LineSample, StepSample
+from alula.stages.flight.recorder.channels import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 
