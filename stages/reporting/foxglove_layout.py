@@ -30,7 +30,7 @@ _STATES = ("/safety.status_name", "/safety.mode_name", "/supervisor.state_name",
 
 
 class _Entity(msgspec.Struct):
-    frame_id: str
+    frame_id: str = "world"
 
 
 class _Map(msgspec.Struct):
