@@ -40,6 +40,7 @@ def fly(
     provenance: Provenance,
     common: Common,
     live: int | None = None,
+    foxglove: int | None = None,
     start_ns: int | None = None,
 ) -> None:
     """Fly a mission over a link.
@@ -50,6 +51,7 @@ def fly(
         provenance: of the log and the record.
         common: common options of commands.
         live: port of the live view; None for none.
+        foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
 
     Raises:
@@ -83,13 +85,13 @@ def fly(
         plan=points.tolist(),
         **head_facts(mission),
     )
-    view = None if live is None else _open_view(live, mission, head, common)
+    views = _open_views(live, foxglove, mission, head, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
         replaces=common.force,
         echo=not common.quiet,
-        view=view,
+        views=views,
         rate_hz=mission.config.rate_hz,
         start_ns=start_ns,
     )
@@ -129,7 +131,7 @@ def fly(
         recorder.discard()
         raise
     finally:
-        if view is not None:
+        for view in views:
             view.close(_CLOSE_S)
     _conclude(loop, flown, common)
 
@@ -141,6 +143,28 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
     for text in link.status.texts:
         recorder.say(time_s, WARNING, f"vehicle: {text}")
     link.status.texts.clear()
+
+
+def _open_views(
+    live: int | None, foxglove: int | None, mission: Mission, head: FlightHead, common: Common
+) -> list[FlightPipe]:
+    """Start the live view and the server for Foxglove, each if it has a port."""
+    from alula.stages.flight.recorder.foxglove_server import open_foxglove
+
+    views = []
+    try:
+        if live is not None:
+            views.append(_open_view(live, mission, head, common))
+        if foxglove is not None:
+            server, address = open_foxglove(foxglove, head)
+            views.append(server)
+            if not common.quiet:
+                echo(f"Foxglove: {address}", err=True)
+    except BaseException:
+        for view in views:
+            view.close(_CLOSE_S)
+        raise
+    return views
 
 
 def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:

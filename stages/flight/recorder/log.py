@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -58,8 +58,8 @@ class FlightRecorder:
         replaces: the file may exist. The log is then written beside it under a temporary name. When the
             vehicle takes off, the log replaces the file, and the record beside it is removed.
         echo: the writer also prints messages on its standard error.
-        view: process of the live view. It also receives messages, steps and about 25 ticks a second, if it
-            has room for them.
+        views: processes of live views. They also receive messages, steps and about 25 ticks a second, if
+            they have room for them.
         rate_hz: rate of ticks [Hz].
         start_ns: log time of the start of the flight, nanoseconds since 1970-01-01 UTC; None: by the clock of
             this machine.
@@ -67,7 +67,7 @@ class FlightRecorder:
     Attributes:
         has_flown: the vehicle has taken off, or is taking off.
         dropped: number of samples that the log lacks.
-        unseen: number of samples that the live view lacks.
+        unseen: number of samples that the live views lack.
 
     Raises:
         OutputError: the log cannot be written.
@@ -80,7 +80,7 @@ class FlightRecorder:
         *,
         replaces: bool = False,
         echo: bool = True,
-        view: FlightPipe | None = None,
+        views: Sequence[FlightPipe] = (),
         rate_hz: float = 100.0,
         start_ns: int | None = None,
     ) -> None:
@@ -98,7 +98,7 @@ class FlightRecorder:
         self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
         self._encode = msgspec.msgpack.Encoder().encode
-        self._view, self._view_every, self._ticks = view, max(1, round(rate_hz / _VIEW_HZ)), 0
+        self._views, self._view_every, self._ticks = views, max(1, round(rate_hz / _VIEW_HZ)), 0
         try:
             self._pipe.put(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
@@ -116,7 +116,7 @@ class FlightRecorder:
     @property
     def is_viewed(self) -> bool:
         """True with a live view."""
-        return self._view is not None
+        return bool(self._views)
 
     @property
     def rows(self) -> FloatArray:
@@ -197,14 +197,18 @@ class FlightRecorder:
         if not self._has_begun:
             self._begin(time_s)
         self.dropped += not (self._has_begun and self._pipe.offer(message))
-        if is_seen and self._view is not None:
-            self.unseen += not self._view.offer(message)
+        if is_seen:
+            self.unseen += sum(not view.offer(message) for view in self._views)
 
     def _begin(self, time_s: float) -> None:
         """Send the start of the flight, `time_s` ago; it is repeated until the writer has it."""
         if self._start_ns is None:
             self._start_ns = time.time_ns() - nanoseconds(time_s)
-        self._has_begun = self._pipe.offer(b"b" + self._encode(BeginSample(self._start_ns)))
+        message = b"b" + self._encode(BeginSample(self._start_ns))
+        self._has_begun = self._pipe.offer(message)
+        if self._has_begun:
+            for view in self._views:
+                view.offer(message)
 
 
 def _temporary(path: Path, *, replaces: bool) -> Path | None:
