@@ -218,7 +218,7 @@ class RosMessages:
         found = json_decoder(_SceneUpdate).decode(data)
         if topic == "/map" and found.entities:
             self._frame = found.entities[0].frame_id
-        markers = []
+        markers: list[Any] = []
         for entity in found.entities:
             header = self._header(entity.timestamp, entity.frame_id)
             if not markers:
