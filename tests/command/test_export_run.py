@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
@@ -262,6 +263,29 @@ def test_folders_of_other_files_are_never_replaced(folder, tmp_path, capsys):
     assert "not a file of alula" in refused([log, "-o", other, "--ros2"], 2, capsys)
     assert run(["export", str(log), "-o", str(other), "--ros2", "-q", "-f"]) == 0
     assert (other / "other.mcap").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    "bad", [b"{}", b"[", b'{"timestamp": {"sec": 4294967296, "nsec": 0}, "frame_id": "w", "pose": {}}']
+)
+def test_a_message_that_is_no_pose_leaves_the_earlier_bag(folder, tmp_path, capsys, bad):
+    log, out = tmp_path / "r.run.mcap", tmp_path / "bag"
+    with (folder / "s.run.mcap").open("rb") as file, log.open("wb") as stream:
+        reader, writer, channels = make_reader(file), Writer(stream), {}
+        writer.start()
+        for _, channel, message in reader.iter_messages():
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.register_channel(channel.topic, "json", 0)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.log_time)
+        writer.add_message(channels["/pose"], message.log_time, bad, message.log_time)
+        for note in reader.iter_metadata():
+            writer.add_metadata(note.name, note.metadata)
+        writer.finish()
+    assert run(["export", str(folder / "s.run.mcap"), "-o", str(out), "--ros2", "-q"]) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert "truncated or corrupt" in refused([log, "-o", out, "--ros2", "-f"], 3, capsys)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "r.run.mcap"]
 
 
 def test_bad_input_leaves_no_bag(folder, tmp_path, capsys, monkeypatch):
