@@ -74,6 +74,7 @@ def fly(
     )
     from alula.stages.flight.recorder.channels import FlightHead
     from alula.stages.flight.recorder.log import FlightRecorder
+    from alula.stages.runlog.cloud import cloud_message
     from alula.stages.runlog.maps import map_message
 
     interrupts = Interrupts()
@@ -82,6 +83,7 @@ def fly(
     head = FlightHead(
         provenance=provenance,
         map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [points], frame, 0),
+        cloud=None if mission.scene is None else cloud_message(mission.scene, [points], frame, 0),
         plan=points.tolist(),
         **head_facts(mission),
     )

@@ -17,7 +17,7 @@ from alula.stages.runlog.messages import BODY_FRAME
 
 Present = Mapping[str, Collection[str]]  # fields by topic
 
-_SCENES = ("/map", "/vehicle", "/plan", "/path", "/obstacles")
+_SCENES = ("/map", "/vehicle", "/splat", "/plan", "/path", "/obstacles")
 _PLAN_COLOR, _PATH_COLOR = "#286edc", "#1f9d55"
 _MARGINS = ("/safety.h_m", "/safety.margin", "/safety.moving_clearance_m", "/safety.fence_distance_m")
 _SPEEDS = ("/state.velocity_m_s.@norm",)
@@ -107,6 +107,8 @@ def _scene(frame: str, present: Present | None) -> dict[str, Any]:
     for topic, color in (("/plan", _PLAN_COLOR), ("/path", _PATH_COLOR)):
         if topic in topics:
             topics[topic] |= {"type": "line", "lineWidth": 0.03, "gradient": [color, color]}
+    if "/splat" in topics:
+        topics["/splat"] |= {"colorMode": "rgba-fields", "pointSize": 4.0}
     return {
         "cameraState": {
             "perspective": True,

@@ -17,8 +17,9 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import json_decoder
 from alula.stages.rotation import matrix_from_quat_wxyz
+from alula.stages.runlog.cloud import POINT
 
-LATCHED = frozenset({"/map", "/vehicle", "/plan"})  # they come once, and late subscribers need them
+LATCHED = frozenset({"/map", "/vehicle", "/splat", "/plan"})  # they come once, and late subscribers need them
 _TEXT_PREFIX = "/alula"
 _LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # of rcl_interfaces/msg/Log, by those of foxglove.Log
 
@@ -103,6 +104,12 @@ class _Entity(msgspec.Struct):
     triangles: list[_Triangles] = []
 
 
+class _PointCloud(msgspec.Struct):
+    timestamp: _Time
+    frame_id: str
+    data: bytes
+
+
 class _SceneUpdate(msgspec.Struct):
     entities: list[_Entity] = []
 
@@ -143,6 +150,7 @@ class RosMessages:
         self._by_topic: dict[str, Callable[[str, bytes, int], Iterator[RosMessage]]] = {
             **dict.fromkeys(("/map", "/vehicle", "/obstacles"), self._markers),
             **dict.fromkeys(("/path", "/plan"), self._path),
+            "/splat": self._cloud,
             "/pose": self._pose,
             "/tf": self._transform,
             "/log": self._line,
@@ -206,6 +214,23 @@ class RosMessages:
         header = self._header(found.timestamp, found.parent_frame_id)
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, found.child_frame_id, moved)
         yield topic, "tf2_msgs/msg/TFMessage", self._new("tf2_msgs/msg/TFMessage", [stamped])
+
+    def _cloud(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
+        """The same bytes: opacity, red, green and blue are the packed colour of RViz."""
+        found = json_decoder(_PointCloud).decode(data)
+        step = POINT.itemsize
+        count, rest = divmod(len(found.data), step)
+        if rest:
+            raise ValueError("a point cloud ends within a point")
+        float32 = 7
+        places = [
+            self._new("sensor_msgs/msg/PointField", name, 4 * i, float32, 1)
+            for i, name in enumerate(("x", "y", "z", "rgb"))
+        ]
+        points = np.frombuffer(found.data, np.uint8)
+        header, kind = self._header(found.timestamp, found.frame_id), "sensor_msgs/msg/PointCloud2"
+        whole = (header, 1, count, places, False, step, step * count, points, True)
+        yield topic, kind, self._new(kind, *whole)
 
     def _line(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
         found = json_decoder(_Line).decode(data)

@@ -117,6 +117,15 @@ FOXGLOVE_SCHEMAS = {
         _foxglove("PosesInFrame", timestamp=_TIME, frame_id=TEXT, poses=array(_POSE)),
         _foxglove("PoseInFrame", timestamp=_TIME, frame_id=TEXT, pose=_POSE),
         _foxglove(
+            "PointCloud",
+            timestamp=_TIME,
+            frame_id=TEXT,
+            pose=_POSE,
+            point_stride=_COUNT,
+            fields=array(_foxglove("PackedElementField", name=TEXT, offset=_COUNT, type=INTEGER)),
+            data=_BYTES,
+        ),
+        _foxglove(
             "FrameTransform",
             timestamp=_TIME,
             parent_frame_id=TEXT,

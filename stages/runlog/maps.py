@@ -12,6 +12,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
 from alula.stages.compression.facets import mesh
 from alula.stages.compression.hulls import Hulls
+from alula.stages.runlog.cloud import nearest
 from alula.stages.runlog.messages import entity, facts, quaternion, scene_message, sphere, triangle_list, xyz
 
 SHOWN_ELLIPSOIDS = 3000  # maximum number; those nearest to the paths are shown
@@ -160,14 +161,9 @@ def _cover_hulls(cover: Artifact) -> dict[str, Any]:
 
 def _ellipsoids(scene: Artifact, sigma: float, paths: list[FloatArray]) -> dict[str, Any]:
     """Ellipsoids at the level as spheres, those nearest to the paths when there are too many."""
-    from scipy.spatial import cKDTree
-
     mean = np.asarray(scene["mean"], np.float64)
     reach = sigma * np.asarray(scene["scale"], np.float64)
-    shown = np.arange(len(mean))
-    if len(mean) > SHOWN_ELLIPSOIDS:
-        near = cKDTree(np.concatenate(paths)).query(mean)[0] - reach.max(axis=1)
-        shown = np.sort(np.argsort(near, kind="stable")[:SHOWN_ELLIPSOIDS])
+    shown = nearest(mean, reach.max(axis=1), paths, SHOWN_ELLIPSOIDS)
     spheres = []
     for i in shown:
         red, green, blue = (round(int(value) / 255, 3) for value in scene["color"][i])

@@ -12,6 +12,7 @@ from alula.schemas.run import RunRecord, TrialResult
 from alula.schemas.world_check import TRACKING
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.runlog.cloud import cloud_message
 from alula.stages.runlog.maps import world_message
 from alula.stages.runlog.messages import (
     number,
@@ -19,6 +20,7 @@ from alula.stages.runlog.messages import (
     pose_message,
     quaternion_of_mrp,
     transform_message,
+    vehicle_message,
     xyz,
 )
 from alula.stages.runlog.piloted import pilot_fields
@@ -76,12 +78,18 @@ def write_world_log(
         channels["/obstacles"] = "foxglove.SceneUpdate"
     channels |= {f"{_SAFETY}/{name}": "alula.Safety" for name in each}
     paths = [flight.rows("state")[:, :3] for flight in flights]
-    map_ = world_message(hulls, scene, sigma, faces, paths, frame, SIMULATED_EPOCH_NS)
+    once = {
+        "/map": world_message(hulls, scene, sigma, faces, paths, frame, SIMULATED_EPOCH_NS),
+        "/vehicle": vehicle_message(radius_m, SIMULATED_EPOCH_NS),
+    }
+    if scene is not None:
+        channels["/splat"] = "foxglove.PointCloud"
+        once["/splat"] = cloud_message(scene, paths, frame, SIMULATED_EPOCH_NS)
     trials = (
         _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m, radius_m)
         for flight in flights
     )
-    write_trials(stream, channels, record, map_, trials, frame, radius_m)
+    write_trials(stream, channels, record, once, trials, frame)
 
 
 def _logged(

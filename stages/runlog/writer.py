@@ -19,12 +19,7 @@ import msgspec
 from alula.schemas.arrays import FloatArray
 from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
-from alula.stages.runlog.messages import (
-    nanoseconds,
-    path_message,
-    vehicle_message,
-    verdict_message,
-)
+from alula.stages.runlog.messages import nanoseconds, path_message, verdict_message
 from alula.stages.runlog.schemas import SCHEMAS
 
 SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
@@ -117,14 +112,13 @@ def write_trials(
     stream: BinaryIO,
     channels: Mapping[str, str],
     record: RunRecord,
-    map_: dict[str, Any],
+    once: Mapping[str, dict[str, Any]],
     trials: Iterable[LoggedTrial],
     frame: str,
-    radius_m: float,
 ) -> None:
     """Write the log of a run; equal arguments give equal bytes.
 
-    `/map` and `/vehicle` come once; `/path` and `/log` per trial; the other channels per sample. Log time
+    `/path` and `/log` come per trial, channels of `once` at the start, and the others per sample. Log time
     starts at `SIMULATED_EPOCH_NS` and trials follow one another with a second between them. The metadata
     `alula/summary` holds the record without its measured times, and its provenance.
 
@@ -132,10 +126,9 @@ def write_trials(
         stream: binary stream to write to.
         channels: see `LogWriter`.
         record: summary of the run.
-        map_: the message of `/map`.
+        once: messages at the start, by channel.
         trials: those that are shown.
         frame: name of the frame of all positions.
-        radius_m: of the vehicle [m].
     """
     log = LogWriter(stream, channels)
     begin_s = 0.0
@@ -143,8 +136,8 @@ def write_trials(
     def log_time(time_s: float) -> int:
         return SIMULATED_EPOCH_NS + nanoseconds(time_s)
 
-    log.send("/map", log_time(0.0), map_)
-    log.send("/vehicle", log_time(0.0), vehicle_message(radius_m, log_time(0.0)))
+    for topic, message in once.items():
+        log.send(topic, log_time(0.0), message)
     for trial in trials:
         log.send("/path", log_time(begin_s), path_message(trial.path, frame, log_time(begin_s)))
         for i, time_s in enumerate(trial.time_s.tolist()):

@@ -1,11 +1,16 @@
 """Messages built with the classes of foxglove-sdk, which know the fields and their types."""
 
+import base64
 import inspect
 
 from foxglove import messages
 
 from alula.stages.runlog.schemas import SCHEMAS
 
+NUMBERS = {
+    1: messages.PackedElementFieldNumericType.Uint8,
+    7: messages.PackedElementFieldNumericType.Float32,
+}
 LEVELS = {2: messages.LogLevel.Info, 3: messages.LogLevel.Warning, 4: messages.LogLevel.Error}
 
 
@@ -14,6 +19,8 @@ def build(message, schema):
     title = schema.get("title", "")
     if isinstance(message, list):
         return [build(one, schema["items"]) for one in message]
+    if schema.get("contentEncoding") == "base64":
+        return base64.b64decode(message, validate=True)
     if not isinstance(message, dict):
         return message
     fields = {key: build(value, schema["properties"][key]) for key, value in message.items()}
@@ -23,6 +30,8 @@ def build(message, schema):
     assert set(fields) == set(inspect.signature(of).parameters) == set(schema["required"])
     if title == "foxglove.Log":
         fields["level"] = LEVELS[fields["level"]]
+    if title == "foxglove.PackedElementField":
+        fields["type"] = NUMBERS[fields["type"]]
     return of(**fields)
 
 

@@ -26,6 +26,7 @@ from alula.stages.runlog.messages import nanoseconds, path_message, stamp, vehic
 CHANNELS = {
     "/map": "foxglove.SceneUpdate",
     "/vehicle": "foxglove.SceneUpdate",
+    "/splat": "foxglove.PointCloud",
     "/plan": "foxglove.PosesInFrame",
     "/path": "foxglove.PosesInFrame",
     "/state": "alula.State",
@@ -52,6 +53,7 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
         radius_m: of the vehicle [m].
         provenance: of the log and its record.
         map_message: the map as `foxglove.SceneUpdate`; the start of the flight becomes its time.
+        cloud: Gaussians as `foxglove.PointCloud`, with the time as of the map; None without a scene.
         plan: points of the plan, world frame [m].
     """
 
@@ -64,6 +66,7 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
     radius_m: float
     provenance: Provenance
     map_message: dict[str, Any]
+    cloud: dict[str, Any] | None = None
     plan: list[Three] = []
 
 
@@ -105,11 +108,13 @@ class FlightChannels:
         self._path = _Path()
 
     def first(self) -> Iterator[Sent]:
-        """What is known before the flight: `/map`, `/vehicle` and `/plan`."""
+        """What is known before the flight: `/map`, `/vehicle`, `/splat` and `/plan`."""
         head, start = self._head, self._start_ns
         entities = [entity | {"timestamp": stamp(start)} for entity in head.map_message.get("entities", [])]
         yield "/map", start, head.map_message | {"entities": entities}
         yield "/vehicle", start, vehicle_message(head.radius_m, start)
+        if head.cloud is not None:
+            yield "/splat", start, head.cloud | {"timestamp": stamp(start)}
         if head.plan:
             yield "/plan", start, path_message(np.array(head.plan), head.frame, start)
 

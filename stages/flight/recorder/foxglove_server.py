@@ -37,7 +37,7 @@ from alula.stages.runlog.schemas import SCHEMAS
 _BACKLOG = 256  # messages that wait for a slow client; the oldest are dropped
 _PATH_S = 0.5  # between updates of the path
 _DRAIN_S, _CLOSE_S = 0.8, 0.5  # times for the last messages, and for the end of connections
-_LATCHED = ("/map", "/vehicle", "/plan", "/path")  # new subscribers get the last message
+_LATCHED = ("/map", "/vehicle", "/splat", "/plan", "/path")  # new subscribers get the last message
 _UNSERVED = ("/replay",)  # of use only with each tick
 
 

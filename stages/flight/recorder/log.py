@@ -241,7 +241,7 @@ class _Writer:
     def begin(self, start_ns: int) -> None:
         """Write what is known before the flight."""
         facts = msgspec.structs.asdict(self.head)
-        del facts["map_message"], facts["plan"]
+        del facts["map_message"], facts["cloud"], facts["plan"]
         texts = {
             key: value if isinstance(value, str) else msgspec.json.encode(value).decode()
             for key, value in facts.items()

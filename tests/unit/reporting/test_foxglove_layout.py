@@ -45,11 +45,17 @@ def test_settings_of_panels_are_those_of_foxglove():
     scene = foxglove_layout("world")["configById"]["3D!alula"]
     assert set(scene["cameraState"]) <= set(layouts.ThreeDeeCameraState()._to_dict())
     assert set(scene["layers"]["grid"]) <= set(layouts.BaseRendererGridLayerSettings()._to_dict())
+    assert set(scene["topics"]["/splat"]) <= set(layouts.BaseRendererPointCloudTopicSettings()._to_dict())
     assert set(scene["topics"]["/path"]) <= set(layouts.BaseRendererPosesTopicSettings()._to_dict())
 
 
 def test_all_paths_and_channels_of_the_full_layout_exist():
-    channels = {**FLIGHT_CHANNELS, **CHANNELS, "/obstacles": "foxglove.SceneUpdate"}
+    channels = {
+        **FLIGHT_CHANNELS,
+        **CHANNELS,
+        "/obstacles": "foxglove.SceneUpdate",
+        "/splat": "foxglove.PointCloud",
+    }
     layout = foxglove_layout("world")
     for path in paths_of(layout):
         topic, field, *modifier = path.split(".")
