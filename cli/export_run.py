@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from alula.cli.options import Common
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def export_bag(log: Path, common: Common) -> None:
-    """Write the messages of a run as a bag of ROS 2, a folder.
+    """Write the messages of a run as a bag of ROS 2, a folder; of a truncated flight those that can be read.
 
     Args:
         log: of the run.
@@ -22,31 +23,59 @@ def export_bag(log: Path, common: Common) -> None:
     Raises:
         UsageError: rosbags is not installed, or the output is a folder of other files.
         ArtifactError: the input is no run.
-        DamagedError: the log is truncated or damaged.
+        DamagedError: the log is damaged, or truncated and not of a real flight.
         OutputError: the bag cannot be written.
     """
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.mcap_log import timed_messages
-    from alula.schemas.run import open_log, read_run
+    from alula.schemas.run import open_log
     from alula.stages.reporting.rosbag import METADATA, count_bag, require_rosbags, write_bag
 
     require_rosbags()
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        read_run(log)
-        summary: dict[str, Any] = {"format": "rosbag2"}
+        damage = _damage(log)
+        summary: dict[str, Any] = {"format": "rosbag2", "notes": [damage] if damage else []}
+
+        def found(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
+            return _readable(timed_messages(file), is_cut=bool(damage))
+
         if common.dry_run:
             with open_log(log) as file:
-                summary["messages"] = count_bag(timed_messages(file))
+                summary["messages"] = count_bag(found(file))
 
         def write() -> None:
             with open_log(log) as file, atomic_folder(common.output) as folder:
-                summary["messages"] = write_bag(folder, timed_messages(file), provenance.line())
+                summary["messages"] = write_bag(folder, found(file), provenance.line())
 
         return write, summary
 
     run(common, "alula/export", "1.0", {"format": "rosbag2"}, {"input": log}, make, mark=METADATA)
+
+
+def _damage(log: Path) -> str:
+    """Where the log of a real flight is truncated, in words; empty for a whole log of any run."""
+    from alula.schemas.cut_run import salvage_run
+    from alula.schemas.errors import ArtifactError
+    from alula.schemas.run import read_run
+
+    try:
+        read_run(log)
+    except ArtifactError:
+        if (found := salvage_run(log)) is None:
+            raise
+        return found.damage
+    return ""
+
+
+def _readable(found: Iterator[tuple[str, int, bytes]], *, is_cut: bool) -> Iterator[tuple[str, int, bytes]]:
+    """Messages up to the damage of a log that is known to be truncated."""
+    try:
+        yield from found
+    except Exception:  # as `open_log` has it: any error of the reader or a codec
+        if not is_cut:
+            raise
 
 
 def export_layout(log: Path | None, common: Common) -> None:

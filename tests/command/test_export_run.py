@@ -224,7 +224,7 @@ def test_the_same_run_gives_the_same_bytes_and_an_unchanged_bag_stays(folder, tm
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
-def test_a_real_flight_becomes_a_bag_with_its_plan_times_and_ticks(tmp_path, folder):
+def test_a_real_flight_becomes_a_bag_even_if_its_log_was_cut(tmp_path, folder, capsys):
     from rosbags.rosbag2 import Reader
 
     log, made = tmp_path / "f.run.mcap", mission()
@@ -237,6 +237,17 @@ def test_a_real_flight_becomes_a_bag_with_its_plan_times_and_ticks(tmp_path, fol
         assert reader.start_time == 10**18
     assert counts["/odom"] == counts["/tf"] == len(loop.counters.tick_s)
     assert counts["/alula/supervisor"] == counts["/odom"] + len(loop.taken)
+
+    cut = tmp_path / "cut.run.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    capsys.readouterr()
+    assert run(["export", str(cut), "-o", str(tmp_path / "cut"), "--ros2", "--json"]) == 0
+    (note,) = json.loads(capsys.readouterr().out)["summary"]["notes"]
+    assert note.startswith("the log of this flight was cut: it ends after ")
+    with Reader(tmp_path / "cut") as reader:
+        odometry = [one for one in reader.connections if one.topic == "/odom"]
+        times = [time_ns for _, time_ns, _ in reader.messages(odometry)]
+    assert 0.2 * counts["/odom"] < len(times) < counts["/odom"]
 
 
 def refused(words, code, capsys):
