@@ -41,8 +41,13 @@ PACKAGES = {
     "open3d": "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
     "pycolmap": "pycolmap",
 }
-# Module that only some commands need: the extra that provides it, and its purpose.
-EXTRAS = {"viser": ("live", "only for fly --live"), "cflib": ("crazyflie", "only to fly a Crazyflie")}
+# Module that only some commands need: its distribution, the extra that provides it, and its purpose.
+EXTRAS = {
+    "viser": ("viser", "live", "only for fly --live"),
+    "cflib": ("cflib", "crazyflie", "only to fly a Crazyflie"),
+    "foxglove": ("foxglove-sdk", "foxglove", "only for fly --foxglove"),
+    "rosbags": ("rosbags", "ros2", "only for export --ros2"),
+}
 # Shared library that open3d's Linux wheels load: the Debian package that provides it.
 LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -162,8 +167,8 @@ def _package(module: str, distribution: str) -> Check:
 
 
 def _extra(module: str) -> Check:
-    extra, purpose = EXTRAS[module]
-    found = _package(module, module)
+    distribution, extra, purpose = EXTRAS[module]
+    found = _package(module, distribution)
     if found.status == "ok":
         return found
     note = f"{purpose}: pip install 'alula[{extra}]'" if not found.found else f"{purpose}; {found.note}"

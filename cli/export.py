@@ -20,20 +20,25 @@ Examples:
   alula export room.cover.npz -o room.glb
   alula export room.scene.npz -o room.spz
   alula export room.cover.npz -o room.map.bin --target crazyflie
+  alula export first.run.mcap -o first_bag --ros2
+  alula export --foxglove-layout -o alula.layout.json
 """
 
 
 @click.command(epilog=EXAMPLES)
-@click.argument("artifact", metavar="INPUT", type=options.input_path())
+@click.argument("artifact", metavar="[INPUT]", required=False, type=options.input_path())
 @options.from_config(ExportConfig)
 @options.output(".glb .obj .json .stl .bin .h .ply .splat .spz")
-def command(artifact: Path, config: ExportConfig, common: Common) -> None:
-    """Convert a cover or a scene for other programs.
+def command(artifact: Path | None, config: ExportConfig, common: Common) -> None:
+    """Convert a cover, a scene or a run for other programs.
 
     A cover becomes GLB, OBJ, STL (one mesh per hull), JSON (the exact integers), or an onboard map that
     a microcontroller reads in place (.bin; .h holds the same bytes as a C array). A scene becomes PLY, SPLAT
     or SPZ (Gaussians), GLB or OBJ (points). For Gaussians, export measures and prints the loss of the format.
     Coordinates are not rotated. A .splat has no room for provenance, so only -f replaces one.
+
+    A run becomes a bag of ROS 2 with --ros2: a folder with odometry, paths, transforms, commands, and markers
+    of map and obstacles. --foxglove-layout writes a layout for the logs of runs, and needs no INPUT.
 
     With --target the map gets an index, and the C header is written beside it. Export prints the bytes of the
     map, and the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, otherwise default
@@ -42,10 +47,11 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     number of bytes that would fit. A map whose tick takes longer than the period of the control rate (--rate)
     ends with exit code 4. Neither writes a file.
     """
+    from alula.cli.export_run import export_bag, export_layout
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_outputs
-    from alula.schemas.errors import InputError
+    from alula.schemas.errors import InputError, UsageError
     from alula.schemas.targets import TARGETS
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
@@ -53,6 +59,18 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     from alula.stages.reporting.export import export
     from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses
 
+    if config.foxglove_layout:
+        export_layout(artifact, common)
+        return
+    if artifact is None:
+        raise UsageError("INPUT is missing: a cover, a scene or a run")
+    if config.ros2:
+        export_bag(artifact, common)
+        return
+    if artifact.name.endswith(".mcap"):
+        raise UsageError(
+            f"{artifact}: a run is exported with --ros2, or a layout for it with --foxglove-layout"
+        )
     parameters = config.parameters(common.output)
     name = str(parameters["format"])
     header = common.output.with_suffix(".h")

@@ -114,7 +114,8 @@ def _identify(
     from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop
-    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.channels import FlightHead
+    from alula.stages.flight.recorder.log import FlightRecorder
     from alula.stages.flight.recorder.samples import INFO
     from alula.stages.identification.survey import (
         make_step_flight,
@@ -133,6 +134,7 @@ def _identify(
         frame="world",
         is_splat=False,
         log_every=1,
+        radius_m=guess.body.radius_m,
         provenance=provenance,
         map_message={},
     )

@@ -33,7 +33,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
     "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
     "report": ("report", "Turn runs into tables, figures and one HTML page."),
-    "export": ("export", "Convert a cover or a scene for other programs."),
+    "export": ("export", "Convert a cover, a scene or a run for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),
     "doctor": ("doctor", "Check that everything alula needs is installed."),
 }

@@ -108,8 +108,9 @@ def run(
     make: Callable[[Provenance, Progress], tuple[Callable[[], None], dict[str, Any]]],
     *,
     seed: int | None = None,
+    mark: str = "",
 ) -> None:
-    """Produce one output file of any kind.
+    """Produce one output of any kind, a file or a folder.
 
     Args:
         common: the shared options.
@@ -120,6 +121,7 @@ def run(
         make: function from the provenance to record and a progress callback to a function that writes the
             file atomically, and the summary to print.
         seed: the seed, when the output depends on one.
+        mark: name of the file with the provenance in an output that is a folder; empty for a file.
 
     Raises:
         UsageError: the output exists with other provenance and --force is not given, or is an input.
@@ -130,6 +132,7 @@ def run(
         *(common, schema, version, parameters, inputs),
         lambda provenance, progress: make(provenance(), progress),
         seed,
+        mark,
     )
 
 
@@ -141,9 +144,14 @@ def _run(
     inputs: Mapping[str, Path],
     make: Callable[[Callable[[], Provenance], Progress], tuple[Callable[[], None], dict[str, Any]]],
     seed: int | None,
+    mark: str = "",
 ) -> None:
     """As `run`, but `make` gets a function that returns the provenance, so that hashing runs beside it."""
-    check_output(common.output, inputs)
+    target = common.output / mark
+    if mark and common.output.exists():
+        _check_folder(common.output, target)
+    else:
+        check_output(common.output, inputs)
     if common.depfile is not None:
         check_output(common.depfile, {**inputs, "output": common.output})
     for path in inputs.values():
@@ -156,13 +164,10 @@ def _run(
     )
     status = "written"
     summary: dict[str, Any] = {}
-    if (
-        common.output.exists()
-        and (recorded := current(common.output, provenance(), force=common.force)) is not None
-    ):
+    if target.exists() and (recorded := current(target, provenance(), force=common.force)) is not None:
         status, summary = "unchanged", recorded.summary
         if not common.dry_run:
-            os.utime(common.output)
+            os.utime(target)
     if status != "unchanged":
         with progress_bar(common) as progress:
             write, summary = make(provenance, progress)
@@ -259,6 +264,29 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
             raise UsageError(
                 f"{output}: is also an input" if role != "output" else f"{output}: is also the output"
             )
+
+
+def _check_folder(folder: Path, mark: Path) -> None:
+    """Refuse to replace a folder that is no output, whatever --force says.
+
+    Args:
+        folder: that exists.
+        mark: its file with the provenance, which an output has.
+
+    Raises:
+        OutputError: it is not a folder, or not writable.
+        UsageError: it has other files.
+    """
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: is a file, not a folder to write")
+    if folder.name in ("", ".."):
+        raise UsageError(f"{folder}: give the folder by its name")
+    for each in (folder, folder.absolute().parent):
+        if not os.access(each, os.W_OK | os.X_OK):
+            raise OutputError(f"{folder}: the folder {each} is not writable")
+    names = {path.name for path in folder.iterdir()}
+    if names and names != {mark.name, f"{folder.name}.mcap"}:
+        raise UsageError(f"{folder}: is a folder with other files, which is not replaced")
 
 
 def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -80,6 +81,38 @@ def atomic_outputs(*paths: Path, is_final: bool = True) -> Iterator[list[BinaryI
         for left in temporary.values():
             with suppress(OSError):
                 left.unlink()
+
+
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Context with a new path for a folder that replaces `path` when the block ends without an exception.
+
+    The block makes the folder, under its final name inside a temporary folder beside `path`. On any exception
+    the temporary folder is removed and `path` does not change.
+
+    Args:
+        path: the folder to write; an earlier one is removed.
+
+    Raises:
+        OutputError: the folder cannot be created, written or renamed.
+    """
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(6)}.tmp"
+    try:
+        temporary.mkdir()
+        made = temporary / path.name
+        yield made
+        for file in made.iterdir():
+            with file.open("rb") as written:
+                os.fsync(written.fileno())
+        with appearing():
+            if path.exists():
+                path.rename(temporary / f"{path.name}.old")
+            made.rename(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:

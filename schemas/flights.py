@@ -124,7 +124,7 @@ class _Supervisor(msgspec.Struct, gc=False):
     action_name: str = ""
 
 
-class _Stamp(msgspec.Struct, gc=False):
+class _Stamp(msgspec.Struct, gc=False, frozen=True):
     sec: int
     nsec: int
 
@@ -141,6 +141,7 @@ class _Pair(msgspec.Struct):
 
 
 class _Entity(msgspec.Struct):
+    timestamp: _Stamp = _Stamp(0, 0)
     metadata: list[_Pair] = []
 
 
@@ -175,8 +176,8 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
     supervised: list[_Supervisor] = []
-    lines: list[Line] = []
-    hulls = None
+    lines: list[_Line] = []
+    hulls, start = None, _Stamp(0, 0)
     decode_state = json_decoder(_State).decode
     decode_safety = json_decoder(_Safety).decode
     decode_supervisor = json_decoder(_Supervisor).decode
@@ -186,27 +187,36 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
             state = decode_state(data)
             states.setdefault(state.trial, []).append(state)
         elif topic == MAP_TOPIC:
-            hulls = _hull_count(json_decoder(_Map).decode(data))
+            shown = json_decoder(_Map).decode(data)
+            hulls, start = _hull_count(shown), _start(shown)
         elif topic == SAFETY_TOPIC:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
-            line = decode_line(data)
-            at = line.timestamp
-            lines.append(Line(at.sec + 1e-9 * at.nsec, line.level, line.message))
+            lines.append(decode_line(data))
     flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
-    return Flights(flights, hulls, _course(supervised, lines) if supervised else None)
+    return Flights(flights, hulls, _course(supervised, lines, start) if supervised else None)
 
 
-def _course(supervised: list[_Supervisor], lines: list[Line]) -> Course:
+def _start(message: _Map) -> _Stamp:
+    """Log time of the start of a flight: that of its map. In logs of earlier versions both are 0."""
+    return message.entities[0].timestamp if message.entities else _Stamp(0, 0)
+
+
+def _course(supervised: list[_Supervisor], found: list[_Line], start: _Stamp) -> Course:
+    lines = tuple(
+        Line(at.sec - start.sec + 1e-9 * (at.nsec - start.nsec), line.level, line.message)
+        for line in found
+        for at in (line.timestamp,)
+    )
     steps = tuple(
         Step(one.time_s, one.state_name, one.event_name, one.action_name)
         for one in supervised
         if one.event_name
     )
-    return Course(steps, tuple(lines), max(one.time_s for one in supervised))
+    return Course(steps, lines, max(one.time_s for one in supervised))
 
 
 def _hull_count(message: _Map) -> int | None:

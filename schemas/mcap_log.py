@@ -38,6 +38,21 @@ def messages(file: BinaryIO, topics: Collection[str] | None = None) -> Iterator[
             yield name, data
 
 
+def timed_messages(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, log time [ns] and contents of each message of a whole log.
+
+    Args:
+        file: the log, at its start.
+
+    Raises:
+        ValueError: as `messages`.
+    """
+    for kind, topic, data, time_ns in _records(file, chunks=True):
+        if kind == "message":
+            assert isinstance(data, bytes)
+            yield topic, time_ns, data
+
+
 def metadata(file: BinaryIO, name: str) -> list[dict[str, str]]:
     """Metadata of one name in a whole log, without reading its chunks.
 
@@ -69,6 +84,12 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
     Raises:
         ValueError: as `messages`, after all entries before the damage.
     """
+    for kind, name, data, _ in _records(file, chunks=chunks):
+        yield kind, name, data
+
+
+def _records(file: BinaryIO, *, chunks: bool) -> Iterator[tuple[str, str, bytes | dict[str, str], int]]:
+    """As `entries`, with the log time [ns] of messages."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Channel, Chunk, Message, Metadata
     from mcap.stream_reader import breakup_chunk
@@ -77,8 +98,8 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
     budget = _LEAST_BUDGET + _MOST_EXPANSION * size
     topics: dict[int, str] = {}
 
-    def of_message(record: Message) -> tuple[str, str, bytes]:
-        return "message", topics.get(record.channel_id, "?"), record.data
+    def of_message(record: Message) -> tuple[str, str, bytes, int]:
+        return "message", topics.get(record.channel_id, "?"), record.data, record.log_time
 
     if file.read(len(MAGIC)) != MAGIC:
         raise ValueError("it does not begin like an MCAP log")
@@ -102,7 +123,7 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
             file.seek(length, os.SEEK_CUR)
             if file.read(len(MAGIC)) != MAGIC:
                 raise ValueError("it does not end like an MCAP log")
-            yield "end", "", b""
+            yield "end", "", b"", 0
             return
         body = ReadDataStream(io.BytesIO(file.read(length)))
         if opcode == _CHANNEL:
@@ -112,7 +133,7 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
             yield of_message(Message.read(body, length))
         elif opcode == _METADATA:
             record = Metadata.read(body)
-            yield "metadata", record.name, record.metadata
+            yield "metadata", record.name, record.metadata, 0
         else:
             chunk = Chunk.read(body)
             budget -= _unpack(chunk, budget)

@@ -58,6 +58,20 @@ Examples:
     metavar="[PORT]",
     help="Show the flight in a browser, at this port of this machine only (8080); requires alula[live].",
 )
+@click.option(
+    "--foxglove",
+    type=options.Whole(1, 65535),
+    is_flag=False,
+    flag_value=8765,
+    metavar="[PORT]",
+    help="Serve the live channels to Foxglove, at this port of this machine only (8765); requires "
+    "alula[foxglove].",
+)
+@click.option(
+    "--start-time",
+    metavar="TIME",
+    help="Time of the start in the log, such as 2026-05-01T12:00:00Z; default: by the clock of this machine.",
+)
 @options.from_config(FlyConfig)
 @options.output(".run.mcap")
 @click.pass_context
@@ -72,6 +86,8 @@ def command(
     route: Route,
     settings: tuple[str, ...],
     live: int | None,
+    foxglove: int | None,
+    start_time: str | None,
     config: FlyConfig,
     common: options.Common,
 ) -> None:
@@ -96,12 +112,17 @@ def command(
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
+    from alula.schemas.start_time import start_time_ns
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.mission import make_mission
+    from alula.stages.flight.recorder.foxglove_server import require_foxglove
     from alula.stages.flight.recorder.live_view import require_viser
 
     if live is not None:
         require_viser()
+    if foxglove is not None:
+        require_foxglove()
+    start_ns = None if start_time is None else start_time_ns(start_time)
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
     paths |= {} if within is None else {"within": within}
@@ -140,7 +161,7 @@ def command(
     flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
     if planned and flown and planned != flown and not common.quiet:
         echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
-    fly(mission, link, provenance, common, live)
+    fly(mission, link, provenance, common, live, foxglove, start_ns)
 
 
 def _from_scenario(

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.mission import Mission
-    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.channels import FlightHead
+    from alula.stages.flight.recorder.log import FlightRecorder
     from alula.stages.flight.recorder.pipe import FlightPipe
 
 _CLOSE_S = 2.0  # maximum time until the live view ends
@@ -34,7 +35,13 @@ class _Flown(NamedTuple):
 
 
 def fly(
-    mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
+    mission: Mission,
+    link: Link,
+    provenance: Provenance,
+    common: Common,
+    live: int | None = None,
+    foxglove: int | None = None,
+    start_ns: int | None = None,
 ) -> None:
     """Fly a mission over a link.
 
@@ -44,6 +51,8 @@ def fly(
         provenance: of the log and the record.
         common: common options of commands.
         live: port of the live view; None for none.
+        foxglove: port of the server for Foxglove; None for none.
+        start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -63,25 +72,30 @@ def fly(
         make_safety,
         wanted_setpoints,
     )
-    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.channels import FlightHead
+    from alula.stages.flight.recorder.log import FlightRecorder
+    from alula.stages.runlog.cloud import cloud_message
     from alula.stages.runlog.maps import map_message
 
     interrupts = Interrupts()
     safety = make_safety(mission)
-    frame = mission.map.manifest.frame
+    frame, points = mission.map.manifest.frame, _points(mission)
     head = FlightHead(
         provenance=provenance,
-        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [_points(mission)], frame),
+        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [points], frame, 0),
+        cloud=None if mission.scene is None else cloud_message(mission.scene, [points], frame, 0),
+        plan=points.tolist(),
         **head_facts(mission),
     )
-    view = None if live is None else _open_view(live, mission, head, common)
+    views = _open_views(live, foxglove, mission, head, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
         replaces=common.force,
         echo=not common.quiet,
-        view=view,
+        views=views,
         rate_hz=mission.config.rate_hz,
+        start_ns=start_ns,
     )
     # From here on messages are sent to the vehicle; everything that takes long has been done.
     try:
@@ -119,7 +133,7 @@ def fly(
         recorder.discard()
         raise
     finally:
-        if view is not None:
+        for view in views:
             view.close(_CLOSE_S)
     _conclude(loop, flown, common)
 
@@ -133,6 +147,28 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
     link.status.texts.clear()
 
 
+def _open_views(
+    live: int | None, foxglove: int | None, mission: Mission, head: FlightHead, common: Common
+) -> list[FlightPipe]:
+    """Start the live view and the server for Foxglove, each if it has a port."""
+    from alula.stages.flight.recorder.foxglove_server import open_foxglove
+
+    views = []
+    try:
+        if live is not None:
+            views.append(_open_view(live, mission, head, common))
+        if foxglove is not None:
+            server, address = open_foxglove(foxglove, head)
+            views.append(server)
+            if not common.quiet:
+                echo(f"Foxglove: {address}", err=True)
+    except BaseException:
+        for view in views:
+            view.close(_CLOSE_S)
+        raise
+    return views
+
+
 def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
     """Start the live view with the map, the plan and the names in the log's head."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
@@ -143,7 +179,7 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
         vehicle=head.vehicle,
         radius_m=mission.vehicle.body.radius_m,
         map_message=head.map_message,
-        plan=_points(mission).tolist(),
+        plan=head.plan,
     )
     view, address = open_view(port, facts)
     if not common.quiet:

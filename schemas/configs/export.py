@@ -54,6 +54,18 @@ class ExportConfig:
         },
     )
 
+    ros2: bool = field(
+        default=False,
+        metadata={
+            "help": "Write a run as a bag of ROS 2 (rosbag2 with MCAP), a folder; requires alula[ros2]."
+        },
+    )
+    foxglove_layout: bool = field(
+        default=False,
+        metadata={
+            "help": "Write a layout for Foxglove (.json): for all runs, or for the channels of the INPUT."
+        },
+    )
     spz_version: int = field(
         default=3,
         metadata={
@@ -71,6 +83,10 @@ class ExportConfig:
             raise UsageError(f"--rate must be above 0 and at most 1e6 Hz, not {self.rate_hz:g}")
         if self.rate_hz is not None and self.target in ("none", "c"):
             raise UsageError("--rate goes with a --target whose clock is known: crazyflie or teensy")
+        if (self.ros2 or self.foxglove_layout) and (self.format != "auto" or self.target != "none"):
+            raise UsageError("--ros2 and --foxglove-layout go with neither --format nor --target")
+        if self.ros2 and self.foxglove_layout:
+            raise UsageError("give --ros2 or --foxglove-layout, not both")
         if self.spz_version not in (2, 3, 4):
             raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
 

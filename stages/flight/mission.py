@@ -553,4 +553,5 @@ def head_facts(mission: Mission) -> dict[str, Any]:
         "frame": mission.map.manifest.frame,
         "is_splat": mission.is_splat,
         "log_every": max(1, round(mission.config.rate_hz / mission.config.log_rate_hz)),
+        "radius_m": mission.vehicle.body.radius_m,
     }

@@ -12,6 +12,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
 from alula.stages.compression.facets import mesh
 from alula.stages.compression.hulls import Hulls
+from alula.stages.runlog.cloud import nearest
 from alula.stages.runlog.messages import entity, facts, quaternion, scene_message, sphere, triangle_list, xyz
 
 SHOWN_ELLIPSOIDS = 3000  # maximum number; those nearest to the paths are shown
@@ -21,7 +22,7 @@ _FENCE_COLOR = {"r": 0.1, "g": 0.55, "b": 0.8, "a": 0.12}
 
 
 def map_message(
-    flown_through: Artifact, summary: Mapping[str, Any], paths: list[FloatArray], frame: str
+    flown_through: Artifact, summary: Mapping[str, Any], paths: list[FloatArray], frame: str, time_ns: int
 ) -> dict[str, Any]:
     """`foxglove.SceneUpdate` of a map: hulls, or ellipsoids near the paths at `summary["sigma"]`.
 
@@ -30,12 +31,13 @@ def map_message(
         summary: that of the run.
         paths: flown positions, each of shape (T, 3) [m].
         frame: name of the frame of all positions.
+        time_ns: log time [ns].
     """
     if flown_through.kind is SCENE:
         shape = _ellipsoids(flown_through, float(summary["sigma"]), paths)
     else:
         shape = _cover_hulls(flown_through)
-    return scene_message(entity("map", frame) | shape)
+    return scene_message(entity("map", frame, time_ns) | shape)
 
 
 def world_message(
@@ -45,6 +47,7 @@ def world_message(
     faces: FloatArray,
     paths: list[FloatArray],
     frame: str,
+    time_ns: int,
 ) -> dict[str, Any]:
     """`foxglove.SceneUpdate` of all static obstacles: hulls, ellipsoids near the paths, and the fence.
 
@@ -55,28 +58,32 @@ def world_message(
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
         paths: flown positions, each of shape (T, 3) [m].
         frame: name of the frame of all positions.
+        time_ns: log time [ns].
     """
-    entities = fence_entities(faces, paths, frame)
+    entities = fence_entities(faces, paths, frame, time_ns)
     if hulls is not None:
-        entities.append(_hulls(hulls, frame))
+        entities.append(_hulls(hulls, frame, time_ns))
     if scene is not None:
-        entities.append(entity("ellipsoids", frame) | _ellipsoids(scene, sigma, paths))
+        entities.append(entity("ellipsoids", frame, time_ns) | _ellipsoids(scene, sigma, paths))
     return scene_message(*entities)
 
 
-def fence_entities(faces: FloatArray, paths: list[FloatArray], frame: str) -> list[dict[str, Any]]:
+def fence_entities(
+    faces: FloatArray, paths: list[FloatArray], frame: str, time_ns: int
+) -> list[dict[str, Any]]:
     """The shell of a fence; none without faces.
 
     Args:
         faces: shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
         paths: flown positions, each of shape (T, 3) [m].
         frame: name of the frame.
+        time_ns: log time [ns].
     """
     if not len(faces):
         return []
     corners, triangles = fence_shell(faces, paths)
     shell = {"metadata": facts(), "triangles": [triangle_list(corners, triangles, _FENCE_COLOR)]}
-    return [entity("fence", frame) | shell]
+    return [entity("fence", frame, time_ns) | shell]
 
 
 def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray, IntArray]:
@@ -120,12 +127,12 @@ def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray,
     return corners, triangles[is_face | ~is_cut]
 
 
-def _hulls(hulls: Hulls, frame: str) -> dict[str, Any]:
+def _hulls(hulls: Hulls, frame: str, time_ns: int) -> dict[str, Any]:
     """The surfaces of convex hulls."""
     starts = hulls.vertex_start
     corners = [hulls.vertices_world[starts[k] : starts[k + 1]] for k in range(len(hulls))]
     solids = [triangle_list(points, _surface(points), _MAP_COLOR) for points in corners]
-    return entity("map", frame) | {"metadata": facts(hulls=len(hulls)), "triangles": solids}
+    return entity("map", frame, time_ns) | {"metadata": facts(hulls=len(hulls)), "triangles": solids}
 
 
 def _surface(corners: FloatArray) -> IntArray:
@@ -154,14 +161,9 @@ def _cover_hulls(cover: Artifact) -> dict[str, Any]:
 
 def _ellipsoids(scene: Artifact, sigma: float, paths: list[FloatArray]) -> dict[str, Any]:
     """Ellipsoids at the level as spheres, those nearest to the paths when there are too many."""
-    from scipy.spatial import cKDTree
-
     mean = np.asarray(scene["mean"], np.float64)
     reach = sigma * np.asarray(scene["scale"], np.float64)
-    shown = np.arange(len(mean))
-    if len(mean) > SHOWN_ELLIPSOIDS:
-        near = cKDTree(np.concatenate(paths)).query(mean)[0] - reach.max(axis=1)
-        shown = np.sort(np.argsort(near, kind="stable")[:SHOWN_ELLIPSOIDS])
+    shown = nearest(mean, reach.max(axis=1), paths, SHOWN_ELLIPSOIDS)
     spheres = []
     for i in shown:
         red, green, blue = (round(int(value) / 255, 3) for value in scene["color"][i])

@@ -1,4 +1,7 @@
-"""JSON messages that all logs share: numbers, vectors, quaternions, times, poses, paths and shapes."""
+"""JSON messages that all logs share: numbers, vectors, quaternions, times, poses, paths and shapes.
+
+Times of messages are log times: nanoseconds since 1970-01-01 UTC.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,13 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 
 DECIMALS = 6  # micrometres; the record has the exact figures
+BODY_FRAME = "body"  # name of the vehicle's frame: x forward, y left, z up
+# Lists of a scene entity, all of which Foxglove's schema requires.
+SHAPES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 _OBSTACLE_COLOR = {"r": 0.8, "g": 0.3, "b": 0.1, "a": 0.9}
 _TRACK_COLOR = {"r": 0.1, "g": 0.45, "b": 0.8, "a": 0.35}
+_VEHICLE_COLOR = {"r": 0.98, "g": 0.82, "b": 0.16, "a": 0.9}
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
@@ -62,18 +69,18 @@ def quaternion_of_mrp(sigma: FloatArray) -> dict[str, float]:
 
 
 def nanoseconds(time_s: float) -> int:
-    """Log time [ns] of a time [s]."""
+    """Duration [ns] of a duration [s]."""
     return round(time_s * 1e9)
 
 
-def stamp(time_s: float) -> dict[str, int]:
-    """Foxglove's time of a log time [s]."""
-    sec, nsec = divmod(nanoseconds(time_s), 10**9)
+def stamp(time_ns: int) -> dict[str, int]:
+    """Foxglove's time of a log time, or its duration of a duration [ns]."""
+    sec, nsec = divmod(time_ns, 10**9)
     return {"sec": sec, "nsec": nsec}
 
 
 def pose_message(
-    position: dict[str, Any], orientation: dict[str, Any], frame: str, time_s: float
+    position: dict[str, Any], orientation: dict[str, Any], frame: str, time_ns: int
 ) -> dict[str, Any]:
     """`foxglove.PoseInFrame`.
 
@@ -81,44 +88,76 @@ def pose_message(
         position: from `xyz` [m].
         orientation: from `quaternion`, body to frame.
         frame: name of the frame.
-        time_s: log time [s].
+        time_ns: log time [ns].
     """
     pose = {"position": position, "orientation": orientation}
-    return {"timestamp": stamp(time_s), "frame_id": frame, "pose": pose}
+    return {"timestamp": stamp(time_ns), "frame_id": frame, "pose": pose}
 
 
-def path_message(points: FloatArray, frame: str, time_s: float) -> dict[str, Any]:
+def transform_message(
+    position: dict[str, Any], orientation: dict[str, Any], frame: str, time_ns: int
+) -> dict[str, Any]:
+    """`foxglove.FrameTransform` T_frame_body of the vehicle.
+
+    Args:
+        position: of the vehicle, from `xyz` [m].
+        orientation: from `quaternion`, body to frame.
+        frame: name of the parent frame.
+        time_ns: log time [ns].
+    """
+    return {
+        "timestamp": stamp(time_ns),
+        "parent_frame_id": frame,
+        "child_frame_id": BODY_FRAME,
+        "translation": position,
+        "rotation": orientation,
+    }
+
+
+def path_message(points: FloatArray, frame: str, time_ns: int) -> dict[str, Any]:
     """`foxglove.PosesInFrame` of a whole path.
 
     Args:
         points: shape (T, 3) [m].
         frame: name of their frame.
-        time_s: log time [s].
+        time_ns: log time [ns].
     """
     poses = [{"position": xyz(point), "orientation": UPRIGHT} for point in points]
-    return {"timestamp": stamp(time_s), "frame_id": frame, "poses": poses}
+    return {"timestamp": stamp(time_ns), "frame_id": frame, "poses": poses}
 
 
-def log_message(words: str, time_s: float, *, is_good: bool, collided: bool) -> dict[str, Any]:
+def line_message(words: str, level: int, program: str, time_ns: int) -> dict[str, Any]:
+    """`foxglove.Log`.
+
+    Args:
+        words: the line.
+        level: 2 info, 3 warning, 4 error.
+        program: name of the command.
+        time_ns: log time [ns].
+    """
+    return {
+        "timestamp": stamp(time_ns),
+        "level": level,
+        "message": words,
+        "name": program,
+        "file": "",
+        "line": 0,
+    }
+
+
+def verdict_message(words: str, time_ns: int, *, is_good: bool, collided: bool) -> dict[str, Any]:
     """`foxglove.Log` about a trial.
 
     Args:
         words: the line.
-        time_s: log time [s].
+        time_ns: log time [ns].
         is_good: the trial ended well; otherwise the line is a warning.
         collided: the line is an error and says so.
     """
     level = _LEVEL_INFO if is_good else _LEVEL_WARNING
     if collided:
         level, words = _LEVEL_ERROR, words + ", COLLISION"
-    return {
-        "timestamp": stamp(time_s),
-        "level": level,
-        "message": words,
-        "name": "simulate",
-        "file": "",
-        "line": 0,
-    }
+    return line_message(words, level, "simulate", time_ns)
 
 
 def scene_message(*entities: dict[str, Any]) -> dict[str, Any]:
@@ -126,20 +165,22 @@ def scene_message(*entities: dict[str, Any]) -> dict[str, Any]:
     return {"deletions": [], "entities": list(entities)}
 
 
-def entity(name: str, frame: str, time_s: float = 0.0) -> dict[str, Any]:
+def entity(name: str, frame: str, time_ns: int) -> dict[str, Any]:
     """`foxglove.SceneEntity` without shapes; it stays until it is replaced.
 
     Args:
         name: its id.
         frame: name of its frame.
-        time_s: log time [s].
+        time_ns: log time [ns].
     """
     return {
-        "timestamp": stamp(time_s),
+        "timestamp": stamp(time_ns),
         "frame_id": frame,
         "id": name,
-        "lifetime": stamp(0.0),
+        "lifetime": stamp(0),
         "frame_locked": True,
+        "metadata": [],
+        **{shapes: [] for shapes in SHAPES},
     }
 
 
@@ -180,7 +221,7 @@ def triangle_list(points: FloatArray, triangles: NDArray[Any], color: dict[str, 
 
 
 def obstacle_message(
-    obstacles: FloatArray, tracks: FloatArray, radii_m: list[float], frame: str, time_s: float
+    obstacles: FloatArray, tracks: FloatArray, radii_m: list[float], frame: str, time_ns: int
 ) -> dict[str, Any]:
     """`foxglove.SceneUpdate` of moving obstacles: a sphere for each, and one twice as large at each track.
 
@@ -189,7 +230,7 @@ def obstacle_message(
         tracks: shape (n, 3), NaN without a track [m].
         radii_m: of the obstacles [m].
         frame: name of the frame.
-        time_s: log time [s].
+        time_ns: log time [ns].
     """
     is_tracked = [bool(np.isfinite(track).all()) for track in tracks]
     true = [_ball(p, r, _OBSTACLE_COLOR) for p, r in zip(obstacles, radii_m, strict=True)]
@@ -197,9 +238,20 @@ def obstacle_message(
         _ball(p, 2 * r, _TRACK_COLOR) for p, r, t in zip(tracks, radii_m, is_tracked, strict=True) if t
     ]
     return scene_message(
-        entity("obstacles", frame, time_s) | {"spheres": true},
-        entity("tracks", frame, time_s) | {"spheres": tracked},
+        entity("obstacles", frame, time_ns) | {"spheres": true},
+        entity("tracks", frame, time_ns) | {"spheres": tracked},
     )
+
+
+def vehicle_message(radius_m: float, time_ns: int) -> dict[str, Any]:
+    """`foxglove.SceneUpdate` of the vehicle's sphere in its own frame, which `/tf` moves.
+
+    Args:
+        radius_m: of the vehicle [m].
+        time_ns: log time [ns].
+    """
+    ball = _ball(np.zeros(3), radius_m, _VEHICLE_COLOR)
+    return scene_message(entity("vehicle", BODY_FRAME, time_ns) | {"spheres": [ball]})
 
 
 def _ball(position: FloatArray, radius_m: float, color: dict[str, float]) -> dict[str, Any]:

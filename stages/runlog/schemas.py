@@ -1,120 +1,92 @@
-"""Channels of a log, and JSON Schemas of their messages; foxglove.* follow Foxglove's own definitions."""
+"""Channels of a log, and JSON Schemas of their messages."""
 
 from __future__ import annotations
 
-from typing import Any
+from alula.stages.runlog.foxglove_schemas import (
+    FLAG,
+    FOXGLOVE_SCHEMAS,
+    INTEGER,
+    NUMBER,
+    QUATERNION,
+    TEXT,
+    VECTOR,
+    Schema,
+    array,
+    fields,
+)
 
 # Schemas by topic. Their order is that in the file.
 FLIGHT_CHANNELS = {
     "/map": "foxglove.SceneUpdate",
+    "/vehicle": "foxglove.SceneUpdate",
     "/path": "foxglove.PosesInFrame",
     "/state": "alula.State",
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",
     "/pose": "foxglove.PoseInFrame",
+    "/tf": "foxglove.FrameTransform",
 }
 
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-def _array(items: Any) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_NUMBER = {"type": "number"}
-_INTEGER = {"type": "integer"}
-_TEXT = {"type": "string"}
-_FLAG = {"type": "boolean"}
-_TIME = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "time"}
-_DURATION = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "duration"}
-_VECTOR = {**_object(x=_NUMBER, y=_NUMBER, z=_NUMBER), "title": "foxglove.Vector3"}
-_POINT = {**_VECTOR, "title": "foxglove.Point3"}
-_QUATERNION = {**_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER), "title": "foxglove.Quaternion"}
-_POSE = {**_object(position=_VECTOR, orientation=_QUATERNION), "title": "foxglove.Pose"}
-_COLOR = {**_object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER), "title": "foxglove.Color"}
-_TRIANGLES = {
-    **_object(
-        pose=_POSE, points=_array(_POINT), color=_COLOR, colors=_array(_COLOR), indices=_array(_INTEGER)
-    ),
-    "title": "foxglove.TriangleListPrimitive",
-}
-_SPHERE = {**_object(pose=_POSE, size=_VECTOR, color=_COLOR), "title": "foxglove.SpherePrimitive"}
-_ENTITY = {
-    **_object(
-        timestamp=_TIME,
-        frame_id=_TEXT,
-        id=_TEXT,
-        lifetime=_DURATION,
-        frame_locked={"type": "boolean"},
-        metadata=_array(_object(key=_TEXT, value=_TEXT)),
-        spheres=_array(_SPHERE),
-        triangles=_array(_TRIANGLES),
-    ),
-    "title": "foxglove.SceneEntity",
-}
-
-SCHEMAS: dict[str, dict[str, Any]] = {
+SCHEMAS: dict[str, Schema] = {
     name: {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
     for name, schema in {
         "alula.State": {
-            **_object(
-                trial=_INTEGER,
-                time_s=_NUMBER,
-                position_m=_VECTOR,
-                velocity_m_s=_VECTOR,
-                attitude=_QUATERNION,
-                omega_body_rad_s=_VECTOR,
-                rotor_thrust_n=_array(_NUMBER),
-                thrust_n=_NUMBER,
-                torque_body_nm=_VECTOR,
+            **fields(
+                trial=INTEGER,
+                time_s=NUMBER,
+                position_m=VECTOR,
+                velocity_m_s=VECTOR,
+                attitude=QUATERNION,
+                omega_body_rad_s=VECTOR,
+                rotor_thrust_n=array(NUMBER),
+                thrust_n=NUMBER,
+                torque_body_nm=VECTOR,
             ),
             "description": "Position and velocity in the world frame; time_s counts from the trial's start. "
             "For a rigid body also attitude (body to world), body rates, and thrusts of its rotors.",
         },
         "alula.Safety": {
-            **_object(
-                trial=_INTEGER,
-                time_s=_NUMBER,
-                h_m=_NUMBER,
-                status=_INTEGER,
-                status_name=_TEXT,
-                u_nom_m_s=_VECTOR,
-                u_safe_m_s=_VECTOR,
-                margin=_NUMBER,
-                margin_unit=_TEXT,
-                mode_name=_TEXT,
-                moving_clearance_m=_NUMBER,
-                infeasible=_FLAG,
-                certified=_FLAG,
-                certified_moving=_FLAG,
-                capped=_FLAG,
-                saturated=_FLAG,
-                active=_INTEGER,
-                candidates=_INTEGER,
-                rows=_INTEGER,
-                iterations=_INTEGER,
-                gate_m=_NUMBER,
-                a_nom_m_s2=_VECTOR,
-                a_safe_m_s2=_VECTOR,
-                realisation_error_m_s2=_NUMBER,
-                thrust_nom_n=_NUMBER,
-                torque_nom_body_nm=_VECTOR,
-                **{"lambda": _NUMBER},
-                fence_distance_m=_NUMBER,
-                allowance_m=_NUMBER,
-                towards_m_s=_NUMBER,
-                throttle_nom=_NUMBER,
-                throttle_safe=_NUMBER,
-                rates_nom_rad_s=_VECTOR,
-                rates_safe_rad_s=_VECTOR,
-                disturbance_m_s2=_VECTOR,
-                disturbance_bound_m_s2=_NUMBER,
-                added_margin_m=_NUMBER,
-                sent=_TEXT,
-                sent_values=_array(_NUMBER),
-                solve_time_s=_NUMBER,
+            **fields(
+                trial=INTEGER,
+                time_s=NUMBER,
+                h_m=NUMBER,
+                status=INTEGER,
+                status_name=TEXT,
+                u_nom_m_s=VECTOR,
+                u_safe_m_s=VECTOR,
+                margin=NUMBER,
+                margin_unit=TEXT,
+                mode_name=TEXT,
+                moving_clearance_m=NUMBER,
+                infeasible=FLAG,
+                certified=FLAG,
+                certified_moving=FLAG,
+                capped=FLAG,
+                saturated=FLAG,
+                active=INTEGER,
+                candidates=INTEGER,
+                rows=INTEGER,
+                iterations=INTEGER,
+                gate_m=NUMBER,
+                a_nom_m_s2=VECTOR,
+                a_safe_m_s2=VECTOR,
+                realisation_error_m_s2=NUMBER,
+                thrust_nom_n=NUMBER,
+                torque_nom_body_nm=VECTOR,
+                **{"lambda": NUMBER},
+                fence_distance_m=NUMBER,
+                allowance_m=NUMBER,
+                towards_m_s=NUMBER,
+                throttle_nom=NUMBER,
+                throttle_safe=NUMBER,
+                rates_nom_rad_s=VECTOR,
+                rates_safe_rad_s=VECTOR,
+                disturbance_m_s2=VECTOR,
+                disturbance_bound_m_s2=NUMBER,
+                added_margin_m=NUMBER,
+                sent=TEXT,
+                sent_values=array(NUMBER),
+                solve_time_s=NUMBER,
             ),
             "description": "The filter's margin and status, the nominal and the filtered input. Among hulls: "
             "h_m and velocities. Among ellipsoids: the filter's own barrier, not in metres, and "
@@ -127,43 +99,43 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "filter keeps in addition because of that bound, where there is the room.",
         },
         "alula.Supervisor": {
-            **_object(
-                time_s=_NUMBER,
-                state=_INTEGER,
-                state_name=_TEXT,
-                event_name=_TEXT,
-                action_name=_TEXT,
-                mode=_TEXT,
-                armed=_FLAG,
-                landed=_FLAG,
-                battery_share=_NUMBER,
-                state_age_s=_NUMBER,
-                late_s=_NUMBER,
-                tick_s=_NUMBER,
-                fence_m=_NUMBER,
-                fence_h_m=_NUMBER,
-                fence_share=_NUMBER,
-                fence_flies=_FLAG,
-                plan_s=_NUMBER,
-                plan_rate=_NUMBER,
-                error_m=_NUMBER,
+            **fields(
+                time_s=NUMBER,
+                state=INTEGER,
+                state_name=TEXT,
+                event_name=TEXT,
+                action_name=TEXT,
+                mode=TEXT,
+                armed=FLAG,
+                landed=FLAG,
+                battery_share=NUMBER,
+                state_age_s=NUMBER,
+                late_s=NUMBER,
+                tick_s=NUMBER,
+                fence_m=NUMBER,
+                fence_h_m=NUMBER,
+                fence_share=NUMBER,
+                fence_flies=FLAG,
+                plan_s=NUMBER,
+                plan_rate=NUMBER,
+                error_m=NUMBER,
             ),
             "description": "The supervisor's state, the vehicle's reports and the times of the loop, per "
             "tick. A step has the event that caused it and the action that was taken.",
         },
         "alula.Replay": {
-            **_object(
-                time_s=_NUMBER,
-                number=_INTEGER,
-                repeats=_INTEGER,
-                age_s=_NUMBER,
-                measured=_array(_NUMBER),
-                target=_array(_NUMBER),
-                decided=_TEXT,
-                decided_values=_array(_NUMBER),
-                is_own=_FLAG,
-                sent=_TEXT,
-                sent_values=_array(_NUMBER),
+            **fields(
+                time_s=NUMBER,
+                number=INTEGER,
+                repeats=INTEGER,
+                age_s=NUMBER,
+                measured=array(NUMBER),
+                target=array(NUMBER),
+                decided=TEXT,
+                decided_values=array(NUMBER),
+                is_own=FLAG,
+                sent=TEXT,
+                sent_values=array(NUMBER),
             ),
             "description": "Inputs and set-points of each tick of a real flight, not rounded: the native "
             "flight repeats it bit by bit: the number of the tick since set-points began, the ticks left out "
@@ -171,13 +143,6 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "reference (position to snap, yaw and its rates); the set-point decided, whether it was sent so, "
             "and the one sent.",
         },
-        "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
-        "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
-        "foxglove.SceneUpdate": _object(
-            deletions=_array(_object(timestamp=_TIME, type=_INTEGER, id=_TEXT)), entities=_array(_ENTITY)
-        ),
-        "foxglove.Log": _object(
-            timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT, file=_TEXT, line=_INTEGER
-        ),
+        **FOXGLOVE_SCHEMAS,
     }.items()
 }

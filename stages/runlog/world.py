@@ -12,11 +12,20 @@ from alula.schemas.run import RunRecord, TrialResult
 from alula.schemas.world_check import TRACKING
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.runlog.cloud import cloud_message
 from alula.stages.runlog.maps import world_message
-from alula.stages.runlog.messages import number, obstacle_message, pose_message, quaternion_of_mrp, xyz
+from alula.stages.runlog.messages import (
+    number,
+    obstacle_message,
+    pose_message,
+    quaternion_of_mrp,
+    transform_message,
+    vehicle_message,
+    xyz,
+)
 from alula.stages.runlog.piloted import pilot_fields
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS
-from alula.stages.runlog.writer import LoggedTrial, write_trials
+from alula.stages.runlog.writer import SIMULATED_EPOCH_NS, LoggedTrial, write_trials
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
@@ -69,12 +78,18 @@ def write_world_log(
         channels["/obstacles"] = "foxglove.SceneUpdate"
     channels |= {f"{_SAFETY}/{name}": "alula.Safety" for name in each}
     paths = [flight.rows("state")[:, :3] for flight in flights]
-    map_ = world_message(hulls, scene, sigma, faces, paths, frame)
+    once = {
+        "/map": world_message(hulls, scene, sigma, faces, paths, frame, SIMULATED_EPOCH_NS),
+        "/vehicle": vehicle_message(radius_m, SIMULATED_EPOCH_NS),
+    }
+    if scene is not None:
+        channels["/splat"] = "foxglove.PointCloud"
+        once["/splat"] = cloud_message(scene, paths, frame, SIMULATED_EPOCH_NS)
     trials = (
         _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m, radius_m)
         for flight in flights
     )
-    write_trials(stream, channels, record, map_, trials, frame)
+    write_trials(stream, channels, record, once, trials, frame)
 
 
 def _logged(
@@ -131,9 +146,10 @@ def _logged(
             found |= {"thrust_nom_n": number(u_nominal[i, 0]), "torque_nom_body_nm": xyz(u_nominal[i, 1:])}
         return found
 
-    def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+    def messages(i: int, now_ns: int) -> Iterator[tuple[str, dict[str, Any]]]:
         position, attitude = xyz(state[i, :3]), quaternion_of_mrp(state[i, 3:6])
-        yield "/pose", pose_message(position, attitude, frame, now_s)
+        yield "/pose", pose_message(position, attitude, frame, now_ns)
+        yield "/tf", transform_message(position, attitude, frame, now_ns)
         yield (
             "/state",
             {
@@ -162,7 +178,7 @@ def _logged(
             for k, name in enumerate(filters):
                 yield f"{_SAFETY}/{name}", {"trial": trial.index} | of_filter(k, i)
         if radii_m:
-            yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_s)
+            yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_ns)
 
     is_good = trial.outcome in ("reached", "held", "passed") and not trial.collision
     return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), state[:, :3], messages)

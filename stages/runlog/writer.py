@@ -1,4 +1,12 @@
-"""Writer of MCAP logs with JSON channels, and of the trials of a run one after another."""
+"""Writer of MCAP logs with JSON channels, and of the trials of a run one after another.
+
+Foxglove publishes each of its message types both as Protobuf and as JSON Schema. alula writes JSON, through
+Foxglove's `mcap` library. The other choice is `foxglove-sdk`, whose typed channels write Protobuf, with equal
+bytes for equal calls. It is not used for files: it cannot read its messages back, which reports, replays and
+the salvage of truncated logs do; it writes its own version into the header, so that the bytes of a run would
+depend on the installed version; and it adds 54 MB to each installation. Tests build each message with the
+classes of `foxglove-sdk`, which know the fields. The live channels are served by it (`fly --foxglove`).
+"""
 
 from __future__ import annotations
 
@@ -11,9 +19,10 @@ import msgspec
 from alula.schemas.arrays import FloatArray
 from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
-from alula.stages.runlog.messages import log_message, nanoseconds, path_message
+from alula.stages.runlog.messages import nanoseconds, path_message, verdict_message
 from alula.stages.runlog.schemas import SCHEMAS
 
+SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
 _GAP_S = 1.0  # between trials, which follow one another in log time
 _CHUNK_BYTES = 2**20
 _OF_TRIAL = ("/state", "/safety")  # messages that begin with the trial and its time
@@ -41,16 +50,15 @@ class LogWriter:
             schema_id = self._writer.register_schema(schema, "jsonschema", data)
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
 
-    def send(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+    def send(self, topic: str, time_ns: int, message: dict[str, Any]) -> None:
         """Add a message.
 
         Args:
             topic: one of the channels.
-            time_s: log time [s].
+            time_ns: log time: nanoseconds since 1970-01-01 UTC.
             message: its fields.
         """
-        now = nanoseconds(time_s)
-        self._writer.add_message(self._channels[topic], now, msgspec.json.encode(message), now)
+        self._writer.add_message(self._channels[topic], time_ns, msgspec.json.encode(message), time_ns)
 
     def note(self, name: str, texts: Mapping[str, str]) -> None:
         """Add metadata, at once.
@@ -88,8 +96,8 @@ class LoggedTrial:
         is_good: it ended well.
         time_s: times of the samples from the trial's start, shape (T,) [s].
         path: positions, shape (T, 3), world frame [m].
-        messages: topics and messages of sample i, from i and its log time [s]; of `/state` and `/safety` only
-            the fields beyond trial and time.
+        messages: topics and messages of sample i, from i and its log time [ns]; of `/state` and `/safety`
+            only the fields beyond trial and time.
     """
 
     result: TrialResult
@@ -97,42 +105,49 @@ class LoggedTrial:
     is_good: bool
     time_s: FloatArray
     path: FloatArray
-    messages: Callable[[int, float], Iterable[tuple[str, dict[str, Any]]]]
+    messages: Callable[[int, int], Iterable[tuple[str, dict[str, Any]]]]
 
 
 def write_trials(
     stream: BinaryIO,
     channels: Mapping[str, str],
     record: RunRecord,
-    map_: dict[str, Any],
+    once: Mapping[str, dict[str, Any]],
     trials: Iterable[LoggedTrial],
     frame: str,
 ) -> None:
     """Write the log of a run; equal arguments give equal bytes.
 
-    `/map` comes once; `/path` and `/log` per trial; the other channels per sample. Log time starts at 0 and
-    trials follow one another with a second between them. The metadata `alula/summary` holds the record
-    without its measured times, and its provenance.
+    `/path` and `/log` come per trial, channels of `once` at the start, and the others per sample. Log time
+    starts at `SIMULATED_EPOCH_NS` and trials follow one another with a second between them. The metadata
+    `alula/summary` holds the record without its measured times, and its provenance.
 
     Args:
         stream: binary stream to write to.
         channels: see `LogWriter`.
         record: summary of the run.
-        map_: the message of `/map`.
+        once: messages at the start, by channel.
         trials: those that are shown.
         frame: name of the frame of all positions.
     """
     log = LogWriter(stream, channels)
-    log.send("/map", 0.0, map_)
     begin_s = 0.0
+
+    def log_time(time_s: float) -> int:
+        return SIMULATED_EPOCH_NS + nanoseconds(time_s)
+
+    for topic, message in once.items():
+        log.send(topic, log_time(0.0), message)
     for trial in trials:
-        log.send("/path", begin_s, path_message(trial.path, frame, begin_s))
+        log.send("/path", log_time(begin_s), path_message(trial.path, frame, log_time(begin_s)))
         for i, time_s in enumerate(trial.time_s.tolist()):
             begins = {"trial": trial.result.index, "time_s": round(time_s, 9)}
-            for topic, message in trial.messages(i, begin_s + time_s):
-                log.send(topic, begin_s + time_s, begins | message if topic in _OF_TRIAL else message)
+            now = log_time(begin_s + time_s)
+            for topic, message in trial.messages(i, now):
+                log.send(topic, now, begins | message if topic in _OF_TRIAL else message)
         begin_s += float(trial.time_s[-1])
-        line = log_message(trial.words, begin_s, is_good=trial.is_good, collided=trial.result.collision)
-        log.send("/log", begin_s, line)
+        now, result = log_time(begin_s), trial.result
+        line = verdict_message(trial.words, now, is_good=trial.is_good, collided=result.collision)
+        log.send("/log", now, line)
         begin_s += _GAP_S
     log.finish(record)

@@ -95,14 +95,16 @@ def test_the_log_holds_what_the_record_says(cover, tmp_path):
     samples = sum(-(-t.steps // 5) + 1 for t in record.trials)  # 20 Hz of 100 Hz, and the last one
     assert counts == {
         ("/map", "foxglove.SceneUpdate"): 1,
+        ("/vehicle", "foxglove.SceneUpdate"): 1,
         ("/path", "foxglove.PosesInFrame"): 3,
         ("/pose", "foxglove.PoseInFrame"): samples,
+        ("/tf", "foxglove.FrameTransform"): samples,
         ("/state", "alula.State"): samples,
         ("/safety", "alula.Safety"): samples,
         ("/log", "foxglove.Log"): 3,
     }
     times = [time for _, _, time, _ in found]
-    assert times[0] == 0
+    assert times[0] == 946_684_800 * 10**9  # 2000-01-01T00:00:00Z
     assert times == sorted(times)
     for trial in record.trials:
         states = [m for topic, *_, m in found if topic == "/state" and m["trial"] == trial.index]

@@ -83,12 +83,15 @@ def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
     record = read_run(out)
     samples = sum(-(-t.steps // 2) + 1 for t in record.trials)
     counts = Counter()
-    for topic in ("/map", "/path", "/pose", "/state", "/safety", "/log"):
+    for topic in ("/map", "/vehicle", "/splat", "/path", "/pose", "/tf", "/state", "/safety", "/log"):
         counts |= Counter((topic, name) for name, _ in messages(out, topic))
     assert counts == {
         ("/map", "foxglove.SceneUpdate"): 1,
+        ("/vehicle", "foxglove.SceneUpdate"): 1,
+        ("/splat", "foxglove.PointCloud"): 1,
         ("/path", "foxglove.PosesInFrame"): 2,
         ("/pose", "foxglove.PoseInFrame"): samples,
+        ("/tf", "foxglove.FrameTransform"): samples,
         ("/state", "alula.State"): samples,
         ("/safety", "alula.Safety"): samples,
         ("/log", "foxglove.Log"): 2,

@@ -32,7 +32,7 @@ def test_every_message_fits_its_schema(scene, tmp_path):
             for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
                 check_fits(json.loads(message.data), json.loads(schema.data), channel.topic)
                 found[channel.topic] += 1
-    assert set(found) == {"/state", "/safety", "/pose", "/path", "/map", "/log"}
+    assert set(found) == {"/state", "/safety", "/pose", "/tf", "/path", "/map", "/vehicle", "/splat", "/log"}
 
 
 def check_fits(value, schema, where):

@@ -48,7 +48,7 @@ def view_head(made):
         filter="none",
         vehicle="v",
         radius_m=0.1,
-        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world"),
+        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world", 0),
         plan=[(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)],
     )
 
@@ -64,7 +64,7 @@ def test_a_view_that_does_not_read_loses_its_samples_and_the_log_none(tmp_path):
     view.put(b"begins")
     while view.offer(b"x" * 4000) or view.offer(b"x"):
         pass
-    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(mission()), echo=False, view=view)
+    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(mission()), echo=False, views=[view])
     for i in range(100):
         recorder.tick(sample(i))
     recorder.say(1.0, 2, "words")
@@ -81,13 +81,13 @@ def test_a_flight_offers_a_view_some_25_ticks_a_second(tmp_path):
     view = FlightPipe("import sys; sys.stdin.buffer.read()", ())
     view.put(b"begins")
     for rate, expected in ((100.0, 25), (20.0, 100)):
-        recorder = FlightRecorder(None, head_of(mission()), echo=False, view=view, rate_hz=rate)
+        recorder = FlightRecorder(None, head_of(mission()), echo=False, views=[view], rate_hz=rate)
         offered, offer = [], view.offer
         view.offer = offered.append
         for i in range(100):
             recorder.tick(sample(i))
         view.offer = offer
-        assert len(offered) == expected
+        assert [message[:1] for message in offered] == [b"b"] + [b"t"] * expected
         recorder.finish(None)
     assert view.close(10.0)
 

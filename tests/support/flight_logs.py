@@ -6,7 +6,7 @@ from alula.schemas.provenance import Provenance
 from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
 from alula.stages.flight.judge import guarantee_of, judge, summary_of
 from alula.stages.flight.mission import head_facts
-from alula.stages.flight.recorder.log import FlightHead
+from alula.stages.flight.recorder.channels import FlightHead
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 from alula.stages.runlog.maps import map_message
 
@@ -14,7 +14,7 @@ from alula.stages.runlog.maps import map_message
 def head_of(made):
     return FlightHead(
         provenance=Provenance.now(RUN_SCHEMA, RUN_VERSION, {"a": 1}, None, []),
-        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world"),
+        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world", 0),
         **head_facts(made),
     )
 

@@ -121,6 +121,8 @@ TARGETS: dict[str, tuple[Target, ...]] = {
         Target("info {} --json"),
         Target(f"simulate {{cover}} --pairs-from {{}} {_SHORT.replace('2', '1')}", 3),
         Target("report {} -o {out}/o.html", 2.0),
+        Target("export {} --ros2 -o {out}/bag"),
+        Target("export {} --foxglove-layout -o {out}/o.json"),
     ),
     "fence.run.mcap": (Target("info {}"), Target("report {} -o {out}/o.html", 1.5)),
     "tiny.run.json": (Target("info {}"), Target("report {run} -o {out}/o.html", 1.0)),

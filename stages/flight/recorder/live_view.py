@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import signal
-import socket
-import subprocess
 import sys
 import time
 from collections import deque
@@ -16,21 +14,19 @@ import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.errors import OutputError, UsageError
+from alula.schemas.errors import UsageError
 from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.recorder.log import LineSample, StepSample
+from alula.stages.flight.recorder.channels import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
+from alula.stages.flight.recorder.served import HOST, NICE, open_served
 
-HOST = "127.0.0.1"
-_READY_S = 30.0  # maximum time to import viser on a busy machine
 _POSE_S = 0.05  # between updates of the pose
 _TEXT_S = 0.2  # between updates of the text
 _PATH_S = 0.5  # between updates of the path
 _PATH_POINTS = 3000
 _LINES = 8  # number of messages shown
-_NICE = 10
 _PLAN, _MAP, _VEHICLE = (40, 110, 220), (140, 153, 173), (250, 210, 40)
 _COLOURS = {
     FilterStatus.OK: (40, 160, 70),
@@ -71,10 +67,8 @@ def require_viser() -> None:
 def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
     """Start the process of the view and wait until a browser can connect to it.
 
-    The process listens on loopback only, and ends when the pipe is closed.
-
     Args:
-        port: to listen on.
+        port: to listen on, of loopback.
         head: facts that are known before the flight.
 
     Returns:
@@ -85,39 +79,9 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
         OutputError: the process does not start.
     """
     require_viser()
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError as error:
-            raise UsageError(f"--live {port}: {error.strerror}") from error
-    pipe = FlightPipe(
-        "from alula.stages.flight.recorder.live_view import main; main()",
-        (str(port),),
-        stdout=subprocess.PIPE,
-    )
-    assert pipe.process.stdout is not None
-    watchdog = _deadline(pipe.process)
-    try:
-        pipe.put(msgspec.msgpack.encode(head), _READY_S)
-        port_line = pipe.process.stdout.readline().decode().strip()
-    except OSError:
-        port_line = ""
-    finally:
-        watchdog.cancel()
-    if not port_line:
-        pipe.close(0.0)
-        raise OutputError("--live: the process of the view did not start")
-    return pipe, f"http://{HOST}:{port_line}"
-
-
-def _deadline(process: subprocess.Popen[bytes]) -> Any:
-    import threading
-
-    timer = threading.Timer(_READY_S, process.kill)
-    timer.daemon = True
-    timer.start()
-    return timer
+    code = "from alula.stages.flight.recorder.live_view import main; main()"
+    pipe, found = open_served("--live", port, code, msgspec.msgpack.encode(head))
+    return pipe, f"http://{HOST}:{found}"
 
 
 class _View:
@@ -259,7 +223,7 @@ def main() -> None:
     """Run the process of the view: read messages from standard input until the pipe ends."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends with the pipe
-    os.nice(_NICE)
+    os.nice(NICE)
     source, port = sys.stdin.buffer, int(sys.argv[1])
     head = msgspec.msgpack.decode(next_message(source), type=ViewHead)
     out = os.dup(1)

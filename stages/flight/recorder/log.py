@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from array import array
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,23 +18,22 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError
-from alula.schemas.provenance import Provenance
 from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
+from alula.schemas.start_time import utc_text
 from alula.schemas.text import one_line
 from alula.stages.flight.loop.supervisor import State, Taken
-from alula.stages.flight.recorder.messages import (
+from alula.stages.flight.recorder.channels import (
     CHANNELS,
-    log_line,
-    pose_message,
-    replay_message,
-    safety_message,
-    state_message,
-    step_message,
-    tick_message,
+    BeginSample,
+    FlightChannels,
+    FlightHead,
+    LineSample,
+    Sent,
+    StepSample,
 )
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import TickSample
-from alula.stages.runlog.messages import path_message
+from alula.stages.runlog.messages import nanoseconds
 from alula.stages.runlog.writer import LogWriter
 
 _CHUNK_BYTES = 2**14  # some ticks: the maximum loss in a crash
@@ -42,47 +42,6 @@ _HEAD_S = 60.0  # maximum time for the writer to start
 _WORDS = 1000  # maximum number of characters of a message
 _COLUMNS = 13
 _VIEW_HZ = 25.0  # rate of samples for a live view
-_PATH_POINTS = 2000
-
-
-class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
-    """First message to the writer: all facts that are known before the flight.
-
-    Attributes:
-        name, filter, vehicle: for reports.
-        frame: name of the map's frame.
-        is_splat: the filter uses ellipsoids.
-        log_every: the log holds every so many ticks.
-        provenance: of the log and its record.
-        map_message: the map as `foxglove.SceneUpdate`.
-    """
-
-    name: str
-    filter: str
-    vehicle: str
-    frame: str
-    is_splat: bool
-    log_every: int
-    provenance: Provenance
-    map_message: dict[str, Any]
-
-
-class StepSample(msgspec.Struct, array_like=True):
-    """A step of the supervisor."""
-
-    time_s: float
-    state: str
-    event: str
-    action: str
-    words: str
-
-
-class LineSample(msgspec.Struct, array_like=True):
-    """A message for the operator."""
-
-    time_s: float
-    level: int
-    words: str
 
 
 class FlightRecorder:
@@ -99,14 +58,16 @@ class FlightRecorder:
         replaces: the file may exist. The log is then written beside it under a temporary name. When the
             vehicle takes off, the log replaces the file, and the record beside it is removed.
         echo: the writer also prints messages on its standard error.
-        view: process of the live view. It also receives messages, steps and about 25 ticks a second, if it
-            has room for them.
+        views: processes of live views. They also receive messages, steps and about 25 ticks a second, if
+            they have room for them.
         rate_hz: rate of ticks [Hz].
+        start_ns: log time of the start of the flight, nanoseconds since 1970-01-01 UTC; None: by the clock of
+            this machine.
 
     Attributes:
         has_flown: the vehicle has taken off, or is taking off.
         dropped: number of samples that the log lacks.
-        unseen: number of samples that the live view lacks.
+        unseen: number of samples that the live views lack.
 
     Raises:
         OutputError: the log cannot be written.
@@ -119,11 +80,13 @@ class FlightRecorder:
         *,
         replaces: bool = False,
         echo: bool = True,
-        view: FlightPipe | None = None,
+        views: Sequence[FlightPipe] = (),
         rate_hz: float = 100.0,
+        start_ns: int | None = None,
     ) -> None:
         self._path, self._temporary = path, None if path is None else _temporary(path, replaces=replaces)
-        self.has_flown = False
+        self.has_flown = self._has_begun = False
+        self._start_ns = start_ns
         try:
             log = path if self._temporary is None else self._temporary
             where, how = (os.devnull, 0) if log is None else (log, os.O_CREAT | os.O_EXCL)
@@ -135,7 +98,7 @@ class FlightRecorder:
         self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
         self._encode = msgspec.msgpack.Encoder().encode
-        self._view, self._view_every, self._ticks = view, max(1, round(rate_hz / _VIEW_HZ)), 0
+        self._views, self._view_every, self._ticks = views, max(1, round(rate_hz / _VIEW_HZ)), 0
         try:
             self._pipe.put(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
@@ -153,7 +116,7 @@ class FlightRecorder:
     @property
     def is_viewed(self) -> bool:
         """True with a live view."""
-        return self._view is not None
+        return bool(self._views)
 
     @property
     def rows(self) -> FloatArray:
@@ -168,7 +131,7 @@ class FlightRecorder:
     def tick(self, sample: TickSample) -> None:
         """See `Recorder`."""
         self._ticks += 1
-        self._put(b"t", sample, is_seen=self._ticks % self._view_every == 0)
+        self._put(b"t", sample.time_s, sample, is_seen=self._ticks % self._view_every == 0)
         if sample.position is None or sample.velocity is None:
             return
         done = sample.filter
@@ -187,12 +150,13 @@ class FlightRecorder:
         self.has_flown = self.has_flown or step.state is State.TAKE_OFF
         self._put(
             b"s",
+            time_s,
             StepSample(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS]),
         )
 
     def say(self, time_s: float, level: int, words: str) -> None:
         """See `Recorder`."""
-        self._put(b"l", LineSample(time_s, level, words[:_WORDS]))
+        self._put(b"l", time_s, LineSample(time_s, level, words[:_WORDS]))
 
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
         """Let the writer complete the log and end.
@@ -224,15 +188,27 @@ class FlightRecorder:
         if self._path is not None and not self.has_flown:
             (self._path if self._temporary is None else self._temporary).unlink(missing_ok=True)
 
-    def _put(self, kind: bytes, sample: Any, *, is_seen: bool = True) -> None:
+    def _put(self, kind: bytes, time_s: float, sample: Any, *, is_seen: bool = True) -> None:
         try:
             message = kind + self._encode(sample)
         except (TypeError, ValueError):  # a value that cannot be encoded
             self.dropped += 1
             return
-        self.dropped += not self._pipe.offer(message)
-        if is_seen and self._view is not None:
-            self.unseen += not self._view.offer(message)
+        if not self._has_begun:
+            self._begin(time_s)
+        self.dropped += not (self._has_begun and self._pipe.offer(message))
+        if is_seen:
+            self.unseen += sum(not view.offer(message) for view in self._views)
+
+    def _begin(self, time_s: float) -> None:
+        """Send the start of the flight, `time_s` ago; it is repeated until the writer has it."""
+        if self._start_ns is None:
+            self._start_ns = time.time_ns() - nanoseconds(time_s)
+        message = b"b" + self._encode(BeginSample(self._start_ns))
+        self._has_begun = self._pipe.offer(message)
+        if self._has_begun:
+            for view in self._views:
+                view.offer(message)
 
 
 def _temporary(path: Path, *, replaces: bool) -> Path | None:
@@ -254,69 +230,55 @@ def _replace(temporary: Path, path: Path) -> None:
             os.close(folder)
 
 
-class _Path:
-    """At most 4,000 evenly spaced points of a path of any length."""
-
-    def __init__(self) -> None:
-        self._points: list[tuple[float, float, float]] = []
-        self._stride, self._count = 1, 0
-        self._last: tuple[float, float, float] | None = None
-
-    def append(self, point: tuple[float, float, float]) -> None:
-        self._last = point
-        if self._count % self._stride == 0:
-            self._points.append(point)
-        self._count += 1
-        if len(self._points) == 2 * _PATH_POINTS:
-            self._points, self._stride = self._points[::2], 2 * self._stride
-
-    @property
-    def points(self) -> FloatArray:
-        """Points and the last one, shape (n, 3), world frame [m]."""
-        last = [] if self._last is None else [self._last]
-        return np.array(self._points + last, np.float64).reshape(-1, 3)
-
-
 class _Writer:
     """Log in the writer process; `moves` is empty, or the temporary and the final path of the log."""
 
     def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool, moves: list[Path]) -> None:
-        self.head, self.echo, self.ticks, self.moves = head, echo, 0, moves
+        self.head, self.echo, self.moves = head, echo, moves
         self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
-        facts = msgspec.structs.asdict(head)
-        facts.pop("map_message")
+        self.channels: FlightChannels | None = None
+
+    def begin(self, start_ns: int) -> None:
+        """Write what is known before the flight."""
+        facts = msgspec.structs.asdict(self.head)
+        del facts["map_message"], facts["cloud"], facts["plan"]
         texts = {
             key: value if isinstance(value, str) else msgspec.json.encode(value).decode()
             for key, value in facts.items()
         }
-        self.log.note(FLIGHT_METADATA, texts)
-        self.log.send("/map", 0.0, head.map_message)
-        self.path = _Path()
-        self.last_s = 0.0
+        self.log.note(FLIGHT_METADATA, texts | {"start_time": utc_text(start_ns)})
+        self.channels = FlightChannels(self.head, start_ns)
+        self._send(self.channels.first())
 
     def take(self, message: bytes) -> bool:
         """Process a message; False after the last one."""
         kind, body = message[:1], message[1:]
+        if kind == b"b":
+            self.begin(msgspec.msgpack.decode(body, type=BeginSample).start_ns)
+            return True
+        if kind == b"f":
+            if self.channels is not None:
+                self._send(self.channels.path())
+            self.log.finish(msgspec.msgpack.decode(body, type=RunRecord))
+            return False
+        assert self.channels is not None  # samples follow the start
         if kind == b"t":
-            self._tick(msgspec.msgpack.decode(body, type=TickSample))
+            self._send(self.channels.tick(msgspec.msgpack.decode(body, type=TickSample)))
         elif kind == b"s":
             step = msgspec.msgpack.decode(body, type=StepSample)
-            fields = step_message(step.time_s, step.state, step.event, step.action)
-            self.log.send("/supervisor", step.time_s, fields)
+            self._send(self.channels.step(step))
             if step.state == State.TAKE_OFF.value and self.moves:
                 _replace(*self.moves)
         elif kind == b"l":
             line = msgspec.msgpack.decode(body, type=LineSample)
-            self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
+            self._send(self.channels.line(line))
             if self.echo:
                 self._say(f"{line.time_s:7.2f} s  {one_line(line.words)}\n")
-        elif kind == b"f":
-            record = msgspec.msgpack.decode(body, type=RunRecord)
-            if len(points := self.path.points):
-                self.log.send("/path", self.last_s, path_message(points, self.head.frame, self.last_s))
-            self.log.finish(record)
-            return False
         return True
+
+    def _send(self, found: Iterable[Sent]) -> None:
+        for topic, time_ns, message in found:
+            self.log.send(topic, time_ns, message)
 
     def _say(self, text: str) -> None:
         """Print a message; if the terminal was closed, the log continues without it."""
@@ -324,23 +286,6 @@ class _Writer:
             os.write(2, text.encode(errors="replace"))
         except OSError:
             self.echo = False
-
-    def _tick(self, sample: TickSample) -> None:
-        now, self.last_s = sample.time_s, sample.time_s
-        self.ticks += 1
-        if sample.filter is not None and sample.position is not None:
-            self.path.append(sample.position)
-        if sample.filter is not None and sample.filter.replay is not None:  # of every tick
-            self.log.send("/replay", now, replay_message(now, sample.filter.replay))
-        if self.ticks % self.head.log_every:
-            return
-        self.log.send("/supervisor", now, tick_message(sample))
-        if sample.position is None:
-            return
-        self.log.send("/state", now, state_message(sample))
-        self.log.send("/pose", now, pose_message(sample, self.head.frame))
-        if sample.filter is not None:
-            self.log.send("/safety", now, safety_message(sample, sample.filter, is_splat=self.head.is_splat))
 
 
 def main() -> None:

@@ -11,18 +11,9 @@ import numpy as np
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.supervisor import State
 from alula.stages.flight.recorder.samples import FilterSample, ReplaySample, TickSample
-from alula.stages.runlog.messages import DECIMALS, stamp, xyz
+from alula.stages.runlog import messages
+from alula.stages.runlog.messages import DECIMALS, xyz
 
-CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/path": "foxglove.PosesInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/pose": "foxglove.PoseInFrame",
-    "/log": "foxglove.Log",
-    "/supervisor": "alula.Supervisor",
-    "/replay": "alula.Replay",
-}
 _NUMBERS = {state.value: number for number, state in enumerate(State)}
 
 
@@ -42,15 +33,26 @@ def state_message(sample: TickSample) -> dict[str, Any]:
     }
 
 
-def pose_message(sample: TickSample, frame: str) -> dict[str, Any]:
+def pose_message(sample: TickSample, frame: str, time_ns: int) -> dict[str, Any]:
     """Message `foxglove.PoseInFrame` of a tick.
 
     Args:
         sample: of a tick.
         frame: name of the map's frame.
+        time_ns: log time [ns].
     """
-    pose = {"position": _point(sample.position), "orientation": _attitude(sample)}
-    return {"timestamp": stamp(sample.time_s), "frame_id": frame, "pose": pose}
+    return messages.pose_message(_point(sample.position), _attitude(sample), frame, time_ns)
+
+
+def transform_message(sample: TickSample, frame: str, time_ns: int) -> dict[str, Any]:
+    """Message `foxglove.FrameTransform` of a tick.
+
+    Args:
+        sample: of a tick.
+        frame: name of the map's frame.
+        time_ns: log time [ns].
+    """
+    return messages.transform_message(_point(sample.position), _attitude(sample), frame, time_ns)
 
 
 def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) -> dict[str, Any]:
@@ -155,22 +157,15 @@ def step_message(time_s: float, state: str, event: str, action: str) -> dict[str
     }
 
 
-def log_line(time_s: float, level: int, words: str) -> dict[str, Any]:
+def log_line(words: str, level: int, time_ns: int) -> dict[str, Any]:
     """Message `foxglove.Log`.
 
     Args:
-        time_s: time since the start of the flight [s].
-        level: as in foxglove.Log.
         words: the message.
+        level: as in foxglove.Log.
+        time_ns: log time [ns].
     """
-    return {
-        "timestamp": stamp(time_s),
-        "level": level,
-        "message": words,
-        "name": "fly",
-        "file": "",
-        "line": 0,
-    }
+    return messages.line_message(words, level, "fly", time_ns)
 
 
 def _attitude(sample: TickSample) -> dict[str, float]:

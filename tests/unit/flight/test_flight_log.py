@@ -8,11 +8,14 @@ import time
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from alula.schemas.cut_run import read_logged, salvage_run
 from alula.schemas.errors import ArtifactError, DamagedError, OutputError
-from alula.schemas.flights import count_messages
-from alula.schemas.run import read_run
+from alula.schemas.flights import count_messages, flights_of
+from alula.schemas.mcap_log import messages, metadata
+from alula.schemas.run import FLIGHT_METADATA, read_run
+from alula.schemas.start_time import utc_text
 from alula.stages.flight.judge import timing_of
 from alula.stages.flight.recorder.log import FlightRecorder
 from support.flight_logs import head_of, record_of, sample
@@ -48,6 +51,36 @@ def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
     timing = timing_of(loop.counters, recorder.dropped, 100.0)
     assert timing["ticks"] == ticks
     assert timing["overruns"] == 0
+
+
+def test_log_times_are_those_of_the_wall_clock_or_count_from_the_start_that_is_given(tmp_path):
+    head, logs = head_of(mission()), []
+    before = time.time_ns()
+    for name, start_ns in (("a", None), ("b", 10**18), ("c", 10**18)):
+        logs.append(tmp_path / f"{name}.run.mcap")
+        recorder = FlightRecorder(logs[-1], head, echo=False, start_ns=start_ns)
+        for i in range(3, 103):
+            recorder.tick(sample(i))
+        recorder.say(1.1, 2, "words")
+        assert recorder.finish(None)
+    after = time.time_ns()
+    assert logs[1].read_bytes() == logs[2].read_bytes()
+    starts = []
+    for log in logs:
+        with log.open("rb") as file:
+            times = {c.topic: m.log_time for _, c, m in make_reader(file).iter_messages()}  # the last ones
+            file.seek(0)
+            (noted,) = metadata(file, FLIGHT_METADATA)
+        starts.append(times["/map"])
+        assert times["/tf"] - times["/map"] == 1_020_000_000
+        assert times["/log"] - times["/map"] == 1_100_000_000
+        assert noted["start_time"] == utc_text(times["/map"])
+        supervised = [("/supervisor", b'{"time_s": 0.03, "state_name": "fly"}')]
+        with log.open("rb") as file:
+            course = flights_of([*messages(file, ("/map", "/log")), *supervised]).course
+        assert course.lines[0].time_s == pytest.approx(1.1, abs=1e-9)
+    assert before - 30_000_000 <= starts[0] <= after - 30_000_000  # the first tick is at 0.03 s
+    assert starts[1:] == [10**18] * 2
 
 
 def test_an_existing_log_is_left_alone(tmp_path):

@@ -46,6 +46,16 @@ def flown(tmp_path_factory):
     return log, loop
 
 
+@pytest.mark.parametrize("start", [None, 0, 1_777_636_800])
+def test_times_of_messages_count_from_the_start_in_logs_of_any_age(start):
+    entity = {} if start is None else {"timestamp": {"sec": start, "nsec": 750_000_000 if start else 0}}
+    line = {"timestamp": {"sec": 3 + (start or 0), "nsec": 250_000_000}, "level": 2, "message": "words"}
+    step = {"time_s": 0.0, "state_name": "checks", "event_name": "start"}
+    found = [("/map", {"entities": [entity]}), ("/log", line), ("/supervisor", step)]
+    course = flights_of([(topic, json.dumps(fields).encode()) for topic, fields in found]).course
+    assert course.lines == (Line(pytest.approx(2.5 if start else 3.25, abs=1e-9), 2, "words"),)
+
+
 def test_states_follow_one_another_and_those_that_stay_are_one():
     found = spells(COURSE)
     assert [(one.state, one.begin_s, one.end_s) for one in found] == [

@@ -148,7 +148,7 @@ def topics_of(run):
 
 def test_the_log_says_what_was_flown(room):
     topics = topics_of(room)
-    assert topics.keys() == {"/map", "/path", "/pose", "/state", "/safety", "/log"}
+    assert topics.keys() == {"/map", "/vehicle", "/path", "/pose", "/tf", "/state", "/safety", "/log"}
     assert [entity["id"] for entity in topics["/map"][0]["entities"]] == ["fence"]
     safety = [m for m in topics["/safety"] if m["trial"] == 0]
     flight = room.flights[0]
