@@ -168,10 +168,13 @@ def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
 # `alula simulate`, as a user flies it.
 
 
-def scenario_of(folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None) -> dict[str, Any]:
+def scenario_of(
+    folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None, noise_m: float | None
+) -> dict[str, Any]:
     """The scenario of the flights of a filter along a plan, with the noise of the simulated autopilot.
 
-    They begin as a real flight did, or else a little below the plan's start on the climb to it.
+    They begin as a real flight did, or else a little below the plan's start on the climb to it. The noise of
+    the position is that of real flights at this speed, if there are any.
     """
     from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
 
@@ -198,7 +201,7 @@ def scenario_of(folder: Path, vehicle: Path, cells: list[Cell], begin: list[floa
         },
         "safety": {"filters": [first.name]},
         "estimation": {
-            "position_noise_m": noise.position_noise_m,
+            "position_noise_m": noise.position_noise_m if noise_m is None else noise_m,
             "velocity_noise_m_s": noise.velocity_noise_m_s,
             "noise_time_s": noise.noise_time_s,
             "attitude_noise_rad": noise.attitude_noise_rad,
@@ -216,13 +219,13 @@ def scenario_of(folder: Path, vehicle: Path, cells: list[Cell], begin: list[floa
 
 
 def fly_scenario(
-    folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None
+    folder: Path, vehicle: Path, cells: list[Cell], begin: list[float] | None, noise_m: float | None
 ) -> list[dict[str, Any]]:
     """Fly cells along the same plan behind the same filter by `alula simulate`."""
     judge = Judge(folder)
     with tempfile.TemporaryDirectory() as name:
         words, log = Path(name) / "flights.toml", Path(name) / "flights.run.mcap"
-        tables = scenario_of(folder, vehicle, cells, begin)
+        tables = scenario_of(folder, vehicle, cells, begin, noise_m)
         heads = [
             f"{key} = {toml_value(value)}" for key, value in tables.items() if not isinstance(value, dict)
         ]
@@ -289,7 +292,7 @@ class Vehicles:
         with FlyProcess(*words) as process:
             code = process.end(_SAFE_S)
         lines = timed(process.heard)
-        begin = next((at for at, line in lines if "flying the plan" in line), None)
+        begin, first = next(((at, line) for at, line in lines if "flying the plan" in line), (None, ""))
         end = next(
             (at for at, line in lines if begin is not None and at > begin and ": landing" in line), None
         )
@@ -305,6 +308,9 @@ class Vehicles:
         path = np.array([row[1:4] for row in list(sim.truth) if begin <= row[0] <= end])
         path += (START[0], START[1], 0.0)
         figures |= {"begin": begin_of(sim.truth, begin), "flight_s": end - begin} | self.judge(cell, path)
+        figures["estimate_m"] = estimate_errors(
+            folder / "f.run.mcap", sim.truth, (begin, end), begin - float(first.split(" s  ")[0])
+        )
         if not is_finished or figures["hull_clearance_m"] <= 0:
             kept = self.keep.parent / cell.key.replace("/", " ")
             shutil.copy(folder / "f.run.mcap", f"{kept}.run.mcap")
@@ -318,6 +324,31 @@ def begin_of(truth: Iterable[tuple[float, ...]], begin_s: float) -> list[float]:
     fits = [np.polyfit(rows[:, 0] - begin_s, rows[:, i], 1) for i in (1, 2, 3)]
     east, north, up = (float(fit[1]) for fit in fits)
     return [START[0] + east, START[1] + north, up, *(float(fit[0]) for fit in fits)]
+
+
+def estimate_errors(
+    log: Path, truth: Iterable[tuple[float, ...]], during_s: tuple[float, float], zero_s: float
+) -> list[list[float]]:
+    """Mean and standard deviation of the estimated horizontal position's error, east and north [m].
+
+    Times of the truth are those of its arrival; `zero_s` is the start of the log on the same clock.
+    """
+    rows = np.array([row[:3] for row in list(truth) if during_s[0] <= row[0] <= during_s[1]])
+    flight = read_flights(log).by_trial[0]
+    found = [np.interp(rows[:, 0] - zero_s, flight.time_s, flight.position_world[:, i]) for i in (0, 1)]
+    errors = np.stack(found, axis=1) - rows[:, 1:3] - START[:2]
+    return [errors.mean(axis=0).tolist(), errors.std(axis=0).tolist()]
+
+
+def position_noise_m(found: Iterable[dict[str, Any]]) -> float | None:
+    """Standard deviation per axis of the position's error in flights, less its mean over all of them [m].
+
+    None without a flight that measured it.
+    """
+    measured = np.array([row["estimate_m"] for row in found if "estimate_m" in row])
+    if len(measured) == 0:
+        return None
+    return float(np.sqrt((measured[:, 1] ** 2).mean() + measured[:, 0].var(axis=0).mean()))
 
 
 Group = tuple[str, float, str]  # filter, speed, autopilot
@@ -403,9 +434,10 @@ _PREFACE = """
 The same plans through the built-in room, there and back, with `examples/vehicles/arducopter.toml`.
 "{real}" is ArduPilot Copter in real time, "{simulated}" the simulated autopilot in lock-step with
 the default noise of its estimate. "{scenario}" is `alula simulate` with that noise, states 0.02 s old, and
-the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its flights begin where the
-real flight of the same number did; without one, where `fly` takes over from the take-off: below the plan by
-0.03 of the height, when the first set-point acts, at a climb of 0.4 m/s.
+the file that `alula identify` wrote on the first of them (0.5, 1 and 2 m/s). Its noise of the position is the
+error of the estimate in the real flights at each speed, less its mean over all: {noise}.
+Its flights begin where the real flight of the same number did; without one, where `fly` takes over from the
+take-off: below the plan by 0.03 of the height, when the first set-point acts, at a climb of 0.4 m/s.
 
 Clearances are those of the true motion while set-points were sent, to the
 hulls or the ellipsoids that the filter flies among, less the vehicle's radius; a contact is one of 0 or less.
@@ -476,8 +508,12 @@ def main() -> int:
     real = [cell for cell in missing if cell.autopilot == REAL]
     if real:
         Vehicles(folder, real, options.jobs, results).run()
-    rows = map(json.loads, results.read_text().splitlines()) if results.exists() else ()
+    rows = list(map(json.loads, results.read_text().splitlines())) if results.exists() else []
     begins = {row["key"]: row["begin"] for row in rows if "begin" in row}
+    noises = {
+        speed: position_noise_m(row for row in rows if float(row["key"].split("/")[2]) == speed)
+        for speed in options.speeds
+    }
     groups: dict[tuple[str, float, int], list[Cell]] = {}
     for cell in missing:
         if cell.autopilot == SCENARIO:
@@ -488,7 +524,8 @@ def main() -> int:
     if groups:
         starts = [begins.get(dataclasses.replace(group[0], autopilot=REAL).key) for group in groups.values()]
         count = len(groups)
-        given = [folder] * count, [options.identified.resolve()] * count, groups.values(), starts
+        noise = [noises[group[0].speed_m_s] for group in groups.values()]
+        given = [folder] * count, [options.identified.resolve()] * count, groups.values(), starts, noise
         with ProcessPoolExecutor(options.jobs) as pool, results.open("a") as kept:
             for group, flown in zip(groups.values(), pool.map(fly_scenario, *given), strict=True):
                 for cell, figures in zip(group, flown, strict=True):
@@ -503,7 +540,10 @@ def main() -> int:
         shown += _COMPARED.format(real=REAL) + compared
     if options.markdown is not None:
         page = options.markdown.read_text() if options.markdown.exists() else ""
-        preface = _PREFACE.format(real=REAL, simulated=SIMULATED, scenario=SCENARIO)
+        noise = ", ".join(f"{value:.3f} m at {speed:g} m/s" for speed, value in noises.items() if value)
+        preface = _PREFACE.format(
+            real=REAL, simulated=SIMULATED, scenario=SCENARIO, noise=noise or "not measured"
+        )
         options.markdown.write_text(with_section(page, f"{OTHERS}{preface}{shown}"))
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
