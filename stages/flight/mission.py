@@ -64,6 +64,7 @@ class Mission:
         config: complete configuration, see `resolve_fly`.
         plan, vehicle: as given.
         cover, scene: the map; at least one of them.
+        within: seen space to stay in, beside a cover, if it is given.
         hulls: of the cover, and the boxes of unseen space where the flight must stay in seen space; None
             without a cover.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
@@ -73,6 +74,7 @@ class Mission:
         obstacles: all obstacles of the map by name, for checks and verdict, world frame.
         inflation_m: distance that filters among ellipsoids add to radius and margin [m].
         hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
+        sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
         along: compares the flight with the plan.
@@ -84,6 +86,7 @@ class Mission:
     vehicle: Vehicle
     cover: Artifact | None
     scene: Artifact | None
+    within: Artifact | None
     hulls: Hulls | None
     is_splat: bool
     curve: _core.ReferenceCurve
@@ -91,6 +94,7 @@ class Mission:
     obstacles: Obstacles
     inflation_m: float
     hull_keep_m: float
+    sees_hulls: bool
     fence: _core.Fence
     is_clear: tuple[bool, str]
     along: PlanJudge
@@ -285,6 +289,7 @@ def make_mission(
         vehicle=vehicle,
         cover=cover,
         scene=scene,
+        within=within,
         hulls=hulls,
         is_splat=is_splat,
         curve=curve,
@@ -292,6 +297,7 @@ def make_mission(
         obstacles=obstacles,
         inflation_m=inflation,
         hull_keep_m=hull_keep,
+        sees_hulls=sees_hulls,
         fence=fence(box=(low, high), cover=keep_out),
         is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
         along=along,

@@ -76,13 +76,15 @@ class PlanJudge:
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
-    def result(self, path: FloatArray) -> PlanResult:
+    def result(self, path: FloatArray, later: Sequence[tuple[int, PlanJudge]] = ()) -> PlanResult:
         """Compare a path with the plan.
 
         Via points are passed in their order: each is looked for where the one before was passed, or later.
 
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
+            later: plans through the rest of the via points that replace this one, each from a point of the
+                path on, in their order.
         """
         closest: list[float] = []
         missed: list[int] = []
@@ -100,13 +102,20 @@ class PlanJudge:
             via_tolerance_m=self.tolerance_m,
             closest_m=closest,
             missed=missed,
-            outside_m=self._outside(path),
+            outside_m=max(
+                judge._outside(path[first:end])
+                for (first, judge), end in zip(
+                    [(0, self), *later], [*(first for first, _ in later), len(path)], strict=True
+                )
+            ),
         )
 
     def _outside(self, path: FloatArray) -> float:
         """Largest distance of a point of the path from the tube, from below; 0 within it [m]."""
         from scipy.spatial import cKDTree
 
+        if len(path) == 0:
+            return 0.0
         length = np.concatenate([[0.0], np.linalg.norm(np.diff(path, axis=0), axis=1).cumsum()])
         step = max(_SPACING_M, length[-1] / _MOST_SAMPLES)
         points = path[

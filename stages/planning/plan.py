@@ -67,6 +67,7 @@ def plan(
     scene: Artifact | None = None,
     image: bytes | None = None,
     within: Artifact | None = None,
+    space: PlanSpace | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
     jobs: int = 0,
@@ -86,6 +87,8 @@ def plan(
         scene: an `alula/scene`.
         image: an onboard map.
         within: an `alula/seen` to stay in; what was not seen is an obstacle like the others.
+        space: the obstacles of the maps, where they have been made before; cover, scene and image are then
+            not used.
         vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
@@ -102,7 +105,8 @@ def plan(
     if config.radius_m is None:
         config = resolve_plan(config, vehicle)
     limits = motion_limits(config, vehicle)
-    space = plan_space(config, cover, scene, image, within, jobs=jobs)
+    if space is None:
+        space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
         require_seen(within, config.points)
     path = find_polyline(config, space, jobs=jobs, progress=progress)

@@ -1,0 +1,100 @@
+"""New plans of a real flight, from its mission."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from alula.schemas.artifact import Artifact
+from alula.stages.flight.mission import Mission
+from alula.stages.flight.replan.process import Planner, PlannerProcess
+from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
+from alula.stages.flight.replan.task import KeptMap, ReplanFacts
+
+_FENCE_ROOM_M = (
+    0.25  # that plans keep from the fence beyond radius and reserve, for the fence to let them pass
+)
+_FOOT = 1.5  # of radius and margin: the last part of a way home, as in the checks before the flight
+
+
+def replan_facts(mission: Mission) -> ReplanFacts | None:
+    """What all new plans of a flight have in common; None if no new plans are to be made.
+
+    Plans keep from each map what the filter keeps from it; a map that it does not see counts with radius and
+    margin. Without a margin there is no room to join a plan.
+
+    Args:
+        mission: of the flight.
+    """
+    config, radius = mission.config, mission.vehicle.body.radius_m
+    if config.replan_after_s == 0 or config.filter == "none":
+        return None
+    assert config.fence is not None
+    assert config.speed_m_s is not None
+    keep = radius + config.margin_m
+    maps = []
+    if mission.cover is not None:
+        maps.append(KeptMap(role="cover", keep_m=mission.hull_keep_m if mission.sees_hulls else keep))
+    if mission.scene is not None:
+        inflated = keep + mission.inflation_m if mission.is_splat else keep
+        maps.append(KeptMap(role="scene", keep_m=inflated, sigma=config.sigma))
+    if mission.within is not None:
+        maps.append(KeptMap(role="within", keep_m=mission.hull_keep_m))
+    join = min(each.keep_m for each in maps) - radius
+    if join <= 0:
+        return None
+    manifest = mission.plan.manifest
+    x, y, z = mission.goal.tolist()
+    return ReplanFacts(
+        parameters={"speed_m_s": manifest.speed_m_s, **manifest.parameters},  # type: ignore[attr-defined]
+        goal=(x, y, z),
+        maps=tuple(maps),
+        fence=config.fence,
+        fence_room_m=radius + config.fence_reserve_m + _FENCE_ROOM_M,
+        join_m=join,
+        foot_m=_FOOT * keep,
+        speed_m_s=config.speed_m_s,
+    )
+
+
+def maps_of(mission: Mission) -> dict[str, Artifact]:
+    """Maps of a flight by role.
+
+    Args:
+        mission: of the flight.
+    """
+    maps = {"cover": mission.cover, "scene": mission.scene, "within": mission.within}
+    return {role: each for role, each in maps.items() if each is not None}
+
+
+def make_planner(mission: Mission, paths: Mapping[str, Path]) -> PlannerProcess | None:
+    """Start the process that makes new plans; None if no new plans are to be made.
+
+    Args:
+        mission: of the flight.
+        paths: files of the maps by role.
+
+    Raises:
+        InputError: the process does not run.
+    """
+    facts = replan_facts(mission)
+    return None if facts is None else PlannerProcess(facts, mission.vehicle, maps_of(mission), paths)
+
+
+def make_replanner(mission: Mission, planner: Planner) -> Replanner:
+    """Decide when new plans are asked for, and join them.
+
+    Args:
+        mission: of the flight, for which there are `replan_facts`.
+        planner: makes the plans.
+    """
+    facts, config = replan_facts(mission), mission.config
+    assert facts is not None
+    options = ReplanOptions(
+        after_s=config.replan_after_s,
+        most=config.replans,
+        join_m=facts.join_m,
+        margin_m=config.margin_m,
+        via_tolerance_m=mission.along.tolerance_m,
+    )
+    return Replanner(planner, mission.along.via, options)
