@@ -10,10 +10,12 @@ from alula.stages.flight.mission import Mission
 from alula.stages.flight.replan.process import Planner, PlannerProcess
 from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
 from alula.stages.flight.replan.task import KeptMap, ReplanFacts
+from alula.stages.planning.plan_samples import sample_plan
 
 _FENCE_ROOM_M = (
     0.25  # that plans keep from the fence beyond radius and reserve, for the fence to let them pass
 )
+_STEP_S = 0.02  # of the plan, whose lowest point is looked for
 _FOOT = 1.5  # of radius and margin: the last part of a way home, as in the checks before the flight
 
 
@@ -50,6 +52,7 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
         goal=(x, y, z),
         maps=tuple(maps),
         fence=config.fence,
+        lowest_m=float(sample_plan(mission.plan, _STEP_S).position_world[:, 2].min()),
         fence_room_m=radius + config.fence_reserve_m + _FENCE_ROOM_M,
         join_m=join,
         foot_m=_FOOT * keep,

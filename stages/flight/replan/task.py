@@ -108,6 +108,8 @@ class ReplanFacts:
         maps: to keep from.
         fence: box that the vehicle must not leave: lower corner, upper corner [m].
         fence_room_m: distance that plans keep from its sides [m].
+        lowest_m: height of the lowest point of the plan before the flight [m]; new plans lead no lower, since
+            the map need not contain the ground.
         join_m: maximum distance of the vehicle from a plan at which it can be joined [m].
         foot_m: last part of a way home, to leave out the ground [m].
         speed_m_s: limit of the vehicle's speed [m/s].
@@ -118,6 +120,7 @@ class ReplanFacts:
     maps: tuple[KeptMap, ...]
     fence: tuple[float, float, float, float, float, float]
     fence_room_m: float
+    lowest_m: float
     join_m: float
     foot_m: float
     speed_m_s: float
@@ -175,9 +178,11 @@ class ReplanTask:
         facts, room = self.facts, self.facts.fence_room_m
         start, via, goal = request.position, request.via, facts.goal
         points = np.array([start, *via, goal])
+        lower, upper = np.array(facts.fence[:3]) + room, np.array(facts.fence[3:]) - room
+        lower[2] = max(lower[2], facts.lowest_m)
         bounds = (
-            *np.minimum(np.array(facts.fence[:3]) + room, points.min(axis=0)).tolist(),
-            *np.maximum(np.array(facts.fence[3:]) - room, points.max(axis=0)).tolist(),
+            *np.minimum(lower, points.min(axis=0)).tolist(),
+            *np.maximum(upper, points.max(axis=0)).tolist(),
         )
         config = PlanConfig(
             start=start,
