@@ -8,14 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from alula import _core
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import InfeasibleError
+from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.vehicle import read_vehicle
+from alula.schemas.world import decoded
 from alula.stages.clearance import segment_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.judge import judge
 from alula.stages.flight.links.own_safety import Action, Failsafe, OwnSafety, WayHome
 from alula.stages.flight.links.protocol import VehicleState
+from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.mission import make_clock
 from alula.stages.flight.replan.of_mission import maps_of, replan_facts
@@ -346,3 +349,30 @@ def test_progress_begins_the_time_anew():
     assert not for_s(watch, 0.5, 1.0)
     assert not for_s(watch, 1.7, 0.0)
     assert for_s(watch, 0.5, 0.0)
+
+
+@pytest.mark.parametrize("table", ["mission", "rules"])
+def test_simulations_refuse_new_plans_in_words(table):
+    with pytest.raises(UsageError, match=r"replan_after_s: simulate makes no new plans.* link sim: does"):
+        decoded({"schema": "alula/scenario", "version": "2.0", table: {"replan_after_s": 2.0}})
+
+
+def test_a_clock_enters_a_plan_at_a_time_and_rate_and_leaves_out_earlier_via_points():
+    made = blocked()
+    clock = PlanClock(made.curve, _core.PlanClockOptions(via_s=[1.0, 2.0], via_m=0.15))
+    clock.enter(1.5, 0.4, 0.3)
+    assert (clock.time_s, clock.rate) == (1.5, 0.4)
+    row = made.curve.at(np.array([1.5]))[0]
+    np.testing.assert_allclose(clock.target()[0, 3:6], 0.4 * row[3:6], atol=1e-12)
+    assert clock.target()[0, 15] == pytest.approx(0.3)
+    for _ in range(300):
+        clock.advance(TICK, 0.2)  # too far for a via point to be passed
+    assert clock.time_s == 2.0
+    for time_s, rate, heading in (
+        (-0.1, 0.5, 0.0),
+        (1.0, 1.5, 0.0),
+        (1.0, math.nan, 0.0),
+        (1.0, 0.5, math.nan),
+    ):
+        with pytest.raises(ValueError, match="entered"):
+            clock.enter(*wrong)
