@@ -226,8 +226,8 @@ def _refuse_new_plans(tree: Mapping[str, Any], where: str) -> None:
     """Refuse keys of new plans in flight, which the native runner of simulations cannot make."""
     for name in ("mission", "rules"):
         table = tree.get(name)
-        for key in _NEW_PLANS if isinstance(table, dict) else ():
-            if key in table:
+        for key in _NEW_PLANS:
+            if isinstance(table, dict) and key in table:
                 raise UsageError(
                     f"{where}: {name}.{key}: simulate makes no new plans in flight; alula fly with the link "
                     "sim: does, by this key of the table [fly]"

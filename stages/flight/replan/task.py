@@ -271,7 +271,8 @@ def words_of(made: Artifact) -> str:
 def _space(kept: KeptMap, artifact: Artifact) -> PlanSpace:
     """Obstacles of one map, of which `keep_m` is the whole distance to keep."""
     config = PlanConfig(radius_m=kept.keep_m, sigma=kept.sigma)
-    return plan_space(config, **{kept.role: artifact}, jobs=1)
+    by_role: dict[str, Any] = {kept.role: artifact}
+    return plan_space(config, **by_role, jobs=1)
 
 
 def remaining(via: Sequence[Sequence[float]], first: int) -> tuple[Point, ...]:

@@ -368,11 +368,6 @@ def test_a_clock_enters_a_plan_at_a_time_and_rate_and_leaves_out_earlier_via_poi
     for _ in range(300):
         clock.advance(TICK, 0.2)  # too far for a via point to be passed
     assert clock.time_s == 2.0
-    for time_s, rate, heading in (
-        (-0.1, 0.5, 0.0),
-        (1.0, 1.5, 0.0),
-        (1.0, math.nan, 0.0),
-        (1.0, 0.5, math.nan),
-    ):
+    for wrong in ((-0.1, 0.5, 0.0), (1.0, 1.5, 0.0), (1.0, math.nan, 0.0), (1.0, 0.5, math.nan)):
         with pytest.raises(ValueError, match="entered"):
             clock.enter(*wrong)
