@@ -113,6 +113,13 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
             "option": "--max-time",
         },
     )
+    allow_blocked: bool = field(
+        default=False,
+        metadata={
+            "help": "Fly a plan that is not proven to be clear of the map (plan --allow-blocked), "
+            "behind the filter alone."
+        },
+    )
     replan_after_s: float = field(
         default=2.0,
         metadata={

@@ -109,6 +109,19 @@ class PlanConfig:
         default=1.0,
         metadata={"help": "Fly this many times the minimum time, at least 1, and minimise snap instead."},
     )
+    straight: bool = field(
+        default=False,
+        metadata={
+            "help": "Fly straight from start to goal, from rest to rest by a polynomial of degree 7 in time: "
+            "the reference of FastBridge."
+        },
+    )
+    allow_blocked: bool = field(
+        default=False,
+        metadata={
+            "help": "With --straight, also write a plan that is not proven: for flights behind a filter."
+        },
+    )
     resolution_m: float | None = field(
         default=None,
         metadata={
@@ -166,6 +179,10 @@ class PlanConfig:
                 raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
         if not (-7 <= self.yaw_rad <= 7):
             raise UsageError(f"--yaw is in radians, not {self.yaw_rad:g}")
+        if self.straight and self.via:
+            raise UsageError("--straight leads from --start to --goal; leave out --via")
+        if self.allow_blocked and not self.straight:
+            raise UsageError("--allow-blocked is for plans with --straight; all others are proven")
         if self.confidence is not None and not (0 < self.confidence < 1):
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points

@@ -189,7 +189,7 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
         "vehicle did not measure is not covered, nor are obstacles that the map does not contain.",
         claims={
             "proven_by_filter": False,
-            "plan_certified": proven,
+            "plan_certified": proven and mission.along.is_proven,
             **({"new_plans": new_plans} if new_plans else {}),
             "map_clear": not trial.collision,
             "continuous_time": False,

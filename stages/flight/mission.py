@@ -76,7 +76,8 @@ class Mission:
         hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
         sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
-        is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
+        is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words;
+            true also for a plan that is flown although it is not proven.
         along: compares the flight with the plan.
         notes: warnings for the summary.
     """
@@ -232,6 +233,14 @@ def make_mission(
             raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
     if not is_splat and config.fence_map and cover is None:
         raise UsageError("--fence-map needs a cover")
+    is_unproven = not plan.manifest.is_proven  # type: ignore[attr-defined]
+    if is_unproven and not config.allow_blocked:
+        raise UsageError(
+            "the plan says that it is not proven to be clear of the map; plan without --straight, or fly it "
+            "behind the filter alone with --allow-blocked"
+        )
+    if is_unproven and config.filter == "none":
+        raise UsageError("a plan that is not proven to be clear of the map is flown behind a filter only")
     radius = vehicle.body.radius_m
     obstacles: Obstacles = []
     proofs: list[tuple[bool, str]] = []
@@ -299,10 +308,18 @@ def make_mission(
         hull_keep_m=hull_keep,
         sees_hulls=sees_hulls,
         fence=fence(box=(low, high), cover=keep_out),
-        is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
+        is_clear=_clearness(proofs, is_unproven=is_unproven),
         along=along,
         notes=notes,
     )
+
+
+def _clearness(proofs: list[tuple[bool, str]], *, is_unproven: bool) -> tuple[bool, str]:
+    """Whether a plan may be flown by its proofs, and these in words."""
+    words = "; ".join(words for _, words in proofs)
+    if is_unproven:
+        return True, f"{words}; flown behind the filter alone (--allow-blocked)"
+    return all(holds for holds, _ in proofs), words
 
 
 def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, str]:

@@ -40,7 +40,8 @@ class PlanJudge:
     The tube of a plan is the union of balls about its points. The radius of a ball is the distance of its
     centre to the map less the vehicle's radius, at most 5 m, where the vehicle is proven clear of the map; it
     is at least the distance r that the plan keeps. A filter that keeps psi >= r, which beside the corner of a
-    box is r only at a distance of sqrt(3) r, leads the vehicle at most (sqrt(3) - 1) r aside.
+    box is r only at a distance of sqrt(3) r, leads the vehicle at most (sqrt(3) - 1) r aside. A plan that is
+    not proven has no tube: its filter leads the vehicle aside where the plan is blocked.
 
     Args:
         plan: an `alula/plan`.
@@ -50,6 +51,7 @@ class PlanJudge:
         jobs: threads, 0 for all processors.
 
     Attributes:
+        is_proven: the plan says that it is proven to keep its distance.
         via: via points, shape (V, 3) [m], and `via_s`, the times at which the plan passes them [s].
     """
 
@@ -73,6 +75,9 @@ class PlanJudge:
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
         nearest = np.min([np.full(count, cap), *distance], axis=0)
         self.width = np.maximum(nearest - radius_m, plan.manifest.radius_m)  # type: ignore[attr-defined]
+        self.is_proven = bool(plan.manifest.is_proven)  # type: ignore[attr-defined]
+        if not self.is_proven:
+            self.width[:] = math.inf
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
@@ -179,6 +184,8 @@ def require_room(
     Raises:
         UsageError: the plan is too near, with the option of `plan` that mends it.
     """
+    if not plan.is_proven:
+        return ["the plan is not proven: only the filter keeps the vehicle from the map"]
     if filter_name == "none":
         return []
     notes = []

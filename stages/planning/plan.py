@@ -34,6 +34,7 @@ from alula.stages.planning.fastest import (
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
+from alula.stages.planning.straight import straight_plan
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
 
@@ -98,7 +99,8 @@ def plan(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
             is damaged.
         InputError: a map is not metric, or the maps do not fit each other.
-        InfeasibleError: a point is too close to an obstacle, there is no path, or no curve from this motion.
+        InfeasibleError: a point is too close to an obstacle, there is no path, no curve from this motion, or
+            no proof of a straight plan that needs one.
         UsageError: the lattice would be too large, the level of the ellipsoids is invalid, or an option does
             not apply to the vehicle.
     """
@@ -109,6 +111,8 @@ def plan(
         space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
         require_seen(within, config.points)
+    if config.straight:
+        return straight_plan(config, space, limits, vehicle.name, jobs=jobs)
     path = find_polyline(config, space, jobs=jobs, progress=progress)
     if within is not None:
         require_seen(within, path.flown)
