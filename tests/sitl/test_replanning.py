@@ -20,14 +20,15 @@ pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
 WALL = box_cover([((70, -20, 0), (76, 15, 40))])  # in the way, from y = -2 m to 1.5 m
 COPTER = VEHICLES / "arducopter.toml"
-AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.ardupilot_sitl.LOOSE
+FENCE = (-3.0, -4.0, -1.0, 17.0, 4.0, 6.0)
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.ardupilot_sitl.LOOSE
 
 
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])
 def test_a_flight_straight_at_a_wall_arrives_behind_its_filter(tmp_path, name):
     config = PlanConfig(start=START, goal=GOAL, speed_m_s=1.0, straight=True, allow_blocked=True)
     straight = plan(config, WALL)
-    words = ("--filter", name, "--allow-blocked", "--fence", "-3", "-4", "-1", "17", "4", "6")
+    words = ("--filter", name, "--allow-blocked", "--fence", *map(str, FENCE))
     words += ("--vehicle", str(COPTER)) if name == "cone-backup" else ()
     land = {"FS_THR_ENABLE": 3, "FS_DR_ENABLE": 1}  # it must not fly home from beside a wall
     with sitl(tmp_path, land) as sim, flight(sim, tmp_path, *words, plan=straight, cover=WALL) as flown:
