@@ -207,8 +207,14 @@ class Replanner:
             via=remaining(self._via.tolist(), self._passed),
             home=None if home is None else _point(home),
         )
-        if self._planner.has_ended or not self._planner.ask(request):
+        if self._planner.has_ended:
             self._end(say)
+            return
+        if not self._planner.ask(request):
+            say(
+                WARNING,
+                "no new plan (the request could not be sent); the flight goes on along the one before",
+            )
             return
         self._asked_s = now_s
         say(INFO, f"held up by the filter for {self._options.after_s:g} s; a new plan is being made")

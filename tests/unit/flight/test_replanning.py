@@ -28,11 +28,11 @@ from alula.stages.planning.adherence import PlanJudge
 from alula.stages.planning.plan import plan
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.verify import verify_plan
-from support.flights import mission
+from support.flights import BALL, PILLAR, mission
 from support.lockstep import Flight
 from support.paths import VEHICLES
 from support.replanning import refusing, replanner_of
-from support.small_scenes import box_cover
+from support.small_scenes import box_cover, line_plan
 
 BOX = box_cover([((18, 14, 0), (22, 30, 20))])  # x 1.8 to 2.2, y 1.4 to 3: only the filter knows it
 ELSEWHERE = box_cover([((18, 60, 0), (22, 70, 20))])
@@ -187,6 +187,26 @@ def test_a_vehicle_that_the_filter_stopped_a_little_too_near_gets_a_plan_from_th
         task_of(made).plan(request((1.72, 2.0, 1.0)))
 
 
+def test_plans_keep_from_each_map_what_its_filter_keeps():
+    words = {"scene": BALL, "plan": line_plan(START, GOAL), "is_clear": True, "inflation_m": 0.07}
+    asked = request((1.4, 2.0, 1.0))
+    made = mission("cone-backup", **words)
+    found = task_of(made).plan(asked)
+    assert found.manifest.radius_m == pytest.approx(0.15 + 0.1 + 0.07)
+    assert verify_plan(found, scene=BALL).covered
+    both = mission("polytope-cbf", cover=box_cover(PILLAR), **words | {"inflation_m": None})
+    found = task_of(both).plan(asked)
+    assert {each["map"]: each["keep_m"] for each in found.manifest.maps} == {"cover": 0.25, "scene": 0.25}
+    assert verify_plan(found, cover=box_cover(PILLAR), scene=BALL).covered
+
+
+def test_a_request_that_cannot_be_sent_is_said_and_changes_nothing():
+    looked = _Looked(blocked(replans=2))
+    looked.planner.ask = lambda request: False
+    assert looked.look(5.0) == []
+    assert sum("could not be sent" in words for words in looked.lines) == 2
+
+
 def test_a_plan_from_a_motion_begins_with_it():
     made = blocked()
     found = task_of(made).plan(request((1.0, 2.0, 1.0), (0.2, -0.5, 0.1), acceleration=(0.1, 0.2, 0.0)))
@@ -197,7 +217,7 @@ def test_a_plan_from_a_motion_begins_with_it():
 
 
 def test_no_plan_leads_lower_than_the_first_or_out_of_the_fence():
-    wall = box_cover([((18, -90, 5), (22, 90, 12))])  # with room below, where the ground may be
+    wall = box_cover([((18, -90, 8), (22, 90, 16))])  # with room below, where the ground may be
     config = PlanConfig(start=START, goal=GOAL, radius_m=0.27)
     made = mission(cover=wall, plan=plan(config, ELSEWHERE), is_clear=True)
     found = task_of(made).plan(request((1.4, 2.0, 1.0)))
