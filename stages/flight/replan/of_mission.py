@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from alula.schemas.artifact import Artifact
+from alula.stages.filtering.registry import filter_kind
 from alula.stages.flight.mission import Mission
 from alula.stages.flight.replan.process import Planner, PlannerProcess
 from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
@@ -22,7 +23,8 @@ _FOOT = 1.5  # of radius and margin: the last part of a way home, as in the chec
 def replan_facts(mission: Mission) -> ReplanFacts | None:
     """What all new plans of a flight have in common; None if no new plans are to be made.
 
-    Plans keep from each map what the filter keeps from it; a map that it does not see counts with radius and
+    Plans keep to what the vehicle's autopilot follows where it is flown by velocities or accelerations. They
+    keep from each map what the filter keeps from it; a map that it does not see counts with radius and
     margin. Without a margin there is no room to join a plan.
 
     Args:
@@ -46,9 +48,10 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
     if join <= 0:
         return None
     manifest = mission.plan.manifest
+    speed = manifest.speed_m_s  # type: ignore[attr-defined]
     x, y, z = mission.goal.tolist()
     return ReplanFacts(
-        parameters={"speed_m_s": manifest.speed_m_s, **manifest.parameters},  # type: ignore[attr-defined]
+        parameters={"speed_m_s": speed, **manifest.parameters} | _interface(mission),
         goal=(x, y, z),
         maps=tuple(maps),
         fence=config.fence,
@@ -58,6 +61,14 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
         foot_m=_FOOT * keep,
         speed_m_s=config.speed_m_s,
     )
+
+
+def _interface(mission: Mission) -> dict[str, str]:
+    """What the vehicle is commanded by, as a parameter of `plan`; none of its own for body rates."""
+    if not mission.is_splat:
+        return {"interface": "velocity"}
+    kind = filter_kind(mission.config.filter)
+    return {"interface": "acceleration"} if kind == "acceleration" else {}
 
 
 def maps_of(mission: Mission) -> dict[str, Artifact]:

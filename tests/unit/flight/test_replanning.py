@@ -25,6 +25,7 @@ from alula.stages.flight.replan.of_mission import maps_of, replan_facts
 from alula.stages.flight.replan.replanner import HeldUp
 from alula.stages.flight.replan.task import ReplanAnswer, ReplanRequest, ReplanTask
 from alula.stages.planning.adherence import PlanJudge
+from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan import plan
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.verify import verify_plan
@@ -200,6 +201,16 @@ def test_plans_keep_from_each_map_what_its_filter_keeps():
     assert verify_plan(found, cover=box_cover(PILLAR), scene=BALL).covered
 
 
+@pytest.mark.parametrize(
+    ("name", "is_followed"), [("polytope-cbf", True), ("cone-di", True), ("cone-backup", False)]
+)
+def test_plans_keep_to_what_the_vehicle_follows_of_the_set_points_that_it_gets(name, is_followed):
+    more = {"scene": BALL} if name != "polytope-cbf" else {"cover": BOX}
+    made = mission(name, plan=line_plan(START, GOAL), is_clear=True, vehicle=COPTER, **more)
+    found = task_of(made).plan(request((1.3, 2.0, 1.0)))
+    assert (beyond_followed(found, COPTER) == "") is is_followed
+
+
 def test_a_request_that_cannot_be_sent_is_said_and_changes_nothing():
     looked = _Looked(blocked(replans=2))
     looked.planner.ask = lambda request: False
@@ -293,7 +304,7 @@ def test_a_plan_that_took_seconds_is_joined_by_a_vehicle_that_still_stands_there
 
 def test_a_vehicle_joins_a_new_plan_where_it_is_and_as_fast_as_it_is():
     looked = _Looked(blocked(), looks=15)
-    velocity = np.array([0.05, -0.4, 0.1])
+    velocity = np.array([-0.05, -0.4, 0.1])
     (joined,) = looked.look(1.15, velocity=velocity)
     (request,) = looked.planner.requests
     np.testing.assert_allclose(request.velocity, velocity, atol=1e-9)
