@@ -54,6 +54,7 @@ def command(
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.headline import headline
     from alula.stages.reporting.page import comment, page
+    from alula.stages.reporting.still import still
     from alula.stages.reporting.table import to_markdown
     from alula.stages.reporting.tables import all_tables, to_csv
     from alula.stages.reporting.view3d import view
@@ -81,7 +82,7 @@ def command(
         shown = view(material)
         summary = headline(material)
         line = provenance.line(summary)
-        html = page(material, tables, figures, shown, line)
+        html = page(material, tables, figures, shown, line, picture=still(material))
         progress(3, 3)
         texts = {
             common.output: html,

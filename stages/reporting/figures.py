@@ -16,37 +16,31 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.run import PLAN_OUTCOMES
 from alula.stages.reporting import curves
 from alula.stages.reporting.curves import Spell, paths_of
 from alula.stages.reporting.fenced import ClosestFlight, closest_flights, fence_shape, is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material, Run
+from alula.stages.reporting.palette import (
+    AXIS,
+    BLACK,
+    BLUE,
+    COLORS,
+    DASHES,
+    GREEN,
+    GREY,
+    GRID,
+    INK,
+    ORANGE,
+    PURPLE,
+    RUN_COLORS,
+    SOFT,
+    VERMILLION,
+    run_color,
+)
 from alula.stages.reporting.table import text
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
-COLORS = {
-    "reached": "#0072b2",
-    "passed": "#009e73",
-    "held": "#0072b2",
-    "inside": "#0072b2",
-    "stuck": "#e69f00",
-    "timeout": "#8c6bb1",
-    "refused": "#7f7f7f",
-    "stopped": "#cc79a7",
-    "missed-via": "#e69f00",
-    "off-plan": "#8c6bb1",
-    "outside": "#d7301f",
-    "collision": "#d7301f",
-    NOT_JUDGED: "#d55e00",
-    "planned": "#222222",
-}
-_SPELLS = {"fly": "#009e73", "hold": "#e69f00", "hand-over": "#d7301f", "abort": "#d7301f"}
-_DASHES = (
-    dict.fromkeys(COLORS, "-")
-    | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
-    | dict.fromkeys(PLAN_OUTCOMES, ":")
-)
-_RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
+_SPELLS = {"fly": GREEN, "hold": ORANGE, "hand-over": VERMILLION, "abort": VERMILLION}
 _STYLE = {
     "svg.hashsalt": "alula",
     "svg.fonttype": "none",
@@ -55,14 +49,24 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
-    "grid.color": "#e6e8eb",
-    "axes.edgecolor": "#8a9099",
+    "grid.color": GRID,
+    "axes.edgecolor": AXIS,
+    "axes.facecolor": "none",
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "text.color": INK,
+    "xtick.color": AXIS,
+    "xtick.labelcolor": INK,
+    "ytick.color": AXIS,
+    "ytick.labelcolor": INK,
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
 _VECTOR_FOOTPRINTS = 1500  # more footprints are drawn as an image inside the figure
 _MAX_FENCED_RUNS = 4
-_SHADES = {"backup": "#e69f00", "no-pilot": "#8c6bb1", "hand-over": "#d7301f", "refused": "#7f7f7f"}
+_SHADES = {"backup": ORANGE, "no-pilot": PURPLE, "hand-over": VERMILLION, "refused": GREY}
 _MODES = {"backup": "backup alone", "no-pilot": "no pilot", "hand-over": "handed over", "refused": "refused"}
 _MAX_MAPS = 4
 _FEW_PATHS = 40  # more paths are drawn thinner
@@ -149,7 +153,7 @@ def outline(axes: Any, corners: FloatArray) -> None:
     """Draw the outline of a fence from its projected corners, shape (V, 2) [m]."""
     if len(corners):
         line = curves.footprint(corners)
-        axes.plot(*np.vstack([line, line[:1]]).T, color="#1c2430", linewidth=1.8, zorder=2)
+        axes.plot(*np.vstack([line, line[:1]]).T, color=INK, linewidth=1.8, zorder=2)
 
 
 def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
@@ -185,7 +189,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
                     [p[:, :2] for p in paths],
                     colors=COLORS[outcome],
                     linewidths=(1.4 if few else 0.9) * (1.6 if outcome in ("collision", "planned") else 1),
-                    linestyles=_DASHES[outcome],
+                    linestyles=DASHES[outcome],
                     label=f"{outcome} ({len(paths)})",
                     zorder=3,
                 )
@@ -226,7 +230,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
 
 def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
     for number, one in enumerate(shown):
-        color = _RUN_COLORS[number % len(_RUN_COLORS)]
+        color = run_color(number)
         axes.step(one.value, one.fraction, where="post", color=color, linewidth=2, label=one.label)
         if len(one.value) <= _DOTTED:
             axes.plot(one.value, one.fraction, ".", color=color, markersize=5)
@@ -273,7 +277,7 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
     with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(*curves.broken(worst.margin_time_s, worst.margin), color=_RUN_COLORS[0], linewidth=1.6)
+        top.plot(*curves.broken(worst.margin_time_s, worst.margin), color=RUN_COLORS[0], linewidth=1.6)
         if worst.trouble.any():
             top.plot(
                 worst.margin_time_s[worst.trouble],
@@ -284,7 +288,7 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
             )
             top.legend(fontsize=10)
         top.set(ylabel="margin [m]" if worst.margin_unit == "m" else f"margin\n{worst.margin_unit}")
-        bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
+        bottom.plot(worst.speed_time_s, worst.speed_m_s, color=RUN_COLORS[2], linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
         _shade_states(top, bottom, worst.spells)
         svg = render()
@@ -315,7 +319,7 @@ def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
         if spell.end_s - spell.begin_s > _NAMED_FRACTION * (end - begin) or spell.state in _SPELLS:
             middle = 0.5 * (spell.begin_s + spell.end_s)
             where = top.get_xaxis_transform()
-            top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color="#5b6673")
+            top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color=SOFT)
     top.set_xlim(begin, end)
 
 
@@ -323,7 +327,7 @@ def _compression_figure(curve: curves.Compression) -> Figure:
     shown = ((curve.growth, "sum of hulls / voxels"), (curve.planes, "half-planes"))
     with drawing(6.2, 4.6, rows=2) as (axes, render):
         for place, (values, label) in enumerate(shown):
-            axes[place].plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
+            axes[place].plot(curve.hulls, values, ".-", color=RUN_COLORS[place], linewidth=1.6)
             axes[place].set(xscale="log", ylabel=label)
         axes[1].set(xlabel="hulls")
         ticks = [c * 10**p for p in range(8) for c in (1, 2, 5)]
@@ -385,11 +389,11 @@ def _side_figure(run: Run, name: str) -> Figure:
 def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
     with drawing(9.5, 6.0, rows=3) as ((top, middle, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(closest.time_s, closest.distance_m, color="#0072b2", linewidth=1.6)
+        top.plot(closest.time_s, closest.distance_m, color=BLUE, linewidth=1.6)
         top.set(ylabel="distance to\nthe fence [m]")
-        middle.plot(closest.time_s, closest.regulation, color="#222222", linewidth=1.4)
+        middle.plot(closest.time_s, closest.regulation, color=BLACK, linewidth=1.4)
         middle.set(ylabel="regulation\nfunction λ", ylim=(-0.04, 1.04))
-        bottom.plot(closest.speed_time_s, 3.6 * closest.speed_m_s, color="#009e73", linewidth=1.6)
+        bottom.plot(closest.speed_time_s, 3.6 * closest.speed_m_s, color=GREEN, linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [km/h]", ylim=(0, None))
         shaded = _shade_modes((top, middle, bottom), closest)
         if shaded:
