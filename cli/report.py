@@ -52,6 +52,7 @@ def command(
     from alula.schemas.provenance import parameters_of, read_provenance
     from alula.schemas.run import record_path
     from alula.stages.reporting.figures import all_figures
+    from alula.stages.reporting.flight_figures import flight_figures
     from alula.stages.reporting.headline import headline
     from alula.stages.reporting.page import comment, page
     from alula.stages.reporting.still import still
@@ -82,7 +83,15 @@ def command(
         shown = view(material)
         summary = headline(material)
         line = provenance.line(summary)
-        html = page(material, tables, figures, shown, line, picture=still(material))
+        html = page(
+            material,
+            tables,
+            figures,
+            shown,
+            line,
+            picture=still(material),
+            flights=flight_figures(material),
+        )
         progress(3, 3)
         texts = {
             common.output: html,
@@ -96,7 +105,7 @@ def command(
         return lambda: _write_all(texts), summary
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
-    run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
+    run(common, "alula/report", "1.1", parameters_of(config), inputs, make)
     if not common.dry_run and not (markdown.exists() and table.exists()):  # deleted beside an unchanged page
         recorded = read_provenance(common.output)
         assert recorded is not None
