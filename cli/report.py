@@ -51,6 +51,7 @@ def command(
     from alula.schemas.errors import UsageError
     from alula.schemas.provenance import parameters_of, read_provenance
     from alula.schemas.run import record_path
+    from alula.stages.reporting.differences import difference_tables
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.flight_figures import flight_figures
     from alula.stages.reporting.headline import headline
@@ -76,6 +77,7 @@ def command(
 
     def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, str], dict[str, Any]]:
         material = _read(config.title, runs, inputs, provenance)
+        compared = difference_tables(material)
         tables = all_tables(material, config.table, config.paper)
         progress(1, 3)
         figures = all_figures(material)
@@ -91,6 +93,7 @@ def command(
             line,
             picture=still(material),
             flights=flight_figures(material),
+            differences=compared,
         )
         progress(3, 3)
         texts = {

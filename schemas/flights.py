@@ -186,8 +186,9 @@ class _Safety(msgspec.Struct, gc=False):
 
 
 class _Status(msgspec.Struct, gc=False):
+    """Answer of one filter of several; its time is that of the message on `/safety` before it."""
+
     trial: int
-    time_s: float
     status_name: str = ""
 
 
@@ -274,7 +275,7 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     bodies: dict[int, dict[int, _Bodies]] = {}  # by trial and number of the state
     last = None
     safety: dict[int, list[_Safety]] = {}
-    each: dict[int, dict[str, list[_Status]]] = {}  # by trial and name of the filter
+    each: dict[int, dict[str, list[tuple[float, str]]]] = {}  # by trial and name of the filter
     supervised: list[_Supervisor] = []
     lines: list[_Line] = []
     hulls, start = None, _Stamp(0, 0)
@@ -299,9 +300,10 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
         elif topic.startswith(f"{SAFETY_TOPIC}/"):
-            status = decode_status(data)
-            own = each.setdefault(status.trial, {})
-            own.setdefault(topic.removeprefix(f"{SAFETY_TOPIC}/"), []).append(status)
+            one = decode_status(data)
+            if before := safety.get(one.trial):
+                own = each.setdefault(one.trial, {}).setdefault(topic.removeprefix(f"{SAFETY_TOPIC}/"), [])
+                own.append((before[-1].time_s, one.status_name))
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
@@ -344,7 +346,7 @@ def _flight(
     states: list[_State],
     safety: list[_Safety],
     bodies: dict[int, _Bodies],
-    each: dict[str, list[_Status]],
+    each: dict[str, list[tuple[float, str]]],
 ) -> Flight:
     order = sorted(range(len(states)), key=lambda i: states[i].time_s)
     states = [states[i] for i in order]
@@ -369,10 +371,9 @@ def _flight(
     )
 
 
-def _answers(name: str, found: list[_Status]) -> FilterAnswers:
-    found.sort(key=lambda answer: answer.time_s)
-    time_s = _measured("time", [answer.time_s for answer in found])
-    return FilterAnswers(name, time_s, tuple(answer.status_name for answer in found))
+def _answers(name: str, found: list[tuple[float, str]]) -> FilterAnswers:
+    found.sort(key=lambda answer: answer[0])
+    return FilterAnswers(name, _measured("time", [at for at, _ in found]), tuple(word for _, word in found))
 
 
 def _attitudes(states: list[_State]) -> NDArray[np.float64] | None:

@@ -120,11 +120,13 @@ def _curves(
     trial = next((trial for trial in run.record.trials if trial.index == index), None)
     clearances = _clearances(material, run, flight)
     margin = None
-    if np.isfinite(flight.margin).any() and not (
-        flight.moving is None and flight.margin_unit != "m" and clearances
-    ):
+    # beside moving obstacles and in a fence the log's margin is a clearance that is drawn anyway
+    is_drawn = bool(clearances) and (flight.moving is not None or flight.regulation is not None)
+    in_metres = flight.margin_unit == "m"
+    if np.isfinite(flight.margin).any() and not is_drawn and (in_metres or not clearances):
         margin = Curve("margin of the filter", flight.margin_time_s, flight.margin)
-    commands, quantity = (), ""
+    commands: tuple[Curve, ...] = ()
+    quantity = ""
     if (given := flight.commands) is not None:
         quantity = given.quantity
         commands = tuple(

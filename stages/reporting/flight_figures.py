@@ -171,7 +171,23 @@ def _draw_clearance(axes: Any, flight: FlightCurves) -> None:
         axes.axhspan(lowest, 0, color=VERMILLION, alpha=0.1, linewidth=0)
     unit = "[m]" if in_metres else flight.margin_unit
     axes.set(ylabel=f"clearance {unit}" if flight.clearances else f"margin\n{unit}")
+    if flight.clearances:
+        top = _top(flight.clearances)
+        axes.set_ylim(min(lowest, -0.05 * top), 1.08 * top)
     axes.legend(fontsize=9.5, loc="upper right", ncols=4)
+
+
+def _top(clearances: Sequence[Curve]) -> float:
+    """Maximum over time of the clearance to the nearest part: nothing farther away is of interest."""
+    time_s = clearances[0].time_s
+    nearest = np.full(len(time_s), np.inf)
+    for curve in clearances:
+        known = np.isfinite(curve.value)
+        if known.any():
+            value = np.interp(time_s, curve.time_s[known], curve.value[known])
+            nearest = np.minimum(nearest, value)
+    nearest = nearest[np.isfinite(nearest)]
+    return max(float(nearest.max(initial=0.0)), 0.05)
 
 
 def _draw_commands(axes: Any, flight: FlightCurves) -> None:

@@ -93,6 +93,15 @@ def successes(run: Run) -> tuple[int, str]:
     return _successes(run.record.trials, waits=_waits(run))
 
 
+def successful(run: Run) -> set[int]:
+    """Numbers of the trials that `successes` counts."""
+    _, word = successes(run)
+    if word in ("touched nothing", "stayed in the fence"):
+        return {trial.index for trial in run.record.trials if not trial.collision}
+    ends = ("held", "passed") if word == "flew to the end" else ("reached",)
+    return {trial.index for trial in run.record.trials if outcome_of(trial) in ends}
+
+
 def _successes(trials: Sequence[TrialResult], *, waits: bool) -> tuple[int, str]:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
     if waits:

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from alula.stages.reporting.brief import Brief, Number, Subject, brief
+from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.headline import chain
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import run_color, themed
 from alula.stages.reporting.style import STYLE, SWITCH
-from alula.stages.reporting.table import Table, text
+from alula.stages.reporting.table import Table, folded, text
 from alula.stages.reporting.view3d import View
 
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
@@ -301,10 +302,12 @@ def _svg(figure: Figure) -> str:
 
 
 def _difference(table: Table) -> str:
+    said = "".join(f"<li>{escape(line)}</li>" for line in difference_words(table))
+    said = f'<ul class="panel said">{said}</ul>' if said else ""
     note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
     return (
         f'<section id="{escape(table.name)}"><h2>{escape(table.title)}</h2>'
-        f'<div class="panel scroll">{_rows(table)}</div>{note}</section>'
+        f'{said}<div class="panel scroll">{_rows(folded(table))}</div>{note}</section>'
     )
 
 

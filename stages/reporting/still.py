@@ -33,6 +33,7 @@ _WALL = 0.035  # of the extent: what is left out at the sides that face the view
 _CEILING = 0.7  # of the height: what is left out above it, and above all flights
 _FEW_PATHS = 40  # more are drawn thinner
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 9.5, 4.2, 7.4  # of the drawing [inch]
+_FENCE = (0.8, 0.475, 0.655)  # of its faces
 _LIGHT = np.array([0.36, -0.48, 0.8])
 
 
@@ -238,8 +239,8 @@ def _is_inside_hulls(
 
 
 def _draw_fence(axes: Any, sight: _Sight, shape: FenceShape) -> None:
-    """Draw the edges at which two faces meet, or a face ends."""
-    from matplotlib.collections import LineCollection
+    """Draw the faces, those behind the flights darker, and the edges at which two meet or one ends."""
+    from matplotlib.collections import LineCollection, PolyCollection
 
     corner = shape.corners_world
     normal = np.cross(
@@ -247,6 +248,16 @@ def _draw_fence(axes: Any, sight: _Sight, shape: FenceShape) -> None:
         corner[shape.triangles[:, 2]] - corner[shape.triangles[:, 0]],
     )
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    triangle = corner[shape.triangles]
+    is_behind = normal @ sight.along > 0
+    axes.add_collection(
+        PolyCollection(
+            sight.flat(triangle.reshape(-1, 3)).reshape(-1, 3, 2),
+            facecolors=[(*_FENCE, 0.16 if behind else 0.07) for behind in is_behind],
+            linewidths=0,
+            zorder=1,
+        )
+    )
     sides: dict[tuple[int, int], list[int]] = {}
     for number, triangle in enumerate(shape.triangles.tolist()):
         for a, b in zip(triangle, triangle[1:] + triangle[:1], strict=True):

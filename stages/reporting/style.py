@@ -103,6 +103,9 @@ a { color: var(--accent); }
 .promise .yes::before { content: "\\2713"; color: var(--good); }
 .promise .no::before { content: "!"; color: var(--fair); left: 5px; }
 
+.said { margin: 0 0 10px; padding: 12px 20px 12px 38px; }
+.said li { padding: 2px 0; }
+
 .figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
 figure { margin: 0; padding: 14px; }
 figure svg { width: 100%; height: auto; display: block; }
