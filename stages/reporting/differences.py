@@ -86,25 +86,14 @@ QUANTITIES = (
 )
 
 
-_SAID: dict[str, tuple[str, str, Callable[[float], str]]] = {
-    "successful flights [%]": (
-        "of the flights more succeeded",
-        "of the flights fewer succeeded",
-        lambda value: f"{value:.0f} %",
-    ),
-    "touched an obstacle [%]": (
-        "of the flights more touched an obstacle",
-        "of the flights fewer touched an obstacle",
-        lambda value: f"{value:.0f} %",
-    ),
-    "minimum clearance of a flight [m]": (
-        "more clearance, on average,",
-        "less clearance, on average,",
-        plain.length,
-    ),
+_SAID: dict[str, tuple[str, str, str, Callable[[float], str]]] = {
+    "successful flights [%]": ("success rate", "higher", "lower", lambda value: f"{value:.0f} points"),
+    "touched an obstacle [%]": ("rate of collisions", "higher", "lower", lambda value: f"{value:.0f} points"),
+    "minimum clearance of a flight [m]": ("mean of the minimum clearances", "more", "less", plain.length),
     "duration of successful flights [s]": (
-        "more time for a successful flight",
-        "less time for a successful flight",
+        "mean time of a successful flight",
+        "more",
+        "less",
         plain.duration,
     ),
 }
@@ -131,14 +120,13 @@ def difference_words(table: Table) -> list[str]:
     for name, _, _, value, low, high, *_ in table.rows:
         if low is None or high is None or name not in _SAID:
             continue
-        more, less, write = _SAID[name]
+        subject, more, less, write = _SAID[name]
         if low <= 0 <= high:
-            found.append(f"No clear difference: {name.split(' [')[0]}.")
+            found.append(f"{second}: {subject} not clearly different from {first}.")
             continue
-        ends = sorted((abs(low), abs(high)))
+        ends = " to ".join(write(end) for end in sorted((abs(low), abs(high))))
         word = more if value > 0 else less
-        size = f"{write(abs(value))} {word} than with {first} (95 %: {write(ends[0])} to {write(ends[1])})"
-        found.append(f"With {second} {size}.")
+        found.append(f"{second}: {subject} {write(abs(value))} {word} than {first} (95 %: {ends}).")
     return found
 
 

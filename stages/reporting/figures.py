@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +48,7 @@ _STYLE = {
     "figure.facecolor": "none",
     "savefig.facecolor": "none",
     "text.color": INK,
+    "text.parse_math": False,  # names of runs may have dollar signs
     "xtick.color": AXIS,
     "xtick.labelcolor": INK,
     "ytick.color": AXIS,
@@ -88,6 +90,43 @@ def all_figures(material: Material) -> list[Figure]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """Place of a drawing on paper.
+
+    Attributes:
+        size: width and height of the sheet [inch].
+        box: left, bottom, width and height of the drawing on it, as fractions of the sheet.
+        font_size: of the drawing [pt].
+    """
+
+    size: tuple[float, float]
+    box: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    font_size: float = 8.0
+
+
+_Place = Callable[[float, float], Sheet]
+_ON_PAPER: ContextVar[tuple[_Place, list[Any]] | None] = ContextVar("on_paper", default=None)
+
+
+@contextmanager
+def on_paper(place: _Place) -> Iterator[list[Any]]:
+    """Let figures be drawn on sheets, for files without a style sheet: opaque, in their own size.
+
+    Args:
+        place: from width and height of a drawing on the page [inch] to its sheet.
+
+    Yields:
+        The figures of matplotlib, in the order in which they are drawn.
+    """
+    drawn: list[Any] = []
+    token = _ON_PAPER.set((place, drawn))
+    try:
+        yield drawn
+    finally:
+        _ON_PAPER.reset(token)
+
+
 @contextmanager
 def drawing(
     width: float,
@@ -97,6 +136,8 @@ def drawing(
     heights: Sequence[float] | None = None,
 ) -> Iterator[tuple[Any, Callable[[], str]]]:
     """Yield the axes of a new figure and a function that renders it as SVG; equal data gives equal text.
+
+    Within `on_paper` the figure is kept for its sheet, and the text is empty.
 
     Args:
         width: of the figure [inch].
@@ -109,14 +150,25 @@ def drawing(
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
 
+    paper = _ON_PAPER.get()
     with mpl.rc_context():
         mpl.rcdefaults()  # ignore the user's style
         mpl.rcParams.update(_STYLE)
-        figure = Canvas(figsize=(width, height), layout="constrained")
+        if paper is None:
+            figure = Canvas(figsize=(width, height), layout="constrained")
+        else:
+            sheet = paper[0](width, height)
+            mpl.rcParams.update({"font.size": sheet.font_size, "figure.facecolor": "white"})
+            figure = Canvas(figsize=sheet.size, layout="constrained")
+            engine: Any = figure.get_layout_engine()
+            engine.set(rect=sheet.box)
+            paper[1].append(figure)
         FigureCanvasSVG(figure)
         axes = figure.subplots(rows, columns, sharex=rows > 1, sharey=columns > 1, height_ratios=heights)
 
         def render() -> str:
+            if paper is not None:
+                return ""
             out = io.StringIO()
             figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
             return out.getvalue()
@@ -196,7 +248,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         if shown.paths:
-            axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize=10)
+            axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize="small")
         svg = render()
     counts = ", ".join(
         f"{sum(p.outcome == o for p in shown.paths)} {o}"
@@ -226,7 +278,7 @@ def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
             axes.plot(one.value, one.fraction, ".", color=color, markersize=5)
     axes.set(ylim=(0, 1.03), ylabel="fraction of trials")
     if len(shown) > 1:
-        axes.legend(fontsize=10)
+        axes.legend(fontsize="small")
 
 
 def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:

@@ -19,6 +19,7 @@ from alula.stages.reporting.flight_curves import Curve, FlightCurves, worst_flig
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, SOFT, VERMILLION
 
+NAME = "flight-"
 _WIDTH, _ROW, _STRIP, _FOOT = 9.5, 1.5, 0.34, 0.75  # [inch]
 _PARTS = {"hulls": BLUE, "splats": ORANGE, "fence": PURPLE, "moving obstacles": GREEN}
 _WORDS = {
@@ -64,7 +65,7 @@ class _Span:
 def flight_figures(material: Material) -> list[Figure]:
     """Draw the closest flight of each run."""
     found = worst_flights(material)
-    return [_figure(one, f"flight-{number}") for number, one in enumerate(found, 1)]
+    return [_figure(one, f"{NAME}{number}") for number, one in enumerate(found, 1)]
 
 
 def _figure(flight: FlightCurves, name: str) -> Figure:
@@ -91,7 +92,7 @@ def _figure(flight: FlightCurves, name: str) -> Figure:
             where = each[0].get_xaxis_transform()
             words = f"worst moment, {flight.worst_s:.2f} s"
             each[0].text(
-                flight.worst_s, 1.03, words, transform=where, ha="center", fontsize=9.5, color=VERMILLION
+                flight.worst_s, 1.03, words, transform=where, ha="center", fontsize="small", color=VERMILLION
             )
         svg = render()
     return Figure(name, _title(flight), _alt(flight), svg, wide=True)
@@ -152,7 +153,7 @@ def _draw_speed(axes: Any, flight: FlightCurves) -> None:
 
 def _draw_limit(axes: Any, limit: float) -> None:
     axes.axhline(limit, color=GREY, linewidth=1.1, linestyle=":", label="limit")
-    axes.legend(fontsize=9.5, loc="upper right", ncols=3)
+    axes.legend(fontsize="small", loc="upper right", ncols=3)
 
 
 def _draw_clearance(axes: Any, flight: FlightCurves) -> None:
@@ -174,7 +175,7 @@ def _draw_clearance(axes: Any, flight: FlightCurves) -> None:
     if flight.clearances:
         top = _top(flight.clearances)
         axes.set_ylim(min(lowest, -0.05 * top), 1.08 * top)
-    axes.legend(fontsize=9.5, loc="upper right", ncols=4)
+    axes.legend(fontsize="small", loc="upper right", ncols=4)
 
 
 def _top(clearances: Sequence[Curve]) -> float:
@@ -197,7 +198,7 @@ def _draw_commands(axes: Any, flight: FlightCurves) -> None:
         axes.axhline(flight.limit, color=GREY, linewidth=1.1, linestyle=":", label="limit")
     name, unit = flight.quantity.split(" [")
     axes.set(ylabel=f"{name}\ncommand [{unit}", ylim=(0, None))
-    axes.legend(fontsize=9.5, loc="upper right", ncols=3)
+    axes.legend(fontsize="small", loc="upper right", ncols=3)
 
 
 def _draw_regulation(axes: Any, flight: FlightCurves) -> None:
@@ -224,15 +225,20 @@ def _draw_filters(axes: Any, filters: Sequence[FilterAnswers]) -> None:
                 [(span.begin_s, span.end_s - span.begin_s)], (row - 0.38, 0.76), facecolors=color, linewidth=0
             )
     axes.set(ylim=(len(filters) - 0.4, -0.6), yticks=range(len(filters)))
-    axes.set_yticklabels([filter_.name for filter_ in filters], fontsize=10)
+    axes.set_yticklabels([filter_.name for filter_ in filters], fontsize="small")
     axes.grid(visible=False)
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
     patches = [Patch(facecolor=color, label=word) for word, color in named.items()]
     axes.legend(
-        handles=patches, fontsize=9.5, ncols=6, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1,
+        handles=patches,
+        fontsize="small",
+        ncols=6,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        borderaxespad=0.1,
         handlelength=1.2,
-    )  # fmt: skip
+    )
 
 
 def _spans(filter_: FilterAnswers) -> list[_Span]:
@@ -264,5 +270,7 @@ def _draw_states(axes: Sequence[Any], spells: Sequence[Spell]) -> None:
         if spell.end_s - spell.begin_s > _NAMED_FRACTION * (end - begin) or spell.state in _STATES:
             middle = 0.5 * (spell.begin_s + spell.end_s)
             where = axes[0].get_xaxis_transform()
-            axes[0].text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color=SOFT)
+            axes[0].text(
+                middle, 1.02, spell.state, transform=where, ha="center", fontsize="small", color=SOFT
+            )
     axes[0].set_xlim(begin, end)

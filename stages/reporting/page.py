@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 
 from alula.stages.reporting.brief import Brief, Number, Subject, brief
+from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
+from alula.stages.reporting.flight_figures import NAME as FLIGHT
 from alula.stages.reporting.headline import chain
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import run_color, themed
+from alula.stages.reporting.still import NAME as STILL
 from alula.stages.reporting.style import STYLE, SWITCH
 from alula.stages.reporting.table import Table, folded, text
 from alula.stages.reporting.view3d import View
@@ -87,6 +90,27 @@ def page(
         parts += ["<h2>Tables</h2>", *[_table(table, is_open=not found.subjects) for table in tables]]
     parts += [_provenance(material), "</main></body></html>"]
     return "\n".join(part for part in parts if part) + "\n"
+
+
+def report_page(
+    material: Material, content: Content, figures: Sequence[Figure], view: View | None, line: str
+) -> str:
+    """Write the page of a report.
+
+    Args:
+        material: what it is about.
+        content: what it says.
+        figures: from `draw`.
+        view: the 3D view.
+        line: of provenance.
+    """
+    picture = next((figure for figure in figures if figure.name == STILL), None)
+    flights = [figure for figure in figures if figure.name.startswith(FLIGHT)]
+    others = [figure for figure in figures if figure is not picture and figure not in flights]
+    return page(
+        material, content.tables, others, view, line,
+        picture=picture, flights=flights, differences=content.differences,
+    )  # fmt: skip
 
 
 def comment(line: str) -> str:

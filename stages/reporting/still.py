@@ -88,7 +88,7 @@ def still(material: Material) -> Figure | None:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         _draw_scale(axes, sight, low, high)
         if lines:
-            axes.legend(loc="upper left", fontsize=11, handlelength=1.6)
+            axes.legend(loc="upper left", fontsize="medium", handlelength=1.6)
         svg = render()
     if flown:
         words.append(f"{len(flown):,} flown {'path' if len(flown) == 1 else 'paths'}")
@@ -346,7 +346,7 @@ def _draw_scale(axes: Any, sight: _Sight, low: FloatArray, high: FloatArray) -> 
         (0, 4),
         textcoords="offset points",
         ha="center",
-        fontsize=11,
+        fontsize="medium",
         color=SOFT,
         zorder=20,
     )
