@@ -159,6 +159,8 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     raw = head + rest
     if head.startswith(b"%PDF"):
         return _of_pdf(path)
+    if head == b"\x89PNG\r\n\x1a\n":
+        return _of_png(raw)
     if path.suffix == ".json" or head.startswith(b"{"):
         return _of_json(path)
     return _of_text(raw)
@@ -171,6 +173,15 @@ def _of_text(raw: bytes) -> Provenance | None:
     line = raw[mark + len(MARK) :].splitlines()[0]
     end = line.rfind(b"}") + 1
     return _decode(line[:end])
+
+
+def _of_png(raw: bytes) -> Provenance | None:
+    """Read from the text chunk of a PNG: its length, its kind, its contents."""
+    mark = raw.find(MARK.encode())
+    chunk = raw.rfind(b"tEXt", 0, max(mark, 0))
+    if mark < 0 or chunk < 4:
+        return None
+    return _of_text(raw[mark : chunk + 4 + int.from_bytes(raw[chunk - 4 : chunk], "big")])
 
 
 def _of_pdf(path: Path) -> Provenance | None:

@@ -100,8 +100,8 @@ _SAID: dict[str, tuple[str, str, str, Callable[[float], str]]] = {
 
 
 def difference_tables(material: Material) -> list[Table]:
-    """Compare each run with the first one; none where there is only one with trials."""
-    runs = [run for run in material.runs if run.record.trials]
+    """Compare each run with the first one; none of fewer than two with several trials."""
+    runs = [run for run in material.runs if len(run.record.trials) > 1]
     several = len(runs) > 2
     return [
         _table(runs[0], other, f"differences-{number}" if several else "differences")
