@@ -21,7 +21,7 @@ from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
-from alula.stages.reporting.palette import BLACK, COLORS, DASHES, SOFT, run_color
+from alula.stages.reporting.palette import BLACK, COLORS, DASHES, PURPLE, SOFT, run_color
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 NAME = "still"
@@ -34,6 +34,7 @@ _CEILING = 0.7  # of the height: what is left out above it, and above all flight
 _FEW_PATHS = 40  # more are drawn thinner
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 9.5, 4.2, 7.4  # of the drawing [inch]
 _FENCE = (0.8, 0.475, 0.655)  # of its faces
+_AROUND = 0.12  # of the extent of the flights: what is shown of a fence beyond them
 _LIGHT = np.array([0.36, -0.48, 0.8])
 
 
@@ -69,9 +70,12 @@ def still(material: Material) -> Figure | None:
         return None
     sight = _sight()
     top = max([float(line[:, 2].max()) for line in lines] + ([_height(world)] if len(world) else []))
-    fences = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
+    shapes = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
+    shapes = list({shape.corners_world.tobytes(): shape for shape in shapes}.values())
+    faces = [face for shape in shapes for face in faces_near(shape, lines)] if lines else []
     frame_top = top if material.scene is not None else np.inf
-    low, high = _frame(sight, lines, world, frame_top, fenced=bool(fences))
+    shown = lines + [face for face, _ in faces]
+    low, high = _frame(sight, shown, world, frame_top, fenced=bool(faces))
     size = high - low
     height = float(np.clip(_WIDTH * size[1] / size[0], _MIN_HEIGHT, _MAX_HEIGHT))
     words: list[str] = []
@@ -81,8 +85,8 @@ def still(material: Material) -> Figure | None:
             words.append(_draw_gaussians(axes, sight, material.scene, top))
         elif material.cover is not None:
             words.append(_draw_hulls(axes, sight, material.cover, top))
-        for shape in {shape.corners_world.tobytes(): shape for shape in fences}.values():
-            _draw_fence(axes, sight, shape)
+        if faces:
+            _draw_fence(axes, sight, faces)
             words.append("the fence")
         _draw_paths(axes, sight, flown, planned, [run.label for run in material.runs])
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -128,7 +132,7 @@ def _frame(
         shown.append(corners)
     flat = sight.flat(np.concatenate(shown))
     low, high = flat.min(axis=0), flat.max(axis=0)
-    pad = 0.03 * (high - low).max() if len(world) and not fenced else 0.15 * (high - low).max()
+    pad = 0.03 * (high - low).max() if len(world) and not fenced else 0.08 * (high - low).max()
     low, high = low - max(pad, 1e-3), high + max(pad, 1e-3)
     # a picture that is too wide or too tall gets room at its sides
     size, middle = high - low, 0.5 * (low + high)
@@ -238,40 +242,84 @@ def _is_inside_hulls(
     return keep
 
 
-def _draw_fence(axes: Any, sight: _Sight, shape: FenceShape) -> None:
-    """Draw the faces, those behind the flights darker, and the edges at which two meet or one ends."""
-    from matplotlib.collections import LineCollection, PolyCollection
+def faces_near(shape: FenceShape, paths: Sequence[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
+    """Faces of a fence, cut to a box around the flights.
 
-    corner = shape.corners_world
-    normal = np.cross(
-        corner[shape.triangles[:, 1]] - corner[shape.triangles[:, 0]],
-        corner[shape.triangles[:, 2]] - corner[shape.triangles[:, 0]],
-    )
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    triangle = corner[shape.triangles]
-    is_behind = normal @ sight.along > 0
+    Args:
+        shape: triangles of the faces.
+        paths: flown positions, shape (n, 3) each [m].
+
+    Returns:
+        Corners of each face, shape (k, 3) [m], in their order around it, and its outward normal.
+    """
+    points = np.concatenate(paths)
+    low, high = points.min(axis=0), points.max(axis=0)
+    around = max(_AROUND * float((high - low).max()), 1.0)
+    found: dict[tuple[float, ...], list[FloatArray]] = {}
+    for triangle in shape.corners_world[shape.triangles]:
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        length = float(np.linalg.norm(normal))
+        if length > 0:
+            plane = np.append(normal, normal @ triangle[0]) / length
+            found.setdefault(tuple(plane.round(6).tolist()), []).append(triangle)
+    faces = []
+    for plane, triangles in found.items():
+        normal = np.array(plane[:3])
+        face = _clipped(_ordered(np.concatenate(triangles), normal), low - around, high + around)
+        if len(face) >= 3:
+            faces.append((face, normal))
+    return faces
+
+
+def _draw_fence(axes: Any, sight: _Sight, faces: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+    """Draw the faces of a fence, those behind the flights darker."""
+    from matplotlib.collections import PolyCollection
+
     axes.add_collection(
         PolyCollection(
-            sight.flat(triangle.reshape(-1, 3)).reshape(-1, 3, 2),
-            facecolors=[(*_FENCE, 0.16 if behind else 0.07) for behind in is_behind],
-            linewidths=0,
-            zorder=1,
+            [sight.flat(face) for face, _ in faces],
+            facecolors=[(*_FENCE, 0.16 if normal @ sight.along > 0 else 0.07) for _, normal in faces],
+            edgecolors=PURPLE,
+            linewidths=1.2,
+            label="fence",
+            zorder=2,
         )
     )
-    sides: dict[tuple[int, int], list[int]] = {}
-    for number, triangle in enumerate(shape.triangles.tolist()):
-        for a, b in zip(triangle, triangle[1:] + triangle[:1], strict=True):
-            sides.setdefault((min(a, b), max(a, b)), []).append(number)
-    edges = [
-        edge
-        for edge, owners in sides.items()
-        if len(owners) < 2 or abs(float(normal[owners[0]] @ normal[owners[1]])) < 1 - 1e-6
+
+
+def _ordered(points: FloatArray, normal: FloatArray) -> FloatArray:
+    """Sort the corners of a convex polygon around its middle; points, shape (n, 3), may repeat."""
+    points = np.unique(points.round(9), axis=0)
+    arm = points - points.mean(axis=0)
+    across = np.cross(normal, arm[0])
+    return points[
+        np.argsort(np.arctan2(arm @ across / max(np.linalg.norm(across), 1e-12), arm @ _unit(arm[0])))
     ]
-    if edges:
-        segments = sight.flat(corner[np.array(edges)].reshape(-1, 3)).reshape(-1, 2, 2)
-        axes.add_collection(
-            LineCollection(segments, colors=SOFT, linewidths=1.4, label="fence", zorder=2, alpha=0.8)
-        )
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _clipped(polygon: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Cut a convex polygon, shape (n, 3), to a box.
+
+    Source: Sutherland and Hodgman 1974.
+    """
+    for axis in range(3):
+        for sign, limit in ((1.0, high[axis]), (-1.0, -low[axis])):
+            if not len(polygon):
+                return polygon
+            beyond = sign * polygon[:, axis] - limit
+            kept = []
+            for i in range(len(polygon)):
+                a, b, d, e = polygon[i - 1], polygon[i], beyond[i - 1], beyond[i]
+                if (d > 0) != (e > 0):
+                    kept.append(a + (b - a) * (d / (d - e)))
+                if e <= 0:
+                    kept.append(b)
+            polygon = np.array(kept).reshape(-1, 3)
+    return polygon
 
 
 def _draw_paths(

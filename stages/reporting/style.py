@@ -66,7 +66,7 @@ a { color: var(--accent); }
 .hero svg { max-height: 600px; }
 .hero figcaption { font-size: 12.5px; }
 .numbers { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 16px 20px; margin: 0; }
-.alone .numbers, .apart .numbers { grid-template-columns: repeat(auto-fit, minmax(160px, 1fr)); }
+.alone .numbers, .apart .numbers { grid-template-columns: repeat(auto-fit, minmax(140px, 1fr)); }
 .numbers div { display: flex; flex-direction: column; }
 .numbers dt { order: 2; font-size: 14.5px; line-height: 1.3; }
 .numbers dd { margin: 0; }

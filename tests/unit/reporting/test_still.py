@@ -3,9 +3,10 @@
 import numpy as np
 
 from alula.schemas.flights import Flight
+from alula.stages.reporting.fenced import FenceShape
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.palette import BLUE, ORANGE, VERMILLION, run_color, themed
-from alula.stages.reporting.still import still
+from alula.stages.reporting.still import faces_near, still
 from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 FLOOR, CEILING = box((0, 0, 0), (100, 100, 1)), box((0, 0, 59), (100, 100, 60))
@@ -48,6 +49,20 @@ def test_paths_have_the_colours_of_outcomes_and_of_several_runs_those_of_the_run
     assert VERMILLION not in both.svg
     assert "a (2)" in both.svg
     assert VERMILLION in still(Material("t", (flown("b", ["reached"], -0.1),))).svg
+
+
+def test_a_wide_fence_is_cut_to_the_flights():
+    """A wall of 200 m and a flight of 5 m towards it: what is shown of the wall is about as large."""
+    corners = np.array([[6, -100, -100], [6, 100, -100], [6, 100, 100], [6, -100, 100]], np.float64)
+    shape = FenceShape(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    path = np.column_stack([np.linspace(1, 5.9, 30), np.zeros(30), np.ones(30)])
+    ((face, normal),) = faces_near(shape, [path])
+    assert len(face) == 4
+    np.testing.assert_allclose(normal, [1, 0, 0])
+    np.testing.assert_allclose([face.min(axis=0), face.max(axis=0)], [[6, -1, 0], [6, 1, 2]])
+    sides = np.linalg.norm(face - np.roll(face, 1, axis=0), axis=1)
+    np.testing.assert_allclose(sides, 2)  # around it, not across
+    assert faces_near(shape, [path - [50, 0, 0]]) == []  # too far to see
 
 
 def test_a_plan_alone_is_drawn_and_nothing_is_not():
