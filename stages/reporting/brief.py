@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Literal
 
 from alula.schemas.run import TrialResult
 from alula.stages.filtering.registry import NO_FILTER
@@ -27,7 +27,12 @@ from alula.stages.reporting.material import (
 from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import BYTES_PER_HALF_PLANE, gaussian_count, success_interval, voxel_count
 
-GOOD, FAIR, BAD, PLAIN = "good", "fair", "bad", "plain"
+Tone = Literal["good", "fair", "bad", "plain"]
+GOOD: Final = "good"
+FAIR: Final = "fair"
+BAD: Final = "bad"
+PLAIN: Final = "plain"
+_UNPROVEN: Final[tuple[str, Tone]] = ("A plan; its file holds no proof that it is clear of the map.", PLAIN)
 _PARTS = {
     "map_clearance_m": "hulls",
     "scene_clearance_m": "splats",
@@ -71,7 +76,7 @@ class Subject:
     """A run, the map or the plan, with its verdict and its numbers.
 
     Attributes:
-        kind: "run", "map" or "plan".
+        kind: run, map, plan or scene.
         title: its name.
         words: one line about it.
         verdict: a sentence.
@@ -79,11 +84,11 @@ class Subject:
         numbers: the same keys for all subjects of a kind, as far as they are known.
     """
 
-    kind: str
+    kind: Literal["run", "map", "plan", "scene"]
     title: str
     words: str
     verdict: str
-    tone: str
+    tone: Tone
     numbers: tuple[Number, ...]
 
 
@@ -93,7 +98,7 @@ class Brief:
 
     title: str
     verdict: str
-    tone: str
+    tone: Tone
     subjects: tuple[Subject, ...]
     proofs: tuple[str, ...]
     limits: tuple[str, ...]
@@ -122,17 +127,19 @@ def brief(material: Material) -> Brief:
     )
 
 
-def _first(subjects: Sequence[Subject]) -> tuple[str, str]:
+def _first(subjects: Sequence[Subject]) -> tuple[str, Tone]:
     return (subjects[0].verdict, subjects[0].tone) if subjects else ("", PLAIN)
 
 
-def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, str]:
+def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, Tone]:
     """Verdict on all runs; those without a filter are only what others are compared with."""
     if len(judged) == 1:
         return judged[0].verdict, judged[0].tone
     behind = [r for r in runs if r.record.filter != NO_FILTER] or list(runs)
-    tones = [s.tone for r, s in zip(runs, judged, strict=True) if r in behind]
-    tone = next((one for one in (BAD, FAIR, GOOD) if one in tones), PLAIN)
+    labels = {run.label for run in behind}
+    tones = {subject.tone for subject in judged if subject.title in labels}
+    ranked: tuple[Tone, ...] = (BAD, FAIR, GOOD)
+    tone: Tone = next((one for one in ranked if one in tones), PLAIN)
     trials = [trial for run in behind for trial in run.record.trials]
     unjudged = sum(not run.record.trials for run in behind)
     touched = sum(trial.collision for trial in trials)
@@ -172,7 +179,7 @@ def _run(run: Run) -> Subject:
     return Subject("run", run.label, words, verdict, tone, numbers)
 
 
-def _verdict(run: Run) -> tuple[str, str]:
+def _verdict(run: Run) -> tuple[str, Tone]:
     trials, summary = run.record.trials, run.record.summary
     if not trials:
         notes = "; ".join(summary.get("notes", ())) or "there is no trial"
@@ -301,11 +308,16 @@ def _fence_numbers(run: Run) -> tuple[Number, ...]:
 def _map(material: Material) -> Subject:
     covered = coverage(material.certificate)
     words = {True: "proven", False: "no", "voxels only": "voxels only"}.get(covered, "not checked")
-    verdict, tone = {
+    known: dict[bool | str, tuple[str, Tone]] = {
         True: ("The map covers the scan: checked again, and proven.", GOOD),
         False: ("The map does not cover the scan.", BAD),
         "voxels only": ("The map covers the voxels; the scan itself was not checked.", FAIR),
-    }.get(covered, ("This map was not checked. Run alula verify, and pass --certificate.", PLAIN))
+    }
+    unknown: tuple[str, Tone] = (
+        "This map was not checked. Run alula verify, and pass --certificate.",
+        PLAIN,
+    )
+    verdict, tone = known.get(covered, unknown)
     good = covered if isinstance(covered, bool) else None
     found = [Number("covered", "covers the scan", covered, words, proof(material.certificate), good)]
     if (cover := material.cover) is not None:
@@ -314,13 +326,13 @@ def _map(material: Material) -> Subject:
         of = f"from {gaussians:,} Gaussians" if gaussians is not None else ""
         excess = float(manifest.conservativeness) - 1
         stored = manifest.summary.get("onboard_bytes")
-        known = isinstance(stored, int)
-        count = stored if known else len(cover["plane_offset"]) * BYTES_PER_HALF_PLANE
+        is_stored = isinstance(stored, int)
+        count = stored if is_stored else len(cover["plane_offset"]) * BYTES_PER_HALF_PLANE
         voxels = f"than its {voxel_count(cover):,} voxels"
         found += [
             Number("hulls", "convex hulls", hulls, f"{hulls:,}", of),
             Number("conservativeness", "larger", float(manifest.conservativeness), _more(excess), voxels),
-            Number("bytes", "on board" if known else "of half-planes", count, plain.size(count)),
+            Number("bytes", "on board" if is_stored else "of half-planes", count, plain.size(count)),
         ]
     return Subject("map", "The map", "", verdict, tone, tuple(found))
 
@@ -341,7 +353,7 @@ def _plan(manifest: Any) -> Subject:
     ):
         if isinstance(value := summary.get(key), int | float):
             found.append(Number(key, label, value, write(value)))
-    verdict, tone = "A plan; its file holds no proof that it is clear of the map.", PLAIN
+    verdict, tone = _UNPROVEN
     if isinstance(proven, int | float):
         # the bound is on the distance of the centre
         is_clear = proven >= manifest.radius_m

@@ -35,7 +35,7 @@ _RUNS_AS_COLUMNS = 3  # more runs are rows
 # The policy blocks every fetch, also those of the 3D view, whose code and workers are inside the page.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
-    "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"
+    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
 )
 
 
@@ -249,7 +249,7 @@ def _view(view: View) -> str:
         "from one side."
     )
     return (
-        '<h2>Look around</h2><iframe title="3D view of hulls, Gaussians and paths" '
+        '<h2>Look around</h2><iframe title="3D view of scene, map and flights" '
         f'sandbox="allow-scripts" loading="lazy" srcdoc="{escape(view.html)}"></iframe>'
         f'<p class="soft">{escape(note.strip())}</p>'
     )

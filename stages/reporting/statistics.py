@@ -207,7 +207,7 @@ def sign_test(higher: int, lower: int) -> float:
     for k in range(few):
         term = term * (n - k) // (k + 1)
         tail += term
-    return min(1.0, 2 * tail / 2**n)  # a quotient of integers, so that no power overflows
+    return min(1.0, tail / (1 << max(n - 1, 0)))  # a quotient of integers, so that no power overflows
 
 
 def _estimate(

@@ -216,7 +216,7 @@ def _draw_hulls(axes: Any, sight: _Sight, cover: Artifact, top: float) -> str:
     color = np.column_stack([0.80 * shade, 0.88 * shade, shade, np.full(len(order), 0.9)])
     axes.add_collection(
         PolyCollection(
-            sight.flat(triangle[order].reshape(-1, 3)).reshape(-1, 3, 2),
+            list(sight.flat(triangle[order].reshape(-1, 3)).reshape(-1, 3, 2)),
             facecolors=np.clip(color, 0, 1),
             edgecolors="face",
             linewidths=0.2,
@@ -263,8 +263,8 @@ def faces_near(shape: FenceShape, paths: Sequence[FloatArray]) -> list[tuple[Flo
             plane = np.append(normal, normal @ triangle[0]) / length
             found.setdefault(tuple(plane.round(6).tolist()), []).append(triangle)
     faces = []
-    for plane, triangles in found.items():
-        normal = np.array(plane[:3])
+    for equation, triangles in found.items():
+        normal = np.array(equation[:3])
         face = _clipped(_ordered(np.concatenate(triangles), normal), low - around, high + around)
         if len(face) >= 3:
             faces.append((face, normal))
