@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,7 +94,9 @@ def command(
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
     run(common, REPORT_SCHEMA, REPORT_VERSION, parameters, inputs, make)
-    if not common.dry_run and not all(path.exists() for path in beside):  # deleted beside an unchanged page
+    if form == "tex" and not common.dry_run:
+        beside = _figures_of(common.output)
+    if not common.dry_run and not all(path.exists() for path in beside):  # deleted beside an unchanged output
         recorded = read_provenance(common.output)
         assert recorded is not None
         files, _ = build(recorded, lambda done, total: None)
@@ -159,6 +162,12 @@ def _on_paper(material: Material, content: Any, form: str, output: Path, line: s
     shown = [(figure, place.name) for (figure, _), place in zip(drawn, places, strict=True)]
     figures = {place: data for (_, data), place in zip(drawn, places, strict=True)}
     return {output: to_tex(content, shown, line).encode()} | figures
+
+
+def _figures_of(output: Path) -> list[Path]:
+    """Files of the figures that a document of LaTeX shows."""
+    found = re.findall(r"\\includegraphics\[[^\]]*\]\{([^}]*)\}", output.read_text(encoding="utf-8"))
+    return [output.with_name(name) for name in found]
 
 
 def _ascii(line: str) -> str:

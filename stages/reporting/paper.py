@@ -150,12 +150,16 @@ def _blank(size: tuple[float, float]) -> Any:
 
 
 def _pdf(sheets: Sequence[Any], line: str) -> bytes:
-    """One PDF of sheets; equal sheets give equal bytes."""
+    """One PDF of sheets, with fonts that journals accept (TrueType); equal sheets give equal bytes."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_pdf import PdfPages
 
     out = io.BytesIO()
     about = {"Creator": "alula", "Producer": None, "CreationDate": None}
-    with PdfPages(out, metadata=about | ({"Keywords": line} if line else {})) as pages:
+    with (
+        mpl.rc_context({"pdf.fonttype": 42}),
+        PdfPages(out, metadata=about | ({"Keywords": line} if line else {})) as pages,
+    ):
         for sheet in sheets:
             pages.savefig(sheet)
     return out.getvalue()

@@ -305,11 +305,14 @@ def test_every_format_knows_what_it_was_made_from(report, tmp_path, suffix, caps
         ]
         assert figures
         assert all(read_provenance(tmp_path / name) is not None for name in figures)
+        assert all(b"/Type0" in (tmp_path / name).read_bytes() for name in figures)  # TrueType fonts
+        (tmp_path / figures[0]).unlink()
     else:
         assert names == [path.name]
     capsys.readouterr()
     report(*words, out=f"r.{suffix}")
     assert "unchanged" in capsys.readouterr().out
+    assert sorted(file.name for file in tmp_path.iterdir()) == names
     report(*words, "-f", out=f"r.{suffix}")
     assert path.read_bytes() == raw
     path.write_text("a diary")
