@@ -183,6 +183,7 @@ def _verdict(run: Run) -> tuple[str, Tone]:
     trials, summary = run.record.trials, run.record.summary
     if not trials:
         notes = "; ".join(summary.get("notes", ())) or "there is no trial"
+        notes = notes.removesuffix("; the flight was not judged")
         return f"Not judged: {notes}.", BAD if run.course is not None else PLAIN
     touched, (good, word) = sum(trial.collision for trial in trials), successes(run)
     n, fenced = len(trials), is_fenced(run)
@@ -242,7 +243,7 @@ def _numbers(run: Run) -> tuple[Number, ...]:
         found.append(Number("max_tracking_error_m", "farthest from the plan", off, shown, detail))
     elif run.record.filter != NO_FILTER and steps:
         changed = sum(trial.filtered_steps for trial in trials)
-        label, value = "of the commands changed by the filter", changed / steps
+        label, value = "commands changed by the filter", changed / steps
         detail = f"{plain.count(changed, steps)} steps"
         found.append(Number("changed_fraction", label, value, plain.share(changed, steps), detail))
     else:

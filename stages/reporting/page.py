@@ -29,6 +29,7 @@ from alula.stages.reporting.table import Table, folded, text
 from alula.stages.reporting.view3d import View
 
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
+_OPEN_ROWS = 15  # longer tables are folded on pages without a verdict, too; shorter ones are their subject
 _NUMBERS = 4  # of a run on the first screen
 _RUNS_AS_COLUMNS = 3  # more runs are rows
 
@@ -79,7 +80,7 @@ def page(
         _header(material),
         _hero(found, picture),
         _in_short(facts or {}),
-        *[_difference(table) for table in differences],
+        *[_difference(table, is_open=len(differences) == 1) for table in differences],
         _playback(view, flights),
         _apart(material, found),
         _guarantees(found),
@@ -87,7 +88,13 @@ def page(
     if figures:
         parts += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
     if tables:
-        parts += ["<h2>Tables</h2>", *[_table(table, is_open=not found.subjects) for table in tables]]
+        parts += [
+            "<h2>Tables</h2>",
+            *[
+                _table(table, is_open=not found.subjects and len(table.rows) <= _OPEN_ROWS)
+                for table in tables
+            ],
+        ]
     parts += [_provenance(material), "</main></body></html>"]
     return "\n".join(part for part in parts if part) + "\n"
 
@@ -129,9 +136,11 @@ def _subtitle(material: Material) -> str:
     trials = sum(len(run.record.trials) for run in material.runs)
     parts = []
     if material.runs:
-        flights = "flight" if trials == 1 else "flights"
+        unjudged = sum(not run.record.trials for run in material.runs)
+        counts = [f"{text(trials)} {'flight' if trials == 1 else 'flights'}"] if trials else []
+        counts += [f"{unjudged} not judged"] if unjudged else []
         runs = f" in {len(material.runs)} runs" if len(material.runs) > 1 else ""
-        parts.append(f"{text(trials)} {flights}{runs}")
+        parts.append(f"{', '.join(counts)}{runs}")
         filters = dict.fromkeys(run.record.filter for run in material.runs)
         parts.append(f"filter {', '.join(filters)}")
         if len(vehicles := list(dict.fromkeys(run.record.vehicle for run in material.runs))) == 1:
@@ -212,8 +221,9 @@ def _board(runs: Sequence[Subject]) -> str:
         ]
     head = "".join(f'<th scope="col">{words}</th>' for words in heads)
     body = "".join(f'<tr><th scope="row">{row[0]}</th>{"".join(row[1:])}</tr>' for row in rows)
+    many = "" if len(runs) <= _RUNS_AS_COLUMNS else " many"
     return (
-        f'<div class="scroll"><table class="board"><thead><tr>{head}</tr></thead>'
+        f'<div class="scroll"><table class="board{many}"><thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -325,14 +335,17 @@ def _svg(figure: Figure) -> str:
     return f'<div class="svg">{head}{label}>{own}</div>'
 
 
-def _difference(table: Table) -> str:
+def _difference(table: Table, *, is_open: bool) -> str:
+    """A comparison of two runs: in words, and as a table, which is folded where there are several."""
     said = "".join(f"<li>{escape(line)}</li>" for line in difference_words(table))
     said = f'<ul class="panel said">{said}</ul>' if said else ""
     note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
-    return (
-        f'<section id="{escape(table.name)}"><h2>{escape(table.title)}</h2>'
-        f'{said}<div class="panel scroll">{_rows(folded(table))}</div>{note}</section>'
-    )
+    rows = _rows(folded(table))
+    if is_open:
+        shown = f'<div class="panel scroll">{rows}</div>{note}'
+    else:
+        shown = f'<details><summary>All differences</summary><div class="scroll">{rows}</div>{note}</details>'
+    return f'<section id="{escape(table.name)}"><h2>{escape(table.title)}</h2>{said}{shown}</section>'
 
 
 def _table(table: Table, *, is_open: bool) -> str:

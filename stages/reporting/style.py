@@ -88,6 +88,9 @@ a { color: var(--accent); }
   color: var(--ink); }
 .board tbody th { font-size: 14px; line-height: 1.3; vertical-align: middle; }
 .board th span { color: var(--soft); font-size: 12.5px; display: block; font-weight: 400; }
+.board.many td b { font-size: 17px; }
+.board.many thead th { font-size: 13px; font-weight: 500; }
+.board.many td, .board.many th { padding: 7px 10px 7px 0; }
 .board tbody tr:hover { background: none; }
 .board td.good b { color: var(--good); }
 .board td.bad b { color: var(--bad); }
