@@ -176,7 +176,9 @@ def _clearances(material: Material, run: Run, flight: Flight) -> tuple[Curve, ..
             obstacles = hull_obstacles(Hulls.from_cover(material.cover))
             distance = path_clearance(path, obstacles, cap_m=_CAP_M)
             found.append(Curve("hulls", to_end, distance - radius))
-        if material.scene is not None and _is_same(run, material.inputs, "scene"):
+        # the path of a flight is in metres, and so is only a scene that was aligned
+        is_metric = material.scene is not None and material.scene.manifest.unit == "m"
+        if material.scene is not None and is_metric and _is_same(run, material.inputs, "scene"):
             ellipsoids = scene_obstacles(material.scene, _sigma(run))
             distance = path_clearance(path, ellipsoids, cap_m=_CAP_M)
             found.append(Curve("splats", to_end, distance - radius))

@@ -217,23 +217,23 @@ def test_equal_inputs_give_equal_bytes(report, everything):
 
 
 def test_an_unchanged_report_is_left_alone(report, capsys):
-    path = report("a.run.mcap")
+    path = report("--cover", "m.cover.npz")
     made = path.stat().st_ino
     capsys.readouterr()
-    report("a.run.mcap")
+    report("--cover", "m.cover.npz")
     assert "unchanged" in capsys.readouterr().out
     assert path.stat().st_ino == made
-    report("a.run.mcap", "--title", "other", code=2)
-    report("a.run.mcap", "--title", "other", "-f")
+    report("--cover", "m.cover.npz", "--title", "other", code=2)
+    report("--cover", "m.cover.npz", "--title", "other", "-f")
     assert "<h1>other</h1>" in path.read_text()
 
 
 def test_missing_tables_beside_an_unchanged_page_are_written_again(report):
-    path = report("a.run.mcap")
+    path = report("--cover", "m.cover.npz")
     before = path.with_suffix(".md").read_bytes()
     path.with_suffix(".md").unlink()
     path.with_suffix(".csv").unlink()
-    report("a.run.mcap")
+    report("--cover", "m.cover.npz")
     assert path.with_suffix(".md").read_bytes() == before
     assert path.with_suffix(".csv").exists()
 
@@ -243,11 +243,11 @@ def test_missing_tables_beside_an_unchanged_page_are_written_again(report):
 def test_foreign_files_beside_the_page_are_kept(report, tmp_path, suffix, capsys):
     diary = tmp_path / f"r{suffix}"
     diary.write_text("a diary")
-    report("a.run.mcap", code=2)
+    report("--cover", "m.cover.npz", code=2)
     assert diary.name in capsys.readouterr().err
     assert diary.read_text() == "a diary"
     assert not (tmp_path / "r.html").exists()
-    report("a.run.mcap", "-f")
+    report("--cover", "m.cover.npz", "-f")
     assert diary.read_text() != "a diary"
 
 
