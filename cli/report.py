@@ -158,7 +158,8 @@ def _on_paper(material: Material, content: Any, form: str, output: Path, line: s
     if form == "png":
         return {output: to_png(material, content, line)}
     drawn = column_figures(material, line)
-    places = [output.with_name(f"{output.stem}-{figure.name}.pdf") for figure, _ in drawn]
+    stem = re.sub(r"[^A-Za-z0-9.+-]", "-", output.stem)  # what LaTeX takes in the name of a file
+    places = [output.with_name(f"{stem}-{figure.name}.pdf") for figure, _ in drawn]
     shown = [(figure, place.name) for (figure, _), place in zip(drawn, places, strict=True)]
     figures = {place: data for (_, data), place in zip(drawn, places, strict=True)}
     return {output: to_tex(content, shown, line).encode()} | figures

@@ -7,12 +7,16 @@ from collections.abc import Sequence
 from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
+from alula.stages.reporting.paper import COLUMN_INCH
 from alula.stages.reporting.table import Table, folded, text
 
 _MARKS = {
     "\\": r"\textbackslash{}",
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
     "~": r"\textasciitilde{}",
+    "[": "{[}",  # after the end of a row it would be an option
+    "]": "{]}",
+    "*": "{*}",
     "^": r"\textasciicircum{}",
     "<": r"\textless{}",
     ">": r"\textgreater{}",
@@ -33,7 +37,7 @@ _MARKS = {
     "ᵀ": r"$^{T}$",
     "₀": r"$_0$",
 }
-_HEAD = r"""\documentclass[10pt,twocolumn]{article}
+_HEAD = r"""\documentclass[10pt]{article}
 \usepackage[T1]{fontenc}
 \usepackage[utf8]{inputenc}
 \usepackage[a4paper,margin=18mm]{geometry}
@@ -67,14 +71,13 @@ def to_tex(content: Content, figures: Sequence[tuple[Figure, str]], first_line: 
     parts += [r"\section*{What is guaranteed, and what is not}", _list(found.proofs)]
     parts.append(_list([f"Not covered: {line}" for line in found.limits]))
     for figure, file in figures:
-        star = "*" if figure.wide else ""
-        width = r"\textwidth" if figure.wide else r"\columnwidth"
+        width = r"\linewidth" if figure.wide else f"{COLUMN_INCH}in"
         parts.append(
-            f"\\begin{{figure{star}}}\\centering\n\\includegraphics[width={width}]{{{file}}}\n"
-            f"\\caption{{{tex(figure.alt)}}}\n\\end{{figure{star}}}"
+            f"\\begin{{figure}}\\centering\n\\includegraphics[width={width}]{{{file}}}\n"
+            f"\\caption{{{tex(figure.alt)}}}\n\\end{{figure}}"
         )
     tables = [table for table in content.tables if table.name in _TABLES]
-    parts += [r"\clearpage\onecolumn"] if tables else []
+    parts += [r"\clearpage"] if tables else []
     parts += [_table(folded(table), long=True) for table in tables]
     return "\n\n".join(part for part in [*parts, r"\end{document}"] if part) + "\n"
 
@@ -95,8 +98,9 @@ def _list(lines: Sequence[str]) -> str:
 def _table(table: Table, *, long: bool = False) -> str:
     """A table with rules above, below and under its head; a long one may break over pages."""
     name = "longtable" if long else "tabular"
+    others = len(table.columns) - 1
     kind = (
-        "p{0.34\\linewidth}" + "p{0.2\\linewidth}" * (len(table.columns) - 1)
+        "p{0.34\\linewidth}" + f"p{{{0.58 / max(others, 1):.3f}\\linewidth}}" * others
         if long
         else "l" * len(table.columns)
     )

@@ -3,10 +3,12 @@
 import csv
 import json
 import re
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from alula.cli.main import run
@@ -320,6 +322,25 @@ def test_every_format_knows_what_it_was_made_from(report, tmp_path, suffix, caps
     assert path.read_text() == "a diary"
 
 
+def test_a_document_of_latex_escapes_what_latex_would_read(report, folder, tmp_path):
+    log = tmp_path / "50% of_x & y$.run.mcap"
+    log.write_bytes((folder / "b.run.mcap").read_bytes())
+    words = (str(log), "a.run.mcap", "--title", r"100 % [\input{x}] of {a_b} ~#1 λ 漢")
+    raw = report(*words, out="two of #2.tex").read_text()
+    body = raw[raw.index(r"\begin{document}") :]
+    assert r"100 \% {[}\textbackslash{}input\{x\}{]} of \{a\_b\} \textasciitilde{}\#1 $\lambda$ ?" in body
+    assert r"\input" not in body.replace(r"\textbackslash{}input", "")
+    assert r"50\% of\_x \& y\$" in body
+    bare = re.sub(r"\\[\\{}%$#&_]", "", body)
+    assert bare.count("{") == bare.count("}")
+    assert bare.count("$") % 2 == 0
+    for begun in re.findall(r"\\begin{(\w+)}", body):
+        assert body.count(rf"\begin{{{begun}}}") == body.count(rf"\end{{{begun}}}")
+    shown = re.findall(r"includegraphics\[[^]]*\]{([^}]*)}", body)
+    assert shown
+    assert all((tmp_path / name).exists() and re.fullmatch(r"[\w.+-]+", name) for name in shown)
+
+
 def test_a_table_of_trials_is_replaced_and_a_diary_is_not(report, tmp_path):
     path = report("a.run.mcap", out="r.csv")
     assert len(path.read_text().splitlines()) == 4
@@ -337,6 +358,19 @@ def test_a_figure_that_is_somebody_elses_is_kept(report, tmp_path, capsys):
     assert diary.name in capsys.readouterr().err
     assert diary.read_text() == "a diary"
     assert not (tmp_path / "r.tex").exists()
+
+
+@pytest.mark.slow
+def test_two_runs_of_3000_trials_are_reported_in_ten_seconds_of_processor_time(tmp_path):
+    rng = np.random.default_rng(1)
+    for name in ("a", "b"):
+        trials = [make_trial(i, clearance=float(c)) for i, c in enumerate(rng.uniform(-0.05, 0.5, 3000))]
+        write_run(tmp_path / f"{name}.run.mcap", make_record(trials), steps=10)
+    begin = time.process_time()
+    words = [str(tmp_path / "a.run.mcap"), str(tmp_path / "b.run.mcap"), "-o", str(tmp_path / "r.html"), "-q"]
+    assert run(["report", *words]) == 0
+    assert time.process_time() - begin < 10
+    assert (tmp_path / "r.html").stat().st_size < 8e6
 
 
 def test_a_message_that_is_not_as_documented_is_damage(tmp_path, capsys):
