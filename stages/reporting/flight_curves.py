@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.flights import FilterAnswers, Flight
+from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
@@ -29,6 +29,15 @@ class Curve:
     name: str
     time_s: FloatArray
     value: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FilterAnswers:
+    """Statuses that a filter reported, m words at times of shape (m,) [s]."""
+
+    name: str
+    time_s: FloatArray
+    status: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +143,8 @@ def _curves(
             for name, values in (("nominal", given.nominal), ("sent", given.filtered))
         )
     regulation = flight.regulation
-    own = FilterAnswers(run.record.filter, flight.margin_time_s, flight.status)
+    each = flight.each_status or ({run.record.filter: flight.status} if flight.status else {})
+    answers = (FilterAnswers(name, flight.margin_time_s, status) for name, status in each.items())
     return FlightCurves(
         run=run.label,
         trial=index,
@@ -150,7 +160,7 @@ def _curves(
         limit=_limit(run, _FLOWN.get(quantity, "")),
         speed_limit_m_s=_limit(run, "max_speed_m_s"),
         regulation=None if regulation is None else Curve("λ", flight.margin_time_s, regulation),
-        filters=flight.filters or ((own,) if flight.status else ()),
+        filters=tuple(answers),
         spells=spells(run.course),
         worst_s=_worst(clearances, margin),
     )

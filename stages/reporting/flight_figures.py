@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.flights import FilterAnswers
 from alula.stages.reporting import plain
 from alula.stages.reporting.curves import Spell, broken
 from alula.stages.reporting.figures import Figure, drawing
-from alula.stages.reporting.flight_curves import Curve, FlightCurves, worst_flights
+from alula.stages.reporting.flight_curves import Curve, FilterAnswers, FlightCurves, worst_flights
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, SOFT, VERMILLION
 

@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.flights import Commands, Flight, Moving, flights_of
+from alula.schemas.flight_samples import Commands, Moving
+from alula.schemas.flights import Flight, flights_of
 from alula.stages.reporting.flight_curves import worst_flights
 from alula.stages.reporting.flight_figures import flight_figures
 from alula.stages.reporting.material import Material, Run
@@ -94,11 +95,13 @@ def test_a_log_tells_what_each_of_several_filters_did():
             message("/safety/dr-acbf", status_name=first),
             message("/safety/shield", status_name=second),
         ]
-    answers = flights_of(found).by_trial[0].filters
-    assert [one.name for one in answers] == ["dr-acbf", "shield"]
-    assert answers[0].status == ("ok", "filtered", "filtered")
-    np.testing.assert_allclose(answers[1].time_s, [0, 0.1, 0.2])
-    run = run_of(flight(filters=answers))
+    run = run_of(flights_of(found).by_trial[0])
+    (curves,) = worst_flights(Material("t", (run,)))
+    assert [(one.name, one.status) for one in curves.filters] == [
+        ("dr-acbf", ("ok", "filtered", "filtered")),
+        ("shield", ("ok", "ok", "backup")),
+    ]
+    np.testing.assert_allclose(curves.filters[1].time_s, [0, 0.1, 0.2])
     (figure,) = flight_figures(Material("t", (run,)))
     assert "dr-acbf: command unchanged in 33 %, changed in 67 %." in figure.alt
     assert "shield" in figure.svg
