@@ -142,21 +142,21 @@ def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, Tone]
     tone: Tone = next((one for one in ranked if one in tones), PLAIN)
     trials = [trial for run in behind for trial in run.record.trials]
     unjudged = sum(not run.record.trials for run in behind)
+    blind = sum(clearance_of(trial) is None for trial in trials)
     touched = sum(trial.collision for trial in trials)
     several = f" in {len(behind)} runs" if len(behind) > 1 else ""
     if touched:
         words = f"{plain.count(touched, len(trials))} flights {_bad_word(behind)}."
-    elif any(clearance_of(trial) is not None for trial in trials):
-        words = "All flights stayed inside the fence." if all(map(is_fenced, behind)) else ""
-        words = words or f"None of {len(trials):,} flights{several} touched anything"
-        if words[-1] != ".":
-            names = {run.record.filter for run in behind}
-            ends = {successes(run)[1] for run in behind if run.record.trials}
-            if len(names) == len(ends) == 1 and ends != {"touched nothing"}:
-                words += f"; {sum(successes(run)[0] for run in behind):,} {ends.pop()}"
-            words += "."
-    else:
+    elif blind == len(trials):
         words = f"{len(trials):,} flights{several}; no obstacle was judged."
+    elif blind:
+        words = (
+            f"None of {len(trials) - blind:,} flights touched anything; {blind:,} had no obstacle to judge."
+        )
+    elif all(map(is_fenced, behind)):
+        words = "All flights stayed inside the fence."
+    else:
+        words = f"None of {len(trials):,} flights{several} touched anything{_ends_of(behind)}."
     if unjudged:
         words += f" {unjudged} {'run was' if unjudged == 1 else 'runs were'} not judged."
     if len(behind) < len(runs):
@@ -165,6 +165,14 @@ def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, Tone]
         words = words.replace("None of", "Behind a filter none of", 1)
         words += f" Without one, {hit:,} of {len(bare):,} {_bad_word(runs)}."
     return words, tone
+
+
+def _ends_of(runs: Sequence[Run]) -> str:
+    """How many reached the goal, if all flew behind one filter and mean the same by success."""
+    words = {successes(run)[1] for run in runs if run.record.trials}
+    if len({run.record.filter for run in runs}) > 1 or len(words) != 1 or words == {"touched nothing"}:
+        return ""
+    return f"; {sum(successes(run)[0] for run in runs):,} {words.pop()}"
 
 
 def _bad_word(runs: Sequence[Run]) -> str:

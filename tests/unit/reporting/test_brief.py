@@ -47,6 +47,8 @@ def test_what_was_not_judged_is_not_called_clear():
     record = make_record(SAFE)
     run = Run("a", msgspec.structs.replace(record, trials=blind))
     assert said(run)[0] == "All 3 flights reached the goal; no obstacle was judged."
+    both = brief(Material("t", (run, run_of(SAFE, "b"))))
+    assert both.verdict == "None of 3 flights touched anything; 3 had no obstacle to judge."
     assert "min_clearance_m" not in [
         number.key for number in brief(Material("t", (run,))).subjects[0].numbers
     ]
