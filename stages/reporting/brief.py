@@ -141,7 +141,8 @@ def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, Tone]
     unjudged = sum(not run.record.trials for run in behind)
     blind = sum(clearance_of(trial) is None for trial in trials)
     touched = sum(trial.collision for trial in trials)
-    several = f" in {len(behind)} runs" if len(behind) > 1 else ""
+    flown = sum(bool(run.record.trials) for run in behind)
+    several = f" in {flown} runs" if flown > 1 else ""
     if touched:
         words = f"{plain.count(touched, len(trials))} flights {_bad_word(behind)}."
     elif blind == len(trials):

@@ -93,7 +93,7 @@ def to_png(material: Material, content: Content, line: str) -> bytes:
     tone = _TONES.get(found.tone, SOFT)
     _say(sheet, 0.035, 0.94, _fit(found.title, 60), fontsize=12, color=SOFT, va="top")
     sheet.add_artist(_bar(0.035, 0.868, 0.05, 0.012, tone))
-    words = textwrap.wrap(found.verdict, 27 if picture is not None else 60)[:6]
+    words = textwrap.wrap(found.verdict, 25 if picture is not None else 60)[:6]
     _say(
         sheet, 0.035, 0.84, "\n".join(words), fontsize=21, weight="bold", color=INK, va="top", linespacing=1.2
     )
@@ -128,7 +128,7 @@ def _card_numbers(sheet: Any, subjects: Sequence[Subject], top: float) -> None:
             va="top",
         )
         shown = [f"{number.shown} {number.label}" for number in subject.numbers[:3]]
-        lines = "\n".join(textwrap.wrap(" · ".join(shown), 58)[:2])
+        lines = "\n".join(textwrap.wrap(" · ".join(shown) or subject.verdict, 56)[:2])
         _say(sheet, 0.035, y - 0.042, lines, fontsize=9.5, color=INK, va="top", linespacing=1.3)
 
 

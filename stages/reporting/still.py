@@ -95,7 +95,9 @@ def still(material: Material) -> Figure | None:
             axes.legend(loc="upper left", fontsize="medium", handlelength=1.6)
         svg = render()
     if flown:
-        words.append(f"{len(flown):,} flown {'path' if len(flown) == 1 else 'paths'}")
+        everything = max(len(flown), sum(len(run.record.trials) for run in material.runs))
+        of = f" of {everything:,}" if everything > len(flown) else ""
+        words.append(f"{len(flown):,}{of} flown {'path' if everything == 1 else 'paths'}")
     if len(planned):
         words.append("the plan")
     alt = f"Seen from above at an angle: {', '.join(words)}."

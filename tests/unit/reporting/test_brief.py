@@ -71,6 +71,12 @@ def test_flights_behind_different_filters_are_not_added_up():
     assert said(one, run_of(SAFE, "b"))[0].endswith("; 6 reached the goal.")
 
 
+def test_a_run_whose_log_was_cut_does_not_count_as_flown():
+    cut = Run("b", msgspec.structs.replace(make_record(SAFE), trials=[], summary={"notes": ["cut"]}))
+    words, _ = said(run_of(SAFE), cut)
+    assert words == "None of 3 flights touched anything; 3 reached the goal. 1 run was not judged."
+
+
 def test_the_closest_part_of_the_world_and_its_trial_are_named():
     trials = [msgspec.structs.replace(trial, scene_clearance_m=trial.map_clearance_m + 0.1) for trial in SAFE]
     numbers = {number.key: number for number in brief(Material("t", (run_of(trials),))).subjects[0].numbers}
