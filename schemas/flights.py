@@ -1,4 +1,4 @@
-"""Contents of a run's log: its channels, states and safety margins of each flight over time."""
+"""Contents of a run's log: its channels, and states, margins, commands and moving obstacles over time."""
 
 from __future__ import annotations
 
@@ -22,8 +22,39 @@ STATE_TOPIC = "/state"
 SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
+OBSTACLES_TOPIC = "/obstacles"
 
 _LARGEST = 1e12  # [s], [m], [m/s]; larger values are no measurements, and no figure can show them
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """Moving obstacles at the times of a flight's states.
+
+    Attributes:
+        position_world: true positions, shape (n, k, 3) [m].
+        track_world: positions by the tracks, NaN beyond the number of tracks, shape (n, k, 3) [m].
+        radius_m: of the obstacles, shape (k,) [m].
+    """
+
+    position_world: NDArray[np.float64]
+    track_world: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """Nominal and filtered inputs at the times of the filter's answers.
+
+    Attributes:
+        nominal: NaN where unknown, shape (m, 3).
+        filtered: NaN where unknown, shape (m, 3).
+        quantity: what they are, with the unit.
+    """
+
+    nominal: NDArray[np.float64]
+    filtered: NDArray[np.float64]
+    quantity: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +73,9 @@ class Flight:
         regulation: regulation function lambda of a geofence, NaN where unknown, shape (m,); None elsewhere.
         fence_distance_m: minimum true distance to the fence since the answer before, less the radius, NaN
             where unknown, shape (m,) [m]; None elsewhere.
+        quat_world_body_wxyz: attitudes, body to world, shape (n, 4); None of a vehicle without one.
+        moving: obstacles that moved; None without any.
+        commands: nominal and filtered inputs; None of filters whose inputs are not logged as vectors.
     """
 
     time_s: NDArray[np.float64]
@@ -53,6 +87,9 @@ class Flight:
     status: tuple[str, ...]
     regulation: NDArray[np.float64] | None = None
     fence_distance_m: NDArray[np.float64] | None = None
+    quat_world_body_wxyz: NDArray[np.float64] | None = None
+    moving: Moving | None = None
+    commands: Commands | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +135,27 @@ class _Vector(msgspec.Struct, gc=False):
     z: float
 
 
+class _Quaternion(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+    w: float
+
+
 class _State(msgspec.Struct, gc=False):
     trial: int
     time_s: float
     position_m: _Vector
     velocity_m_s: _Vector
+    attitude: _Quaternion | None = None
+
+
+class _Loose(msgspec.Struct, gc=False):
+    """A vector whose unknown components are null."""
+
+    x: float | None
+    y: float | None
+    z: float | None
 
 
 class _Safety(msgspec.Struct, gc=False):
@@ -115,6 +168,10 @@ class _Safety(msgspec.Struct, gc=False):
     moving_clearance_m: float | None = None
     status_name: str = ""
     regulation: float | None = msgspec.field(default=None, name="lambda")
+    u_nom_m_s: _Loose | None = None
+    u_safe_m_s: _Loose | None = None
+    a_nom_m_s2: _Loose | None = None
+    a_safe_m_s2: _Loose | None = None
 
 
 class _Supervisor(msgspec.Struct, gc=False):
@@ -140,9 +197,27 @@ class _Pair(msgspec.Struct):
     value: str
 
 
+class _Pose(msgspec.Struct):
+    position: _Loose
+
+
+class _Sphere(msgspec.Struct):
+    pose: _Pose
+    size: _Loose
+
+
 class _Entity(msgspec.Struct):
     timestamp: _Stamp = _Stamp(0, 0)
     metadata: list[_Pair] = []
+
+
+class _Body(msgspec.Struct):
+    id: str = ""
+    spheres: list[_Sphere] = []
+
+
+class _Bodies(msgspec.Struct):
+    entities: list[_Body] = []
 
 
 class _Map(msgspec.Struct):
@@ -159,7 +234,7 @@ def read_flights(log: Path) -> Flights:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
     """
-    topics = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC)
+    topics = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC, OBSTACLES_TOPIC)
     with open_log(log) as file:
         return flights_of(messages(file, topics))
 
@@ -174,6 +249,8 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         ValueError: a time, position, velocity or margin is too large to be a measurement.
     """
     states: dict[int, list[_State]] = {}
+    bodies: dict[int, dict[int, _Bodies]] = {}  # by trial and number of the state
+    last = None
     safety: dict[int, list[_Safety]] = {}
     supervised: list[_Supervisor] = []
     lines: list[_Line] = []
@@ -182,10 +259,15 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     decode_safety = json_decoder(_Safety).decode
     decode_supervisor = json_decoder(_Supervisor).decode
     decode_line = json_decoder(_Line).decode
+    decode_bodies = json_decoder(_Bodies).decode
     for topic, data in found:
         if topic == STATE_TOPIC:
             state = decode_state(data)
             states.setdefault(state.trial, []).append(state)
+            last = state.trial
+        elif topic == OBSTACLES_TOPIC:
+            if last is not None:
+                bodies.setdefault(last, {})[len(states[last]) - 1] = decode_bodies(data)
         elif topic == MAP_TOPIC:
             shown = json_decoder(_Map).decode(data)
             hulls, start = _hull_count(shown), _start(shown)
@@ -195,9 +277,14 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
-            lines.append(decode_line(data))
-    flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
-    return Flights(flights, hulls, _course(supervised, lines, start) if supervised else None)
+            line = decode_line(data)
+            at = line.timestamp
+            lines.append(Line(at.sec + 1e-9 * at.nsec, line.level, line.message))
+    flights = {
+        trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}))
+        for trial in sorted(states)
+    }
+    return Flights(flights, hulls, _course(supervised, lines) if supervised else None)
 
 
 def _start(message: _Map) -> _Stamp:
@@ -227,8 +314,9 @@ def _hull_count(message: _Map) -> int | None:
     return None
 
 
-def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
-    states.sort(key=lambda state: state.time_s)
+def _flight(states: list[_State], safety: list[_Safety], bodies: dict[int, _Bodies]) -> Flight:
+    order = sorted(range(len(states)), key=lambda i: states[i].time_s)
+    states = [states[i] for i in order]
     safety.sort(key=lambda answer: answer.time_s)
     position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
     velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
@@ -243,7 +331,66 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         status=tuple(answer.status_name for answer in safety),
         regulation=_known([a.regulation for a in safety]),
         fence_distance_m=_known([_fence_distance(a) for a in safety]),
+        quat_world_body_wxyz=_attitudes(states),
+        moving=_moving([bodies.get(i) for i in order]) if bodies else None,
+        commands=_commands(safety),
     )
+
+
+def _attitudes(states: list[_State]) -> NDArray[np.float64] | None:
+    """Unit quaternions, the one before where a state has none; None when none has."""
+    each = [state.attitude for state in states]
+    if all(one is None for one in each):
+        return None
+    found, before = np.empty((len(each), 4)), (1.0, 0.0, 0.0, 0.0)
+    for i, one in enumerate(each):
+        if one is not None and 0.5 < (square := one.w**2 + one.x**2 + one.y**2 + one.z**2) < 2.0:
+            length = square**0.5
+            before = (one.w / length, one.x / length, one.y / length, one.z / length)
+        found[i] = before
+    return found
+
+
+def _moving(each: list[_Bodies | None]) -> Moving | None:
+    """Spheres of the entities `obstacles` and `tracks`, by state."""
+    true = [_spheres(one, "obstacles") for one in each]
+    tracks = [_spheres(one, "tracks") for one in each]
+    most = max((len(one) for one in true), default=0)
+    if most == 0:
+        return None
+    shape = (len(each), most, 3)
+    position, track, radius = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(most)
+    for i, (bodies, seen) in enumerate(zip(true, tracks, strict=True)):
+        for k, sphere in enumerate(bodies):
+            position[i, k] = _xyz(sphere.pose.position)
+            radius[k] = max(radius[k], 0.5 * (sphere.size.x or 0.0))
+        for k, sphere in enumerate(seen[:most]):
+            track[i, k] = _xyz(sphere.pose.position)
+    return Moving(_measured("position", position), _measured("position", track), _measured("size", radius))
+
+
+def _spheres(bodies: _Bodies | None, name: str) -> list[_Sphere]:
+    entities = bodies.entities if bodies is not None else []
+    return [sphere for entity in entities if entity.id == name for sphere in entity.spheres]
+
+
+def _xyz(vector: _Loose | None) -> tuple[float, float, float]:
+    if vector is None:
+        return np.nan, np.nan, np.nan
+    x, y, z = (np.nan if value is None else value for value in (vector.x, vector.y, vector.z))
+    return x, y, z
+
+
+def _commands(safety: list[_Safety]) -> Commands | None:
+    """Velocities if one of them is logged, else accelerations; None without either."""
+    for quantity, each in (
+        ("velocity [m/s]", [(a.u_nom_m_s, a.u_safe_m_s) for a in safety]),
+        ("acceleration [m/s²]", [(a.a_nom_m_s2, a.a_safe_m_s2) for a in safety]),
+    ):
+        if any(safe is not None for _, safe in each):
+            nominal, filtered = ([_xyz(pair[k]) for pair in each] for k in (0, 1))
+            return Commands(_measured("command", nominal), _measured("command", filtered), quantity)
+    return None
 
 
 def _fence_distance(answer: _Safety) -> float | None:
@@ -268,7 +415,7 @@ def _unit(answer: _Safety) -> str:
     return "m" if answer.moving_clearance_m is not None else answer.margin_unit or "m"
 
 
-def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:
+def _measured(name: str, values: Any) -> NDArray[np.float64]:
     """Convert to an array, None to NaN; raise ValueError for values that are too large."""
     found = np.array(values, np.float64)
     if (np.abs(found) > _LARGEST).any():
