@@ -164,5 +164,6 @@ def _open(url: str) -> None:
     import sys
     import webbrowser
 
-    if sys.stdout.isatty() and (sys.platform == "darwin" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
+    has_screen = sys.platform == "darwin" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
+    if sys.stdout.isatty() and has_screen:
         webbrowser.open(url)

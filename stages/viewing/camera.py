@@ -12,6 +12,8 @@ _FROM = np.array((-0.55, -0.8, 0.62)) / np.linalg.norm((-0.55, -0.8, 0.62))  # t
 _CORE = (0.03, 0.97)  # quantiles: a splat has far outliers
 _SURROUNDINGS = 2.5  # a scene at most so many times as large is shown whole
 _LEAST_M = 0.5
+_CLOSER = 0.86  # boxes seldom fill their spheres
+_LOWER = 0.1  # plots stand in the lower part of the picture
 _TURNS = {
     "+z": np.eye(3),
     "-z": np.diag((1.0, -1.0, -1.0)),
@@ -40,13 +42,15 @@ def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
     boxes = [np.stack([points.min(axis=0), points.max(axis=0)]) for points in (flown,) if len(points)]
     if len(solid):
         core = np.quantile(solid, _CORE, axis=0)
-        if not boxes or np.ptp(core, axis=0).max() <= _SURROUNDINGS * max(np.ptp(boxes[0], axis=0).max(), 2.0):
+        flown_m = max(float(np.ptp(boxes[0], axis=0).max()), 2.0) if boxes else np.inf
+        if float(np.ptp(core, axis=0).max()) <= _SURROUNDINGS * flown_m:
             boxes.append(core)
     if not boxes:
         boxes = [np.array([[-1.0, -1, -1], [1, 1, 1]])]
     whole = np.concatenate(boxes)
     low, high = whole.min(axis=0), whole.max(axis=0)
     centre, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, _LEAST_M)
-    away = reach / np.sin(FIELD_RAD / 2) * 0.86
+    away = reach / np.sin(FIELD_RAD / 2) * _CLOSER
+    centre = centre - _LOWER * reach * upright(up)[:, 2]
     everything = max((float(np.ptp(p, axis=0).max()) for p in (solid, flown) if len(p)), default=reach)
     return Camera(centre + away * (upright(up) @ _FROM), centre, 4 * (away + everything))

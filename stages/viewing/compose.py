@@ -86,14 +86,15 @@ def content_of(
         own = len(scene["mean"]) * most_gaussians // max(total, most_gaussians, 1)
         parts += _splat_parts(_named("Splat", name, shown.scenes), scene, cut, own, notes)
     for name, each in solids:
-        parts += _hull_parts(name, each, cut, notes)
+        parts += _hull_parts(name, each, cut, notes, has_splat=bool(shown.scenes))
     for logged in shown.maps.values():
         parts += logged.ellipsoids("Ellipsoids", cut) if not shown.scenes else []
-    for base, color, some in (("Voxels", _VOXEL_COLOR, shown.voxels), ("Seen space", _SEEN_COLOR, shown.seen)):
+    voxels = (("Voxels", _VOXEL_COLOR, shown.voxels), ("Seen space", _SEEN_COLOR, shown.seen))
+    for base, color, some in voxels:
         for name, artifact in some:
             parts += _voxel_parts(_named(base, name, some), artifact, color, cut, notes, shown)
     for name, plan in shown.plans:
-        found = plan_parts(plan)
+        found = plan_parts(plan, has_splat=bool(shown.scenes))
         parts += found if len(shown.plans) == 1 else _renamed(found, "Plan", f"Plan {tree_name(name)}")
     parts += _fence_parts(shown)
     parts += path_parts(shown.runs)
@@ -143,9 +144,7 @@ def _named(base: str, name: str, among: Sequence[Any]) -> str:
 def _solids(shown: Shown) -> list[tuple[str, Solids]]:
     """Hulls of covers, or those in the logs when no cover is given; equal ones once."""
     if shown.covers:
-        return [
-            (_named("Hulls", name, shown.covers), solids_of_cover(cover)) for name, cover in shown.covers
-        ]
+        return [(_named("Hulls", name, shown.covers), solids_of_cover(cover)) for name, cover in shown.covers]
     found: dict[bytes, tuple[str, Solids]] = {}
     for label, logged in shown.maps.items():
         if len(logged.solids):
@@ -180,31 +179,30 @@ def _matter(shown: Shown, solids: Sequence[tuple[str, Solids]]) -> FloatArray:
     return np.concatenate(found)
 
 
-def _splat_parts(
-    name: str, scene: Artifact, cut: Cut | None, maximum: int, notes: list[str]
-) -> list[Part]:
-    rows = chosen(scene, maximum)
-    if len(rows) < len(scene["mean"]):
-        notes.append(f"{name}: the {len(rows):,} of {len(scene['mean']):,} Gaussians that contribute most")
-    if cut is None:
-        return [gaussians(name, scene, rows)] if len(rows) else []
-    mean = np.asarray(scene["mean"], np.float64)[rows]
-    gone = cut.removes(mean, mean)
+def _splat_parts(name: str, scene: Artifact, cut: Cut | None, maximum: int, notes: list[str]) -> list[Part]:
+    choice = chosen(scene, maximum)
+    total, count = len(scene["mean"]), len(choice.row)
+    if count < total:
+        notes.append(f"{name}: {count:,} of {total:,} Gaussians, by contribution, grown to fill the gaps")
+    mean = np.asarray(scene["mean"], np.float64)[choice.row]
+    gone = np.zeros(count, np.bool_) if cut is None else cut.removes(mean, mean)
     return [
-        gaussians(full, scene, rows[some])
+        gaussians(full, scene, choice.of(some))
         for full, some in ((name, ~gone), (f"{CUT}/{name}", gone))
         if some.any()
     ]
 
 
-def _hull_parts(name: str, solids: Solids, cut: Cut | None, notes: list[str]) -> list[Part]:
+def _hull_parts(
+    name: str, solids: Solids, cut: Cut | None, notes: list[str], *, has_splat: bool
+) -> list[Part]:
     keep = largest(solids)
     if not keep.all():
         notes.append(f"{name}: the {int(keep.sum()):,} largest of {len(solids):,}")
     gone = np.zeros(len(solids), np.bool_) if cut is None else cut.removes(*solids.bounds())
     parts: list[Part] = []
     for full, some in ((name, keep & ~gone), (f"{CUT}/{name}", keep & gone)):
-        parts += drawn(full, *solids.of(some), HULL_COLOR, opacity=_FACES_OPACITY)
+        parts += drawn(full, *solids.of(some), HULL_COLOR, opacity=_FACES_OPACITY, far_only=has_splat)
     return parts
 
 
@@ -223,7 +221,8 @@ def _voxel_parts(
         if step > 1:
             notes.append(f"{full}: drawn in cubes of {step} voxels")
         opacity = 0.12 if is_free else 0.9
-        parts += drawn(full, corners, triangles, color, opacity=opacity, visible=visible)[: 1 if is_free else 2]
+        found = drawn(full, corners, triangles, color, opacity=opacity, visible=visible)
+        parts += found[:1] if is_free else found
     return parts
 
 
@@ -237,7 +236,8 @@ def _fence_parts(shown: Shown) -> list[Part]:
             corners, triangles = fence_shell(faces, paths)
             name = "Fence" if len(shown.runs) == 1 else f"Fence of {tree_name(run.label)}"
             found.setdefault(
-                corners.tobytes(), drawn(name, corners, triangles, _FENCE_COLOR, opacity=_FENCE_OPACITY)
+                corners.tobytes(),
+                drawn(name, corners, triangles, _FENCE_COLOR, opacity=_FENCE_OPACITY, far_only=True),
             )
     return [
         part if not isinstance(part, Lines) else _thick(part) for parts in found.values() for part in parts
@@ -250,9 +250,7 @@ def _thick(part: Lines) -> Lines:
     return replace(part, width_px=2.5, color=_FENCE_COLOR)
 
 
-def _plays(
-    shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float
-) -> list[Play]:
+def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float) -> list[Play]:
     obstacles = [_obstacles(shown, run) for run in shown.runs]
     several = len(shown.runs) > 1
     found: list[Play] = []
@@ -270,7 +268,7 @@ def _plays(
 
 
 def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:
-    """Search trees of what a run flew in: the hulls of its log, or those given, and the scene's ellipsoids."""
+    """Search trees of what a run flew in: hulls of its log, or those given, and the scene's ellipsoids."""
     found: dict[str, PolytopeSet | EllipsoidSet] = {}
     logged = shown.maps.get(run.label)
     hulls = [logged.solids] if logged is not None else [solids for _, solids in _solids(shown)]
@@ -282,5 +280,3 @@ def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:
     if isinstance(sigma, int | float) and sigma > 0 and len(shown.scenes) == 1 and flew_ellipsoids:
         found["ellipsoids"] = scene_obstacles(shown.scenes[0][1], float(sigma))
     return found
-
-

@@ -37,19 +37,24 @@ class Gaussians:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faces:
-    """A triangle mesh of one colour: corners, shape (V, 3) [m], and triangles, shape (T, 3)."""
+    """A triangle mesh of one colour: corners, shape (V, 3) [m], and triangles, shape (T, 3).
+
+    With `far_only` only sides that are turned away are drawn: near ones would hide Gaussians inside of it,
+    which viser draws after all meshes.
+    """
 
     name: str
     corners: FloatArray
     triangles: IntArray
     color: Color
     opacity: float = 1.0
+    far_only: bool = False
     visible: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lines:
-    """Line segments, shape (n, 2, 3) [m], of one colour or of one per end, shape (n, 2, 3), of fixed width."""
+    """Line segments, shape (n, 2, 3) [m], of one colour or of one per end, shape (n, 2, 3)."""
 
     name: str
     segments: FloatArray

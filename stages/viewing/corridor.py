@@ -17,18 +17,17 @@ _CORRIDOR = (46, 158, 91)
 _VIA = (213, 94, 0)
 
 
-def plan_parts(plan: Artifact) -> list[Part]:
+def plan_parts(plan: Artifact, *, has_splat: bool = False) -> list[Part]:
     """Parts of an `alula/plan`: curve, start, goal, via points, and the cells of its corridor.
 
     Args:
         plan: the artifact.
+        has_splat: faces of the corridor would hide the Gaussians behind it, so they are not shown at first.
     """
     points = thin(plan_positions(plan))
     parts: list[Part] = []
     if len(points) > 1:
-        parts.append(
-            Lines(name="Plan/curve", segments=segments_of(points), color=PLAN_COLOR, width_px=3.0)
-        )
+        parts.append(Lines(name="Plan/curve", segments=segments_of(points), color=PLAN_COLOR, width_px=3.0))
     mark_m = max(0.03, 0.5 * float(plan.manifest.radius_m))  # type: ignore[attr-defined]
     via = np.array(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
     for name, places, color in (
@@ -39,7 +38,7 @@ def plan_parts(plan: Artifact) -> list[Part]:
         if len(places):
             parts.append(balls(name, places, mark_m, color))
     corners, triangles = corridor_mesh(plan)
-    parts += drawn("Plan/corridor", corners, triangles, _CORRIDOR, opacity=0.1)
+    parts += drawn("Plan/corridor", corners, triangles, _CORRIDOR, opacity=0.1, faces_visible=not has_splat)
     return parts
 
 

@@ -83,7 +83,7 @@ def draw_part(scene: Any, part: Part) -> Any:
             color=part.color,
             opacity=None if part.opacity >= 1 else part.opacity,
             flat_shading=True,
-            side="double",
+            side="back" if part.far_only else "double",
             cast_shadow=False,
             receive_shadow=False,
             visible=part.visible,
@@ -223,9 +223,10 @@ class _Actor:
             name=f"{name}/path (orange where the filter acts)",
             segments=segments_of(play.position_world),
             color=np.repeat(acts[:, None], 2, axis=1),
-            width_px=3.0,
+            width_px=5.0,  # wider than the path of its outcome, which it covers
         )
         draw_part(scene, path)
+        scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
         self.obstacles = self._balls(scene, "moving obstacle", _OBSTACLE_COLOR, 1.0, 1.0)
         self.tracks = self._balls(scene, "track", _TRACK_COLOR, 0.35, 2.0)
         self.nearest = self.acts = None

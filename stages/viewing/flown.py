@@ -20,14 +20,14 @@ from alula.stages.viewing.nearest import closest, to_balls, to_faces, to_obstacl
 from alula.stages.viewing.shapes import UPRIGHT_WXYZ, balls
 
 PLAY_HZ = 20.0
-MOST_PLAYED_S = 240.0
+MOST_PLAYED_S = 120.0
 RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _CONTACT = (215, 48, 31)
 _ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WORDS = {
     "reached": "reached its goal",
     "passed": "passed",
-    "held": "held its place",
+    "held": "flew for the whole time",
     "inside": "stayed inside",
     "stuck": "got stuck",
     "timeout": "ran out of time",
@@ -68,7 +68,9 @@ def path_parts(runs: Sequence[Run]) -> list[Part]:
             if some:
                 lines = np.concatenate([segments_of(path.position_world) for path in some])
                 name = f"Flights by run/{tree_name(run.label)}"
-                parts.append(Lines(name=name, segments=lines, color=run_color(k), width_px=2.0, visible=False))
+                parts.append(
+                    Lines(name=name, segments=lines, color=run_color(k), width_px=2.0, visible=False)
+                )
     contacts = [place for run in runs if (place := _contacts(run)) is not None]
     if contacts:
         parts.append(balls("Contacts", np.concatenate(contacts), max(0.04, size / 120), _CONTACT))
@@ -109,7 +111,9 @@ def body_of(run: Run) -> Body:
         return Body(radius_m=0.15)
     inner = table.get("body") if isinstance(table.get("body"), Mapping) else table
     radius = inner.get("radius_m", table.get("radius_m", 0.15))
-    rotors = (table.get("rotors") or {}).get("positions_m") if isinstance(table.get("rotors"), Mapping) else None
+    rotors = (
+        (table.get("rotors") or {}).get("positions_m") if isinstance(table.get("rotors"), Mapping) else None
+    )
     places = np.empty((0, 3))
     if rotors:
         places = np.column_stack([np.asarray(rotors, np.float64)[:, :2], np.zeros(len(rotors))])
@@ -158,6 +162,8 @@ def words_of(run: Run, index: int) -> tuple[str, str]:
     clearance = _clearance(run, trial)
     if clearance is None or not np.isfinite(clearance):
         return outcome, words
+    if clearance < 0:
+        return outcome, f"{words}, overlapping by {length_words(-clearance)}"
     return outcome, f"{words}, closest {length_words(clearance)}"
 
 

@@ -1,4 +1,4 @@
-"""One offline page: the scene and its flights as viser records them, and what is said about them around it."""
+"""One offline page: scene and flights as viser records them, and what is said about them around it."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.stages.viewing.content import Content
+from alula.stages.viewing.content import Content, Gaussians
 from alula.stages.viewing.draw import Span, draw, record
-from alula.stages.viewing.overlay import BEFORE, MARKUP, SCRIPT, STYLE
+from alula.stages.viewing.overlay import MARKUP, asset
 from alula.stages.viewing.plots import flight_data
 
 HOST = "127.0.0.1"
 MOST_BYTES = 7_000_000
 LIGHT_GAUSSIANS = 20_000
+_AROUND_BYTES = 150_000  # of what stands around the scene
 _DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
 # The policy blocks every request. viser's code, workers and the decoder of the data are inside the page.
 POLICY = (
@@ -43,39 +47,33 @@ def recording() -> Iterator[Any]:
             server.stop()
 
 
-def page(
-    content: Content, light: Content | None = None, *, provenance_line: str = "", other: str = ""
-) -> str:
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """viser's page without its data, the data, and where the flights lie on the timeline."""
+
+    before: str
+    data: str
+    after: str
+    spans: list[Span]
+
+    @property
+    def frame_bytes(self) -> int:
+        return len(self.before) + len(self.after)
+
+
+def page(content: Content, *, provenance_line: str = "", other: str = "") -> str:
     """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
 
     Args:
         content: of the view.
-        light: the same with fewer Gaussians, for a browser without a GPU.
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
         other: how to see a flight that the page does not play, in words; "" when it plays all.
 
     Returns:
         The HTML text.
     """
-    text, spans = _recorded(content)
-    found = _DATA.search(text)
-    assert found is not None
-    data = f'"{found[1]}"'
-    if light is not None:
-        few = _DATA.search(_recorded(light)[0])
-        assert few is not None
-        data = f'alulaDraws("{few[1]}",{light.gaussians},"{found[1]}",{content.gaussians})'
-    text = f"{text[: found.start()]}window.__VISER_EMBED_DATA__={data};{text[found.end() :]}"
-    return _around(text, content, spans, provenance_line, other)
-
-
-def _recorded(content: Content) -> tuple[str, list[Span]]:
-    """viser's page of a content, and where the flights lie on its timeline."""
-    with recording() as server:
-        draw(server, content)
-        serializer = server.get_scene_serializer()
-        spans = record(server, content.plays, serializer.insert_sleep)
-        return serializer.as_html(), spans
+    found = _record(content)
+    return _around(found, f'"{found.data}"', content, provenance_line, other)
 
 
 def within(
@@ -83,7 +81,8 @@ def within(
     *,
     maximum: int = MOST_BYTES,
     most_gaussians: int = MOST_GAUSSIANS,
-    **options: Any,
+    provenance_line: str = "",
+    other: str = "",
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
@@ -93,48 +92,84 @@ def within(
         make: content of a view with at most so many Gaussians.
         maximum: number of bytes.
         most_gaussians: number to begin with.
-        options: as of `page`.
+        provenance_line: as of `page`.
+        other: as of `page`.
 
     Returns:
         The page, and what it shows.
     """
     content = make(most_gaussians)
-    count = content.gaussians
-    light = make(LIGHT_GAUSSIANS) if count > LIGHT_GAUSSIANS else None
-    text = page(content, light, **options)
-    if len(text) <= maximum or light is None:
-        return text, content
-    bare = len(page(light, light, **options))
-    each = (len(text) - bare) / (count - LIGHT_GAUSSIANS)
-    while len(text) > maximum and count > LIGHT_GAUSSIANS:
-        room = int(0.98 * (maximum - bare) / each) + LIGHT_GAUSSIANS
-        count = max(min(room, int(0.95 * count)), LIGHT_GAUSSIANS)
-        content = make(count)
-        text = page(content, light, **options)
-    return text, content
+    light = make(LIGHT_GAUSSIANS) if content.gaussians > LIGHT_GAUSSIANS else content
+    few = _record(light)
+    if light is content:
+        return _around(few, f'"{few.data}"', content, provenance_line, other), content
+    each = _bytes_each(content)
+    room = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
+    while True:
+        count = max(LIGHT_GAUSSIANS, LIGHT_GAUSSIANS + int(room / each))
+        if count < content.gaussians:
+            content = make(count)
+        many = _record(content)
+        data = f'alulaDraws("{few.data}",{light.gaussians},"{many.data}",{content.gaussians})'
+        text = _around(many, data, content, provenance_line, other)
+        if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
+            return text, content
+        room -= 1.2 * (len(text) - maximum)
 
 
-def _around(text: str, content: Content, spans: list[Span], provenance_line: str, other: str) -> str:
-    """Add title, policy, and what stands over the scene, to the page of viser."""
+def _bytes_each(content: Content) -> float:
+    """Bytes of a page per Gaussian: packed as viser packs them, compressed, and in base 64."""
+    import zstandard
+
+    compressor, size, count = zstandard.ZstdCompressor(level=6), 0, 0
+    for part in content.parts:
+        if isinstance(part, Gaussians):
+            upper = part.covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].astype(np.float16)
+            opacity = np.round(255 * part.opacity[:, None]).astype(np.uint8)
+            words = (part.mean.view(np.uint8), np.ascontiguousarray(upper).view(np.uint8))
+            packed = np.hstack([*words, part.color, opacity])
+            size, count = size + len(compressor.compress(packed.tobytes())), count + len(packed)
+    return max(4 / 3 * size / max(count, 1), 1.0)
+
+
+def _record(content: Content) -> _Recording:
+    with recording() as server:
+        draw(server, content)
+        serializer = server.get_scene_serializer()
+        spans = record(server, content.plays, serializer.insert_sleep)
+        text: str = serializer.as_html()
+    found = _DATA.search(text)
+    assert found is not None
+    return _Recording(text[: found.start()], found[1], text[found.end() :], spans)
+
+
+def _around(found: _Recording, data: str, content: Content, provenance_line: str, other: str) -> str:
+    """Add the data, a title, a policy, and what stands over the scene, to the page of viser."""
     facts = {
         "title": content.title,
-        "flights": flight_data(content.plays, spans),
+        "flights": flight_data(content.plays, found.spans),
         "legend": content.legend,
         "notes": list(content.notes),
         "other": other,
     }
-    data = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    style, before, script = (asset(name) for name in ("overlay.css", "before.js", "overlay.js"))
     head = (
         (f"<!-- {provenance_line} -->" if provenance_line else "")
         + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        + f"<style>{STYLE}</style><script>{BEFORE}</script>"
+        + f"<style>{style}</style><script>{before}</script>"
     )
     body = (
         MARKUP.replace("TITLE", escape(content.title))
-        + f'<script type="application/json" id="alula-data">{data}</script><script>{SCRIPT}</script>'
+        + f'<script type="application/json" id="alula-data">{facts_text}</script><script>{script}</script>'
     )
-    start, end = text.index("<head>") + len("<head>"), text.rindex("</body>")
-    inner = text[start:end].replace(_DARK, _DARK_BY_SYSTEM, 1)
-    before, _, rest = inner.partition("<title>")
-    inner = f"{before}<title>{escape(content.title)}{rest[rest.index('</title>'):]}" if rest else inner
-    return text[:start] + head + inner + body + text[end:]
+    start, end = found.before.index("<head>") + len("<head>"), found.after.rindex("</body>")
+    first, _, titled = found.before[start:].partition("<title>")
+    titled = titled[titled.index("</title>") :] if titled else ""
+    inner = f"{first}<title>{escape(content.title)}{titled}" if titled else found.before[start:]
+    after = found.after.replace(_DARK, _DARK_BY_SYSTEM, 1)
+    end += len(after) - len(found.after)
+    return (
+        f"{found.before[:start]}{head}{inner}window.__VISER_EMBED_DATA__={data};"
+        f"{after[:end]}{body}{after[end:]}"
+    )

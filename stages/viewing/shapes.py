@@ -23,9 +23,7 @@ def ball_mesh() -> tuple[FloatArray, IntArray]:
     twelve = np.concatenate([np.roll(first, k, axis=1) for k in range(3)])
     twelve /= np.linalg.norm(twelve[0])
     hull = ConvexHull(twelve)
-    pairs = np.unique(
-        np.sort(hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
-    )
+    pairs = np.unique(np.sort(hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     middle = twelve[pairs].sum(axis=1)
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     corners = np.concatenate([twelve, middle])
@@ -93,7 +91,9 @@ def frame_mesh(body: Body) -> tuple[FloatArray, IntArray]:
         length = float(np.linalg.norm(rotor[:2]))
         along = np.array([rotor[0], rotor[1], 0]) / length
         across = np.array([-along[1], along[0], 0])
-        corners, triangles = _box(np.array([length / 2, 0, 0]), np.array([length / 2, 0.03 * size, 0.03 * size]))
+        corners, triangles = _box(
+            np.array([length / 2, 0, 0]), np.array([length / 2, 0.03 * size, 0.03 * size])
+        )
         boxes.append((corners @ np.stack([along, across, [0, 0, 1.0]]), triangles))
     return _joined(boxes)
 
@@ -112,7 +112,7 @@ def disc_mesh(body: Body) -> tuple[FloatArray, IntArray]:
     ring = reach * np.stack([np.cos(angle), np.sin(angle), np.zeros(_SIDES)], axis=1)
     each = []
     for rotor in rotors:
-        corners = np.concatenate([[rotor], rotor + ring]) + [0, 0, 0.08 * reach]
+        corners = np.concatenate([[rotor], rotor + ring]) + np.array((0, 0, 0.08 * reach))
         around = 1 + np.arange(_SIDES)
         each.append((corners, np.stack([np.zeros(_SIDES, np.int64), around, np.roll(around, -1)], axis=1)))
     return _joined(each)

@@ -76,9 +76,7 @@ def solids_of(each: Sequence[tuple[FloatArray, IntArray]]) -> Solids:
     corner_start = np.cumsum([0, *(len(corners) for corners, _ in each)])
     triangle_start = np.cumsum([0, *(len(triangles) for _, triangles in each)])
     corners = np.concatenate([np.empty((0, 3)), *(corners for corners, _ in each)])
-    triangles = [
-        triangles + first for (_, triangles), first in zip(each, corner_start[:-1], strict=True)
-    ]
+    triangles = [triangles + first for (_, triangles), first in zip(each, corner_start[:-1], strict=True)]
     return Solids(
         corners, corner_start, np.concatenate([np.empty((0, 3), np.int64), *triangles]), triangle_start
     )
@@ -134,9 +132,21 @@ def drawn(
     *,
     opacity: float,
     visible: bool = True,
-    edge_color: Color | None = None,
+    far_only: bool = False,
+    faces_visible: bool = True,
 ) -> list[Part]:
-    """Faces of a mesh and its edges, as two parts under one name; none for an empty mesh."""
+    """Faces of a mesh and its edges, as two parts under one name; none for an empty mesh.
+
+    Args:
+        name: in the scene tree.
+        corners: shape (V, 3) [m].
+        triangles: shape (T, 3).
+        color: of the faces; edges are darker.
+        opacity: of the faces.
+        visible: shown at first.
+        far_only: as of `Faces`.
+        faces_visible: the faces are shown at first too.
+    """
     if not len(triangles):
         return []
     faces = Faces(
@@ -145,12 +155,13 @@ def drawn(
         triangles=triangles,
         color=color,
         opacity=opacity,
-        visible=visible,
+        far_only=far_only,
+        visible=visible and faces_visible,
     )
     lines = edges(corners, triangles)
     if not len(lines):
         return [faces]
-    dark = edge_color or (color[0] // 2, color[1] // 2, color[2] // 2)
+    dark = (color[0] // 2, color[1] // 2, color[2] // 2)
     return [faces, Lines(name=f"{name}/edges", segments=lines, color=dark, width_px=1.0, visible=visible)]
 
 
@@ -200,4 +211,3 @@ def _outer_quads(index: IntArray) -> IntArray:
         at = np.minimum(np.searchsorted(known, other), len(known) - 1)
         found.append(index[known[at] != other][:, None, :] + quad)
     return np.concatenate(found)
-

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.viewing.content import Gaussians
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
+_MOST_GROWN = 3.5  # of a Gaussian that also stands for neighbours that are left out
 
 
 def contribution(scene: Artifact) -> NDArray[np.float64]:
@@ -24,17 +27,53 @@ def contribution(scene: Artifact) -> NDArray[np.float64]:
     return area
 
 
-def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> NDArray[np.int64]:
-    """Rows of the at most `maximum` Gaussians that contribute most, in order along a space-filling curve.
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Rows of Gaussians to show, and factors by which their longer semi-axes grow, both of shape (n,)."""
 
-    Neighbours in space are neighbours in the order, so that the rows compress well.
+    row: NDArray[np.int64]
+    grown: NDArray[np.float64]
+
+    def of(self, some: NDArray[np.bool_]) -> Choice:
+        """Some of the rows."""
+        return Choice(self.row[some], self.grown[some])
+
+
+def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> Choice:
+    """Choose at most `maximum` Gaussians by their contribution, evenly in space.
+
+    Gaussian i is kept with the probability p_i = min(1, c w_i) of its contribution w_i, where the p_i add up
+    to `maximum`: systematic sampling along a space-filling curve, without chance. The two longer semi-axes
+    of a kept one grow by 1 / sqrt(p_i), within a limit, so that it covers the area of those that it stands
+    for. The rows are in the order of the curve, in which neighbours compress well.
 
     Args:
         scene: an `alula/scene`.
         maximum: number of rows.
     """
-    order = np.argsort(-contribution(scene), kind="stable")[:maximum]
-    return order[np.argsort(_morton(np.asarray(scene["mean"])[order]), kind="stable")]
+    weight = contribution(scene)
+    order = np.argsort(_morton(np.asarray(scene["mean"])), kind="stable")
+    if len(weight) <= maximum:
+        return Choice(order, np.ones(len(order)))
+    share = _shares(weight, maximum)[order]
+    reached = np.floor(np.cumsum(share) + 0.5)
+    kept = np.flatnonzero(np.diff(reached, prepend=0.0) > 0)[:maximum]
+    grown = np.minimum(1 / np.sqrt(np.maximum(share[kept], 1e-9)), _MOST_GROWN)
+    return Choice(order[kept], grown)
+
+
+def _shares(weight: NDArray[np.float64], total: int) -> NDArray[np.float64]:
+    """Probabilities min(1, c w) that add up to `total`, which is below their number."""
+    share = np.zeros(len(weight))
+    is_sure = np.zeros(len(weight), np.bool_)
+    for _ in range(100):
+        rest = total - int(is_sure.sum())
+        free = float(weight[~is_sure].sum())
+        share = np.where(is_sure, 1.0, weight * (rest / free if free > 0 else 0.0))
+        if not (over := (share > 1) & ~is_sure).any():
+            break
+        is_sure |= over
+    return np.minimum(share, 1.0)
 
 
 def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
@@ -50,7 +89,7 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
     return code
 
 
-def gaussians(name: str, scene: Artifact, rows: NDArray[np.int64], *, visible: bool = True) -> Gaussians:
+def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = True) -> Gaussians:
     """Gaussians of some rows of a scene.
 
     Centres are rounded to a fraction of the smallest common size, far below what can be seen.
@@ -58,10 +97,13 @@ def gaussians(name: str, scene: Artifact, rows: NDArray[np.int64], *, visible: b
     Args:
         name: in the scene tree.
         scene: an `alula/scene`.
-        rows: from `chosen`.
+        choice: from `chosen`.
         visible: shown at first.
     """
+    rows = choice.row
     scale = np.asarray(scene["scale"], np.float64)[rows]
+    is_short = np.arange(3) == scale.argmin(axis=1)[:, None]
+    scale = np.where(is_short, scale, scale * choice.grown[:, None])
     turn = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
     half = turn * scale[:, None, :]
     mean = np.asarray(scene["mean"], np.float64)[rows]
