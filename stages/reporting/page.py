@@ -18,10 +18,10 @@ from alula.stages.reporting.view3d import View
 _FOLDED_ROWS = 15  # longer tables are collapsed
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
 
-# The policy blocks every fetch, also those of k3d's page; its code and workers are inside the page.
+# The policy blocks every fetch, also those of the 3D view; its code and workers are inside the page.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
-    "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"
+    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
 )
 _STYLE = """
 :root { --ink: #1c2430; --soft: #5b6673; --line: #e2e6ea; --back: #f6f7f9; --accent: #0072b2; }
@@ -205,11 +205,11 @@ def _figure(figure: Figure) -> str:
 
 def _view(view: View) -> str:
     note = (
-        f"{view.note} Drag to turn, scroll to zoom; the panel on the right hides parts. "
+        f"{view.note} Drag to turn, scroll to zoom; the button in the lower right corner lists the parts. "
         "The view needs WebGL; the maps show the same from above."
     )
     return (
-        '<h2>In three dimensions</h2><iframe title="3D view of hulls, Gaussians and paths" '
+        '<h2>In three dimensions</h2><iframe title="3D view of scene, map and flights" '
         f'sandbox="allow-scripts" loading="lazy" srcdoc="{escape(view.html)}"></iframe>'
         f'<p class="soft">{escape(note.strip())}</p>'
     )

@@ -46,6 +46,7 @@ class Shown:
         scenes, covers, voxels, seen, plans: artifacts with their names.
         runs: with their flights.
         maps: maps in the logs of runs, by the run's label.
+        elsewhere: labels of runs that flew through other hulls than those given.
     """
 
     title: str
@@ -56,6 +57,7 @@ class Shown:
     plans: Sequence[tuple[str, Artifact]] = ()
     runs: Sequence[Run] = ()
     maps: Mapping[str, LoggedMap] = field(default_factory=dict)
+    elsewhere: Collection[str] = ()
 
 
 def content_of(
@@ -272,6 +274,7 @@ def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:
     found: dict[str, PolytopeSet | EllipsoidSet] = {}
     logged = shown.maps.get(run.label)
     hulls = [logged.solids] if logged is not None else [solids for _, solids in _solids(shown)]
+    hulls = [] if run.label in shown.elsewhere else hulls
     for number, each in enumerate(hulls):
         if (tree := solid_obstacles(each)) is not None:
             found["hulls" if number == 0 else f"hulls {number + 1}"] = tree

@@ -8,7 +8,7 @@
     const item = document.createElement("span"), dot = document.createElement("i");
     dot.style.background = color; item.append(dot, name); at("legend").append(item);
   }
-  at("notes").textContent = data.notes.concat(window.alulaNote || [], data.other || []).join("; ");
+  if (window.self === window.top || window.alulaNote) at("notes").textContent = data.notes.concat(window.alulaNote || [], data.other || []).join("; ");
   if (!flights.length) return;
   root.classList.remove("no-plots");
   const choice = document.createElement("select");

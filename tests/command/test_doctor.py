@@ -62,7 +62,7 @@ def test_something_missing_fails_and_is_named(monkeypatch, capsys):
         Check("numpy", "ok", "2"),
         Check("open3d", "missing", "0.18", "apt-get install libgl1"),
         Check("git", "optional", ""),
-        Check("k3d", "missing", "", "pip install k3d"),
+        Check("viser", "missing", "", "pip install viser"),
     ]
     monkeypatch.setattr(doctor, "examine", lambda: checks)
     assert run(["doctor"]) == 4

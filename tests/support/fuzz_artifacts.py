@@ -626,6 +626,7 @@ def preload() -> None:
             "scipy.optimize",
         ),
         *("alula.stages.reporting.figures", "alula.stages.reporting.view3d", "alula.stages.reporting.page"),
+        *("alula.stages.viewing.page", "viser"),
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
         "alula.stages.simulation.world.simulate",
