@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -41,9 +41,7 @@ def fly(
     provenance: Provenance,
     common: Common,
     live: int | None = None,
-    foxglove: int | None = None,
-    start_ns: int | None = None,
-    paths: Mapping[str, Path] | None = None,
+    files: Sequence[Path] = (),
 ) -> None:
     """Fly a mission over a link.
 
@@ -53,9 +51,7 @@ def fly(
         provenance: of the log and the record.
         common: common options of commands.
         live: port of the live view; None for none.
-        foxglove: port of the server for Foxglove; None for none.
-        start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
-        paths: files of the maps by role, for new plans in flight; None for none.
+        files: scene and plan, for the live view.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -92,7 +88,7 @@ def fly(
         plan=points.tolist(),
         **head_facts(mission),
     )
-    views = _open_views(live, foxglove, mission, head, common)
+    view = None if live is None else _open_view(live, mission, head, files, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
@@ -157,30 +153,10 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
     link.status.texts.clear()
 
 
-def _open_views(
-    live: int | None, foxglove: int | None, mission: Mission, head: FlightHead, common: Common
-) -> list[FlightPipe]:
-    """Start the live view and the server for Foxglove, each if it has a port."""
-    from alula.stages.flight.recorder.foxglove_server import open_foxglove
-
-    views = []
-    try:
-        if live is not None:
-            views.append(_open_view(live, mission, head, common))
-        if foxglove is not None:
-            server, address = open_foxglove(foxglove, head)
-            views.append(server)
-            if not common.quiet:
-                echo(f"Foxglove: {address}", err=True)
-    except BaseException:
-        for view in views:
-            view.close(_CLOSE_S)
-        raise
-    return views
-
-
-def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
-    """Start the live view with the map, the plan and the names in the log's head."""
+def _open_view(
+    port: int, mission: Mission, head: FlightHead, files: Sequence[Path], common: Common
+) -> FlightPipe:
+    """Start the live view with the map, the plan and the names in the log's head, and the splat's file."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
 
     facts = ViewHead(
@@ -189,7 +165,11 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
         vehicle=head.vehicle,
         radius_m=mission.vehicle.body.radius_m,
         map_message=head.map_message,
-        plan=head.plan,
+        plan=_points(mission).tolist(),
+        rotors_m=[] if mission.vehicle.rotors is None else list(mission.vehicle.rotors.positions_m),
+        files=[str(path) for path in files],
+        fence=None if mission.config.fence is None else list(mission.config.fence),
+        stale_s=mission.config.stale_s,
     )
     view, address = open_view(port, facts)
     if not common.quiet:

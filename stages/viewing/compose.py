@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from alula._core import EllipsoidSet, PolytopeSet
-from alula.schemas.arrays import FloatArray
+from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import scene_obstacles
@@ -17,6 +17,7 @@ from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import Run
 from alula.stages.runlog.maps import fence_shell
+from alula.stages.vehicles.fence import fence_faces
 from alula.stages.viewing.camera import fitted
 from alula.stages.viewing.content import CUT, Content, Lines, Part, Play, tree_name
 from alula.stages.viewing.corridor import plan_parts
@@ -47,6 +48,7 @@ class Shown:
         runs: with their flights.
         maps: maps in the logs of runs, by the run's label.
         elsewhere: labels of runs that flew through other hulls than those given.
+        around: further points that the camera shows, shape (n, 3) [m].
     """
 
     title: str
@@ -58,6 +60,7 @@ class Shown:
     runs: Sequence[Run] = ()
     maps: Mapping[str, LoggedMap] = field(default_factory=dict)
     elsewhere: Collection[str] = ()
+    around: FloatArray | None = None
 
 
 def content_of(
@@ -120,8 +123,6 @@ def content_of(
 
 def _distinct(parts: Iterable[Part]) -> list[Part]:
     """Parts of the same name would replace each other: number them."""
-    from dataclasses import replace
-
     found: list[Part] = []
     names: set[str] = set()
     for part in parts:
@@ -134,8 +135,6 @@ def _distinct(parts: Iterable[Part]) -> list[Part]:
 
 
 def _renamed(parts: Iterable[Part], old: str, new: str) -> list[Part]:
-    from dataclasses import replace
-
     return [replace(part, name=new + part.name.removeprefix(old)) for part in parts]
 
 
@@ -159,6 +158,7 @@ def _flown_points(shown: Shown) -> FloatArray:
     """Points of all flights and plans, shape (m, 3) [m]."""
     paths = [flight.position_world for run in shown.runs for flight in run.flights.values()]
     paths += [plan_positions(plan) for _, plan in shown.plans]
+    paths += [] if shown.around is None else [shown.around]
     found = np.concatenate([np.empty((0, 3)), *(path[:: max(1, len(path) // 400)] for path in paths)])
     return found[np.isfinite(found).all(axis=1)]
 
@@ -235,21 +235,27 @@ def _fence_parts(shown: Shown) -> list[Part]:
         faces = faces_of(run)
         if len(faces):
             paths = [flight.position_world for flight in run.flights.values() if len(flight.position_world)]
-            corners, triangles = fence_shell(faces, paths)
             name = "Fence" if len(shown.runs) == 1 else f"Fence of {tree_name(run.label)}"
-            found.setdefault(
-                corners.tobytes(),
-                drawn(name, corners, triangles, _FENCE_COLOR, opacity=_FENCE_OPACITY, far_only=True),
-            )
+            corners, triangles = fence_shell(faces, paths)
+            found.setdefault(corners.tobytes(), _fence(name, corners, triangles))
+    return [part for parts in found.values() for part in parts]
+
+
+def fence_parts(box_m: Sequence[float] | None, around: FloatArray) -> list[Part]:
+    """Shell of a fence that is a box.
+
+    Args:
+        box_m: XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; None without a fence.
+        around: points of a path in it, shape (n, 3) [m].
+    """
+    return [] if box_m is None else _fence("Fence", *fence_shell(fence_faces(box_m, ()), [around]))
+
+
+def _fence(name: str, corners: FloatArray, triangles: IntArray) -> list[Part]:
+    parts = drawn(name, corners, triangles, _FENCE_COLOR, opacity=_FENCE_OPACITY, far_only=True)
     return [
-        part if not isinstance(part, Lines) else _thick(part) for parts in found.values() for part in parts
+        replace(part, width_px=2.5, color=_FENCE_COLOR) if isinstance(part, Lines) else part for part in parts
     ]
-
-
-def _thick(part: Lines) -> Lines:
-    from dataclasses import replace
-
-    return replace(part, width_px=2.5, color=_FENCE_COLOR)
 
 
 def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float) -> list[Play]:
