@@ -25,7 +25,7 @@ from alula.stages.viewing.cut import Cut, find_cut
 from alula.stages.viewing.flown import MOST_PLAYED_S, faces_of, path_parts, play_of, worst_first
 from alula.stages.viewing.logged_map import LoggedMap
 from alula.stages.viewing.nearest import solid_obstacles
-from alula.stages.viewing.solids import Solids, drawn, largest, solids_of_cover, voxel_surface
+from alula.stages.viewing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
 from alula.stages.viewing.splat import chosen, gaussians
 
 HULL_COLOR = (140, 153, 173)
@@ -35,6 +35,7 @@ _SEEN_COLOR = (86, 180, 233)
 _FACES_OPACITY = 0.25
 _FENCE_OPACITY = 0.1
 _SOLID_POINTS = 100_000  # of matter, for the camera and the cut
+_MATTER_M = 0.4  # between points of hulls there
 _LEAST_OPACITY = 0.3  # of a Gaussian that counts as matter there
 
 
@@ -171,7 +172,7 @@ def _matter(shown: Shown, solids: Sequence[tuple[str, Solids]]) -> FloatArray:
         mean = mean if len(mean) else np.asarray(scene["mean"])
         found.append(mean[:: max(1, len(mean) // _SOLID_POINTS)].astype(np.float64))
     if not shown.scenes:
-        found += [each.corners for _, each in solids]
+        found += [surface_points(each.corners, each.triangles, _MATTER_M) for _, each in solids]
         found += [logged.centers for logged in shown.maps.values()]
     if not any(map(len, found)):
         for _, voxels in (*shown.voxels, *shown.seen):

@@ -16,6 +16,7 @@ _ROOFED = 0.5  # fraction of places under a roof, in a closed space
 _FLOOR_M = 0.1
 _CORE = (0.02, 0.98)  # quantiles of the extent of a space that nothing flies in
 _INSIDE = 0.12  # of that extent, from each side to the inside
+_HOLLOW = 0.35  # fraction of the matter that is inside, at most; of a full block it is 0.44
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ def find_cut(solid: FloatArray, flown: FloatArray) -> Cut | None:
     """Find what hides the inside; None unless most of the places have a roof.
 
     With a flight or a plan the places are its points. Without, they are the cells of the ground plan, and the
-    roof is matter in the upper part of the space.
+    roof is matter in the upper part of the space; the inside must then be hollow.
 
     Args:
         solid: points of matter, shape (n, 3), z up [m].
@@ -70,6 +71,8 @@ def find_cut(solid: FloatArray, flown: FloatArray) -> Cut | None:
     if len(np.unique(number[is_high])) < _ROOFED * 144:
         return None
     inner = low + _INSIDE * size
+    if ((solid > inner) & (solid < high - _INSIDE * size)).all(axis=1).mean() > _HOLLOW:
+        return None
     return Cut(float(high[2] - _INSIDE * size[2]), (float(inner[0]), float(inner[1])), floor)
 
 

@@ -165,6 +165,21 @@ def drawn(
     return [faces, Lines(name=f"{name}/edges", segments=lines, color=dark, width_px=1.0, visible=visible)]
 
 
+def surface_points(corners: FloatArray, triangles: IntArray, spacing_m: float) -> FloatArray:
+    """Points on triangles, at most `spacing_m` apart, but not more than 400 on each, shape (n, 3)."""
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
+    count = np.clip(np.ceil(longest / spacing_m), 1, 28).astype(np.int64)
+    found = [np.empty((0, 3))]
+    for k in np.unique(count).tolist():
+        own = count == k
+        i, j = (axis.ravel() for axis in np.meshgrid(np.arange(k + 1), np.arange(k + 1)))
+        u, v = (axis[i + j <= k] / k for axis in (i, j))
+        points = a[own, None] + u[:, None] * (b - a)[own, None] + v[:, None] * (c - a)[own, None]
+        found.append(points.reshape(-1, 3))
+    return np.concatenate(found)
+
+
 def voxel_surface(
     index: IntArray, edge_m: float, maximum: int = MOST_TRIANGLES
 ) -> tuple[FloatArray, IntArray, int]:
