@@ -155,7 +155,7 @@ def _around(found: _Recording, data: str, content: Content, provenance_line: str
     facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
     style, before, script = (asset(name) for name in ("overlay.css", "before.js", "overlay.js"))
     head = (
-        (f"<!-- {provenance_line} -->" if provenance_line else "")
+        (f"\n<!-- {provenance_line} -->\n" if provenance_line else "")
         + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         + f"<style>{style}</style><script>{before}</script>"
     )

@@ -49,6 +49,10 @@ class PageServer:
         """Answer requests until an exception ends it."""
         self._server.serve_forever()
 
+    def stop(self) -> None:
+        """End `run`, from another thread."""
+        self._server.shutdown()
+
     def __enter__(self) -> Self:
         return self
 
