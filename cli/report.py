@@ -56,7 +56,7 @@ def command(
     from alula.stages.reporting.page import comment, page
     from alula.stages.reporting.table import to_markdown
     from alula.stages.reporting.tables import all_tables, to_csv
-    from alula.stages.reporting.view3d import view
+    from alula.stages.viewing.report import view
 
     named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
     inputs: dict[str, Path] = {}

@@ -1,15 +1,8 @@
-"""The 3D view of a report: scene, hulls, plan and flights as one self-contained page for a frame."""
+"""The 3D view as a report gets it; `alula.stages.viewing.report` makes it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-from alula.stages.reporting.material import Material, flew_through
-from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.page import within
-
-_MOST_BYTES = 6_000_000
-_MOST_PLAYED_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,34 +11,3 @@ class View:
 
     html: str
     note: str
-
-
-def view(material: Material) -> View | None:
-    """Make the 3D view; None when there is nothing to show. The same material gives the same text.
-
-    The worst flights are played. Hulls are the cover's, also for runs that flew through another one, whose
-    clearance to it is not shown.
-
-    Args:
-        material: of the report.
-    """
-    runs = [run for run in material.runs if run.flights]
-    named = {
-        "scenes": [] if material.scene is None else [("scene", material.scene)],
-        "covers": [] if material.cover is None else [("cover", material.cover)],
-        "plans": [] if material.plan is None else [("plan", material.plan)],
-    }
-    if not runs and not any(named.values()):
-        return None
-    shown = Shown(
-        title=material.title,
-        runs=runs,
-        elsewhere=frozenset(run.label for run in runs if flew_through(run, material) is False),
-        **named,
-    )
-    html, content = within(
-        lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S),
-        maximum=_MOST_BYTES,
-    )
-    notes = "; ".join(content.notes)
-    return View(html, f"{notes[0].upper()}{notes[1:]}." if notes else "")

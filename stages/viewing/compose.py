@@ -161,7 +161,8 @@ def _flown_points(shown: Shown) -> FloatArray:
     paths += [plan_positions(plan) for _, plan in shown.plans]
     paths += [] if shown.around is None else [shown.around]
     found = np.concatenate([np.empty((0, 3)), *(path[:: max(1, len(path) // 400)] for path in paths)])
-    return found[np.isfinite(found).all(axis=1)]
+    finite: FloatArray = found[np.isfinite(found).all(axis=1)]
+    return finite
 
 
 def _matter(shown: Shown, solids: Sequence[tuple[str, Solids]]) -> FloatArray:
@@ -215,7 +216,7 @@ def _voxel_parts(
     edge = float(voxels.manifest.voxel_size_m)  # type: ignore[attr-defined]
     index = np.asarray(voxels["index"], np.int64)
     is_free = name.startswith("Seen")
-    low = index * edge
+    low = edge * index.astype(np.float64)
     gone = np.zeros(len(index), np.bool_) if cut is None or is_free else cut.removes(low, low + edge)
     visible = not (shown.scenes or shown.covers) or is_free
     parts: list[Part] = []

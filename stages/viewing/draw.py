@@ -229,7 +229,8 @@ class _Actor:
         scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
         self.obstacles = self._balls(scene, "moving obstacle", _OBSTACLE_COLOR, 1.0, 1.0)
         self.tracks = self._balls(scene, "track", _TRACK_COLOR, 0.35, 2.0)
-        self.nearest = self.acts = None
+        self.nearest: Any = None
+        self.acts: bool | None = None
         if np.isfinite(play.nearest_world).any():
             line = Lines(
                 name=f"{name}/line to the nearest obstacle (orange where the filter acts)",

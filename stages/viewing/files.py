@@ -11,6 +11,7 @@ from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream, printable
+from alula.schemas.kinds import KINDS
 from alula.schemas.mcap_log import MAGIC
 from alula.schemas.salvage import is_artifact_like
 from alula.stages.reporting.material import Run
@@ -19,14 +20,6 @@ from alula.stages.viewing.logged_map import LoggedMap, read_map
 
 if TYPE_CHECKING:
     from alula.stages.reconstruction.formats.registry import SplatFile
-
-_PLACES = {
-    "alula/scene": "scenes",
-    "alula/cover": "covers",
-    "alula/voxels": "voxels",
-    "alula/seen": "seen",
-    "alula/plan": "plans",
-}
 
 
 def members(path: Path) -> list[Path]:
@@ -53,7 +46,7 @@ def read_files(paths: Sequence[Path], title: str = "") -> Shown:
     Raises:
         InputError: one cannot be read, is damaged, or of no known kind.
     """
-    artifacts: dict[str, list[tuple[str, Artifact]]] = {place: [] for place in _PLACES.values()}
+    artifacts: dict[str, list[tuple[str, Artifact]]] = {name: [] for name in KINDS}
     runs: list[Run] = []
     maps: dict[str, LoggedMap] = {}
     for path in paths:
@@ -65,12 +58,21 @@ def read_files(paths: Sequence[Path], title: str = "") -> Shown:
                 maps[run.label] = logged
         elif not path.is_dir() and is_artifact_like(path):
             artifact = read_artifact(path)
-            artifacts[_PLACES[artifact.kind.name]].append((name, artifact))
+            artifacts[artifact.kind.name].append((name, artifact))
         else:
-            artifacts["scenes"].append((name, _import(path)))
+            artifacts["alula/scene"].append((name, _import(path)))
     names = list(dict.fromkeys(map(_name, paths)))
     heading = title or (", ".join(names[:3]) + (" …" if len(names) > 3 else ""))
-    return Shown(title=heading, runs=runs, maps=maps, **artifacts)
+    return Shown(
+        title=heading,
+        scenes=artifacts["alula/scene"],
+        covers=artifacts["alula/cover"],
+        voxels=artifacts["alula/voxels"],
+        seen=artifacts["alula/seen"],
+        plans=artifacts["alula/plan"],
+        runs=runs,
+        maps=maps,
+    )
 
 
 def _is_run(path: Path) -> bool:

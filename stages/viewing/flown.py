@@ -109,7 +109,7 @@ def body_of(run: Run) -> Body:
         table = (parameters.get("world") or {}).get("vehicle")
     if not isinstance(table, Mapping):
         return Body(radius_m=0.15)
-    inner = table.get("body") if isinstance(table.get("body"), Mapping) else table
+    inner: Any = table.get("body") if isinstance(table.get("body"), Mapping) else table
     radius = inner.get("radius_m", table.get("radius_m", 0.15))
     rotors = (
         (table.get("rotors") or {}).get("positions_m") if isinstance(table.get("rotors"), Mapping) else None

@@ -98,6 +98,6 @@ def closest(each: list[tuple[FloatArray, FloatArray]], count: int) -> FloatArray
         return np.full((count, 3), np.nan)
     distance: Any = np.stack([np.where(np.isfinite(d), d, np.inf) for d, _ in each])
     which = distance.argmin(axis=0)
-    points = np.stack([p for _, p in each])[which, np.arange(count)]
+    points: FloatArray = np.stack([p for _, p in each])[which, np.arange(count)]
     points[~np.isfinite(distance.min(axis=0))] = np.nan
     return points

@@ -104,7 +104,7 @@ def within(
     if light is content:
         return _around(few, f'"{few.data}"', content, provenance_line, other), content
     each = _bytes_each(content)
-    room = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
+    room: float = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
     while True:
         count = max(LIGHT_GAUSSIANS, LIGHT_GAUSSIANS + int(room / each))
         if count < content.gaussians:

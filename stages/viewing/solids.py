@@ -204,7 +204,7 @@ def voxel_surface(
     corner, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     four = inverse.reshape(-1, 4)
     triangles = np.concatenate([four[:, [0, 1, 2]], four[:, [0, 2, 3]]])
-    return corner * (edge_m * step), triangles.astype(np.int64), step
+    return (edge_m * step) * corner.astype(np.float64), triangles.astype(np.int64), step
 
 
 def _outer_quads(index: IntArray) -> IntArray:

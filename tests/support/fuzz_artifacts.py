@@ -625,7 +625,7 @@ def preload() -> None:
             "matplotlib.backends.backend_svg",
             "scipy.optimize",
         ),
-        *("alula.stages.reporting.figures", "alula.stages.reporting.view3d", "alula.stages.reporting.page"),
+        *("alula.stages.reporting.figures", "alula.stages.viewing.report", "alula.stages.reporting.page"),
         *("alula.stages.viewing.page", "viser"),
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
