@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,6 +13,17 @@ from numpy.typing import NDArray
 
 from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
+from alula.schemas.flight_samples import (
+    Bodies,
+    Commands,
+    Loose,
+    Moving,
+    Quaternion,
+    attitudes,
+    commands_of,
+    measured,
+    moving,
+)
 from alula.schemas.mcap_log import entries, messages
 from alula.schemas.run import open_log
 
@@ -23,38 +33,6 @@ SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
 OBSTACLES_TOPIC = "/obstacles"
-
-_LARGEST = 1e12  # [s], [m], [m/s]; larger values are no measurements, and no figure can show them
-
-
-@dataclass(frozen=True, slots=True)
-class Moving:
-    """Moving obstacles at the times of a flight's states.
-
-    Attributes:
-        position_world: true positions, shape (n, k, 3) [m].
-        track_world: positions by the tracks, NaN beyond the number of tracks, shape (n, k, 3) [m].
-        radius_m: of the obstacles, shape (k,) [m].
-    """
-
-    position_world: NDArray[np.float64]
-    track_world: NDArray[np.float64]
-    radius_m: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Commands:
-    """Nominal and filtered inputs at the times of the filter's answers.
-
-    Attributes:
-        nominal: NaN where unknown, shape (m, 3).
-        filtered: NaN where unknown, shape (m, 3).
-        quantity: what they are, with the unit.
-    """
-
-    nominal: NDArray[np.float64]
-    filtered: NDArray[np.float64]
-    quantity: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +54,7 @@ class Flight:
         quat_world_body_wxyz: attitudes, body to world, shape (n, 4); None of a vehicle without one.
         moving: obstacles that moved; None without any.
         commands: nominal and filtered inputs; None of filters whose inputs are not logged as vectors.
+        each_status: status of each filter of a list of several, by name, as `status`.
     """
 
     time_s: NDArray[np.float64]
@@ -90,6 +69,7 @@ class Flight:
     quat_world_body_wxyz: NDArray[np.float64] | None = None
     moving: Moving | None = None
     commands: Commands | None = None
+    each_status: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,27 +115,12 @@ class _Vector(msgspec.Struct, gc=False):
     z: float
 
 
-class _Quaternion(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-    w: float
-
-
 class _State(msgspec.Struct, gc=False):
     trial: int
     time_s: float
     position_m: _Vector
     velocity_m_s: _Vector
-    attitude: _Quaternion | None = None
-
-
-class _Loose(msgspec.Struct, gc=False):
-    """A vector whose unknown components are null."""
-
-    x: float | None
-    y: float | None
-    z: float | None
+    attitude: Quaternion | None = None
 
 
 class _Safety(msgspec.Struct, gc=False):
@@ -168,10 +133,16 @@ class _Safety(msgspec.Struct, gc=False):
     moving_clearance_m: float | None = None
     status_name: str = ""
     regulation: float | None = msgspec.field(default=None, name="lambda")
-    u_nom_m_s: _Loose | None = None
-    u_safe_m_s: _Loose | None = None
-    a_nom_m_s2: _Loose | None = None
-    a_safe_m_s2: _Loose | None = None
+    u_nom_m_s: Loose | None = None
+    u_safe_m_s: Loose | None = None
+    a_nom_m_s2: Loose | None = None
+    a_safe_m_s2: Loose | None = None
+
+
+class _Status(msgspec.Struct, gc=False):
+    trial: int
+    time_s: float
+    status_name: str = ""
 
 
 class _Supervisor(msgspec.Struct, gc=False):
@@ -197,27 +168,9 @@ class _Pair(msgspec.Struct):
     value: str
 
 
-class _Pose(msgspec.Struct):
-    position: _Loose
-
-
-class _Sphere(msgspec.Struct):
-    pose: _Pose
-    size: _Loose
-
-
 class _Entity(msgspec.Struct):
     timestamp: _Stamp = _Stamp(0, 0)
     metadata: list[_Pair] = []
-
-
-class _Body(msgspec.Struct):
-    id: str = ""
-    spheres: list[_Sphere] = []
-
-
-class _Bodies(msgspec.Struct):
-    entities: list[_Body] = []
 
 
 class _Map(msgspec.Struct):
@@ -234,9 +187,8 @@ def read_flights(log: Path) -> Flights:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
     """
-    topics = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC, OBSTACLES_TOPIC)
     with open_log(log) as file:
-        return flights_of(messages(file, topics))
+        return flights_of(messages(file))
 
 
 def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
@@ -249,9 +201,10 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         ValueError: a time, position, velocity or margin is too large to be a measurement.
     """
     states: dict[int, list[_State]] = {}
-    bodies: dict[int, dict[int, _Bodies]] = {}  # by trial and number of the state
+    bodies: dict[int, dict[int, Bodies]] = {}  # by trial and number of the state
     last = None
     safety: dict[int, list[_Safety]] = {}
+    each: dict[int, dict[str, list[_Status]]] = {}
     supervised: list[_Supervisor] = []
     lines: list[_Line] = []
     hulls, start = None, _Stamp(0, 0)
@@ -259,7 +212,8 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     decode_safety = json_decoder(_Safety).decode
     decode_supervisor = json_decoder(_Supervisor).decode
     decode_line = json_decoder(_Line).decode
-    decode_bodies = json_decoder(_Bodies).decode
+    decode_bodies = json_decoder(Bodies).decode
+    decode_status = json_decoder(_Status).decode
     for topic, data in found:
         if topic == STATE_TOPIC:
             state = decode_state(data)
@@ -274,6 +228,9 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         elif topic == SAFETY_TOPIC:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
+        elif topic.startswith(f"{SAFETY_TOPIC}/"):
+            own = decode_status(data)
+            each.setdefault(own.trial, {}).setdefault(topic[len(SAFETY_TOPIC) + 1 :], []).append(own)
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
@@ -281,7 +238,7 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
             at = line.timestamp
             lines.append(Line(at.sec + 1e-9 * at.nsec, line.level, line.message))
     flights = {
-        trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}))
+        trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}), each.get(trial, {}))
         for trial in sorted(states)
     }
     return Flights(flights, hulls, _course(supervised, lines) if supervised else None)
@@ -314,83 +271,37 @@ def _hull_count(message: _Map) -> int | None:
     return None
 
 
-def _flight(states: list[_State], safety: list[_Safety], bodies: dict[int, _Bodies]) -> Flight:
+def _flight(
+    states: list[_State],
+    safety: list[_Safety],
+    bodies: dict[int, Bodies],
+    each: dict[str, list[_Status]],
+) -> Flight:
     order = sorted(range(len(states)), key=lambda i: states[i].time_s)
     states = [states[i] for i in order]
     safety.sort(key=lambda answer: answer.time_s)
     position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
     velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
-    square = np.square(_measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
+    square = np.square(measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
     return Flight(
-        time_s=_measured("time", [state.time_s for state in states]),
-        position_world=_measured("position", position).reshape(-1, 3),
+        time_s=measured("time", [state.time_s for state in states]),
+        position_world=measured("position", position).reshape(-1, 3),
         speed_m_s=np.sqrt(square),
-        margin_time_s=_measured("time", [answer.time_s for answer in safety]),
-        margin=_measured("margin", [_margin(answer) for answer in safety]),
+        margin_time_s=measured("time", [answer.time_s for answer in safety]),
+        margin=measured("margin", [_margin(answer) for answer in safety]),
         margin_unit=_unit(safety[0]) if safety else "m",
         status=tuple(answer.status_name for answer in safety),
         regulation=_known([a.regulation for a in safety]),
         fence_distance_m=_known([_fence_distance(a) for a in safety]),
-        quat_world_body_wxyz=_attitudes(states),
-        moving=_moving([bodies.get(i) for i in order]) if bodies else None,
-        commands=_commands(safety),
+        quat_world_body_wxyz=attitudes(states),
+        moving=moving([bodies.get(i) for i in order]) if bodies else None,
+        commands=commands_of(safety),
+        each_status={
+            name: tuple(one.status_name for one in sorted(own, key=lambda one: one.time_s))
+            for name, own in each.items()
+            if len(own) == len(safety)
+        },
     )
-
-
-def _attitudes(states: list[_State]) -> NDArray[np.float64] | None:
-    """Unit quaternions, the one before where a state has none; None when none has."""
-    each = [state.attitude for state in states]
-    if all(one is None for one in each):
-        return None
-    found, before = np.empty((len(each), 4)), (1.0, 0.0, 0.0, 0.0)
-    for i, one in enumerate(each):
-        if one is not None and 0.5 < (square := one.w**2 + one.x**2 + one.y**2 + one.z**2) < 2.0:
-            length = square**0.5
-            before = (one.w / length, one.x / length, one.y / length, one.z / length)
-        found[i] = before
-    return found
-
-
-def _moving(each: list[_Bodies | None]) -> Moving | None:
-    """Spheres of the entities `obstacles` and `tracks`, by state."""
-    true = [_spheres(one, "obstacles") for one in each]
-    tracks = [_spheres(one, "tracks") for one in each]
-    most = max((len(one) for one in true), default=0)
-    if most == 0:
-        return None
-    shape = (len(each), most, 3)
-    position, track, radius = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(most)
-    for i, (bodies, seen) in enumerate(zip(true, tracks, strict=True)):
-        for k, sphere in enumerate(bodies):
-            position[i, k] = _xyz(sphere.pose.position)
-            radius[k] = max(radius[k], 0.5 * (sphere.size.x or 0.0))
-        for k, sphere in enumerate(seen[:most]):
-            track[i, k] = _xyz(sphere.pose.position)
-    return Moving(_measured("position", position), _measured("position", track), _measured("size", radius))
-
-
-def _spheres(bodies: _Bodies | None, name: str) -> list[_Sphere]:
-    entities = bodies.entities if bodies is not None else []
-    return [sphere for entity in entities if entity.id == name for sphere in entity.spheres]
-
-
-def _xyz(vector: _Loose | None) -> tuple[float, float, float]:
-    if vector is None:
-        return np.nan, np.nan, np.nan
-    x, y, z = (np.nan if value is None else value for value in (vector.x, vector.y, vector.z))
-    return x, y, z
-
-
-def _commands(safety: list[_Safety]) -> Commands | None:
-    """Velocities if one of them is logged, else accelerations; None without either."""
-    for quantity, each in (
-        ("velocity [m/s]", [(a.u_nom_m_s, a.u_safe_m_s) for a in safety]),
-        ("acceleration [m/s²]", [(a.a_nom_m_s2, a.a_safe_m_s2) for a in safety]),
-    ):
-        if any(safe is not None for _, safe in each):
-            nominal, filtered = ([_xyz(pair[k]) for pair in each] for k in (0, 1))
-            return Commands(_measured("command", nominal), _measured("command", filtered), quantity)
-    return None
 
 
 def _fence_distance(answer: _Safety) -> float | None:
@@ -401,7 +312,7 @@ def _fence_distance(answer: _Safety) -> float | None:
 
 def _known(values: list[float | None]) -> NDArray[np.float64] | None:
     """Convert to an array, None to NaN; None where all are."""
-    return None if all(value is None for value in values) else _measured("distance", values)
+    return None if all(value is None for value in values) else measured("distance", values)
 
 
 def _margin(answer: _Safety) -> float | None:
@@ -413,14 +324,6 @@ def _margin(answer: _Safety) -> float | None:
 
 def _unit(answer: _Safety) -> str:
     return "m" if answer.moving_clearance_m is not None else answer.margin_unit or "m"
-
-
-def _measured(name: str, values: Any) -> NDArray[np.float64]:
-    """Convert to an array, None to NaN; raise ValueError for values that are too large."""
-    found = np.array(values, np.float64)
-    if (np.abs(found) > _LARGEST).any():
-        raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is too large to be measured")
-    return found
 
 
 def count_messages(log: Path) -> tuple[dict[str, int], bool]:

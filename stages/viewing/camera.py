@@ -49,7 +49,8 @@ def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
         boxes = [np.array([[-1.0, -1, -1], [1, 1, 1]])]
     whole = np.concatenate(boxes)
     low, high = whole.min(axis=0), whole.max(axis=0)
-    centre, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, _LEAST_M)
+    least = _LEAST_M if len(flown) else 1e-6  # a splat without scale may be small
+    centre, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, least)
     away = reach / np.sin(FIELD_RAD / 2) * _CLOSER
     centre = centre - _LOWER * reach * upright(up)[:, 2]
     everything = max((float(np.ptp(p, axis=0).max()) for p in (solid, flown) if len(p)), default=reach)

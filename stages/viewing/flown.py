@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
@@ -103,12 +104,7 @@ def _worst_row(flight: Flight) -> int:
 
 def body_of(run: Run) -> Body:
     """Size of a run's vehicle by its recorded parameters; a radius of 0.15 m where there is none."""
-    parameters = run.record.provenance.parameters
-    table: Any = parameters.get("vehicle")
-    if not isinstance(table, Mapping):
-        table = (parameters.get("world") or {}).get("vehicle")
-    if not isinstance(table, Mapping):
-        return Body(radius_m=0.15)
+    table: Any = _vehicle_table(run)
     inner: Any = table.get("body") if isinstance(table.get("body"), Mapping) else table
     radius = inner.get("radius_m", table.get("radius_m", 0.15))
     rotors = (
@@ -118,6 +114,25 @@ def body_of(run: Run) -> Body:
     if rotors:
         places = np.column_stack([np.asarray(rotors, np.float64)[:, :2], np.zeros(len(rotors))])
     return Body(radius_m=float(radius) if radius else 0.15, rotors_m=places)
+
+
+def limits_of(run: Run) -> dict[str, float]:
+    """Limits of the inputs that a run's parameters record, by the quantity of `Commands`."""
+    table: Any = _vehicle_table(run)
+    limits = table.get("limits") if isinstance(table.get("limits"), Mapping) else table
+    found = {
+        "velocity [m/s]": limits.get("max_speed_m_s", table.get("v_max_m_s")),
+        "acceleration [m/s²]": limits.get("max_acceleration_m_s2", table.get("a_max_m_s2")),
+    }
+    return {key: float(value) for key, value in found.items() if isinstance(value, int | float)}
+
+
+def _vehicle_table(run: Run) -> Mapping[str, Any]:
+    parameters = run.record.provenance.parameters
+    for table in (parameters.get("vehicle"), (parameters.get("world") or {}).get("vehicle")):
+        if isinstance(table, Mapping):
+            return table
+    return {}
 
 
 def faces_of(run: Run) -> FloatArray:
@@ -158,7 +173,8 @@ def words_of(run: Run, index: int) -> tuple[str, str]:
     if trial is None:
         return NOT_JUDGED, _WORDS[NOT_JUDGED]
     outcome = outcome_of(trial)
-    words = f"{_WORDS.get(outcome, outcome)} after {trial.duration_s:.1f} s"
+    joint = "of" if outcome == "held" else "after"
+    words = f"{_WORDS.get(outcome, outcome)} {joint} {trial.duration_s:.1f} s"
     clearance = _clearance(run, trial)
     if clearance is None or not np.isfinite(clearance):
         return outcome, words
@@ -212,9 +228,9 @@ def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | Ellipsoi
         tracks_world=track,
         obstacle_radius_m=radius,
         nearest_world=closest(list(parts.values()), len(row)),
-        acts=np.array([word not in _ROUTINE for word in status], np.bool_),
+        acts=_acts(flight, answer, len(row)),
         status=status,
-        series=_series(flight, row, time, distances, answer),
+        series=_series(flight, row, time, distances, answer, limits_of(run)),
         marked_s=float(time[worst]),
     )
 
@@ -231,11 +247,30 @@ def _answers(flight: Flight, row: Any) -> tuple[Any, tuple[str, ...]]:
     if not len(flight.margin_time_s):
         return None, ("",) * len(row)
     at = np.clip(np.searchsorted(flight.margin_time_s, flight.time_s[row], "right") - 1, 0, None)
+    if flight.each_status:
+        lists = [[f"{name} {word}" for word in words] for name, words in flight.each_status.items()]
+        return at, tuple(", ".join(words[i] for words in lists).lower() for i in at)
     return at, tuple(flight.status[i].lower() for i in at)
 
 
+def _acts(flight: Flight, answer: Any, count: int) -> NDArray[np.bool_]:
+    """Whether one of the filters changes the command, at the times of some states."""
+    lists = list(flight.each_status.values()) or [flight.status]
+    if answer is None:
+        return np.zeros(count, np.bool_)
+    found: NDArray[np.bool_] = np.any(
+        [[words[i].lower() not in _ROUTINE for i in answer] for words in lists], axis=0
+    )
+    return found
+
+
 def _series(
-    flight: Flight, row: Any, time: FloatArray, distances: Mapping[str, FloatArray], answer: Any
+    flight: Flight,
+    row: Any,
+    time: FloatArray,
+    distances: Mapping[str, FloatArray],
+    answer: Any,
+    limits: Mapping[str, float],
 ) -> tuple[Series, ...]:
     found = [Series(label="speed", plot="speed [m/s]", time_s=time, value=flight.speed_m_s[row])]
     if distances:
@@ -248,8 +283,8 @@ def _series(
     if flight.commands is not None and answer is not None:
         for label, each in (("nominal", flight.commands.nominal), ("sent", flight.commands.filtered)):
             value = np.linalg.norm(each[answer], axis=1)
-            plot = f"command: {flight.commands.quantity}"
-            found.append(Series(label=label, plot=plot, time_s=time, value=value))
+            plot, limit = f"command: {flight.commands.quantity}", limits.get(flight.commands.quantity)
+            found.append(Series(label=label, plot=plot, time_s=time, value=value, limit=limit))
     if flight.regulation is not None and answer is not None:
         found.append(Series(label="λ", plot="pilot's share λ", time_s=time, value=flight.regulation[answer]))
     return tuple(found)

@@ -161,7 +161,7 @@ def drawn(
     lines = edges(corners, triangles)
     if not len(lines):
         return [faces]
-    dark = (color[0] // 2, color[1] // 2, color[2] // 2)
+    dark = (color[0] * 5 // 8, color[1] * 5 // 8, color[2] * 5 // 8)  # seen on white and on black
     return [faces, Lines(name=f"{name}/edges", segments=lines, color=dark, width_px=1.0, visible=visible)]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.schemas.flights import Moving
+from alula.schemas.flight_samples import Commands, Moving
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import Run
 from alula.stages.rotation import matrix_from_quat_wxyz
@@ -163,6 +163,24 @@ def test_a_played_flight_begins_at_zero_and_knows_what_is_nearest():
     assert play.nearest_world[row] == pytest.approx((2, 0.75, 1), abs=1e-4)
     assert play.nearest_world[-1] == pytest.approx((3, 1, 1), abs=1e-3)  # an edge of the box
     assert play.marked_s == pytest.approx(2.0)
+
+
+def test_a_filter_of_several_acts_and_the_command_has_its_limit():
+    m = 51
+    nominal, sent = np.tile((1.0, 0, 0), (m, 1)), np.tile((0.5, 0, 0), (m, 1))
+    each = {"a": ("ok",) * m, "b": ("ok",) * 30 + ("filtered",) * 21}
+    commands = Commands(nominal, sent, "velocity [m/s]")
+    run = run_of([make_trial(0)], commands=commands, each_status=each)
+    parameters = {"vehicle": {"v_max_m_s": 1.5, "radius_m": 0.1}}
+    made = msgspec.structs.replace(run.record.provenance, parameters=parameters)
+    run = replace(run, record=msgspec.structs.replace(run.record, provenance=made))
+    play = play_of(run, 0, {}, several=False)
+    assert not play.acts[play.time_s < 2.9].any()
+    assert play.acts[play.time_s > 3.1].all()
+    assert play.status[-1] == "a ok, b filtered"
+    curves = {one.label: one for one in play.series}
+    assert curves["nominal"].plot == curves["sent"].plot == "command: velocity [m/s]"
+    assert (curves["nominal"].value[0], curves["sent"].value[0], curves["sent"].limit) == (1.0, 0.5, 1.5)
 
 
 def test_distances_to_solids_balls_and_faces_agree_with_closed_forms():
