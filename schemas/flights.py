@@ -141,7 +141,6 @@ class _Safety(msgspec.Struct, gc=False):
 
 class _Status(msgspec.Struct, gc=False):
     trial: int
-    time_s: float
     status_name: str = ""
 
 
@@ -297,7 +296,7 @@ def _flight(
         moving=moving([bodies.get(i) for i in order]) if bodies else None,
         commands=commands_of(safety),
         each_status={
-            name: tuple(one.status_name for one in sorted(own, key=lambda one: one.time_s))
+            name: tuple(one.status_name for one in own)  # in the order of the answers
             for name, own in each.items()
             if len(own) == len(safety)
         },

@@ -29,7 +29,7 @@ def log(times, **fields):
         command = {"u_nom_m_s": vector(1, 0, 0), "u_safe_m_s": vector(None, 0, 0.5)}
         yield "/safety", {"trial": 4, "time_s": time, "status_name": "ok"} | command
         for name, status in fields.get("each", {}).items():
-            yield f"/safety/{name}", {"trial": 4, "time_s": time, "status_name": status}
+            yield f"/safety/{name}", {"trial": 4, "status_name": status}
         tracks = [sphere((time, 2, 1), 0.8)] if k else []
         true = [sphere((time, 5, 1), 0.4), sphere((0, 0, time), 0.6)]
         yield (
