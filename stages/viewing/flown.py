@@ -24,6 +24,8 @@ PLAY_HZ = 20.0
 MOST_PLAYED_S = 120.0
 RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _CONTACT = (215, 48, 31)
+_RADIUS_M = 0.15  # of a vehicle whose size is not recorded
+_LARGEST_M = 1e12
 _ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WORDS = {
     "reached": "reached its goal",
@@ -104,16 +106,24 @@ def _worst_row(flight: Flight) -> int:
 
 def body_of(run: Run) -> Body:
     """Size of a run's vehicle by its recorded parameters; a radius of 0.15 m where there is none."""
-    table: Any = _vehicle_table(run)
+    try:
+        return _body(_vehicle_table(run))
+    except (TypeError, ValueError, AttributeError, IndexError):
+        return Body(radius_m=_RADIUS_M)
+
+
+def _body(table: Any) -> Body:
     inner: Any = table.get("body") if isinstance(table.get("body"), Mapping) else table
-    radius = inner.get("radius_m", table.get("radius_m", 0.15))
+    radius = float(inner.get("radius_m", table.get("radius_m", _RADIUS_M)))
     rotors = (
         (table.get("rotors") or {}).get("positions_m") if isinstance(table.get("rotors"), Mapping) else None
     )
     places = np.empty((0, 3))
     if rotors:
         places = np.column_stack([np.asarray(rotors, np.float64)[:, :2], np.zeros(len(rotors))])
-    return Body(radius_m=float(radius) if radius else 0.15, rotors_m=places)
+    if not (0 < radius < _LARGEST_M and np.isfinite(places).all()):
+        raise ValueError("a vehicle has a size")
+    return Body(radius_m=radius, rotors_m=places)
 
 
 def limits_of(run: Run) -> dict[str, float]:
@@ -129,7 +139,8 @@ def limits_of(run: Run) -> dict[str, float]:
 
 def _vehicle_table(run: Run) -> Mapping[str, Any]:
     parameters = run.record.provenance.parameters
-    for table in (parameters.get("vehicle"), (parameters.get("world") or {}).get("vehicle")):
+    world = parameters.get("world")
+    for table in (parameters.get("vehicle"), world.get("vehicle") if isinstance(world, Mapping) else None):
         if isinstance(table, Mapping):
             return table
     return {}
@@ -137,13 +148,20 @@ def _vehicle_table(run: Run) -> Mapping[str, Any]:
 
 def faces_of(run: Run) -> FloatArray:
     """Faces of a run's fence by its recorded parameters, shape (L, 4); none without one."""
-    parameters = run.record.provenance.parameters
-    table = parameters.get("world", parameters).get("fence")
-    if isinstance(table, list) and len(table) == 6:
-        return fence_faces(table, ())
-    if not isinstance(table, Mapping):
-        return np.empty((0, 4))
-    return fence_faces(table.get("box_m"), table.get("faces") or ())
+    parameters: Any = run.record.provenance.parameters
+    world = parameters.get("world", parameters)
+    table = world.get("fence") if isinstance(world, Mapping) else None
+    none = np.empty((0, 4))
+    try:
+        if isinstance(table, list) and len(table) == 6:
+            faces = fence_faces(table, ())
+        elif isinstance(table, Mapping):
+            faces = fence_faces(table.get("box_m"), table.get("faces") or ())
+        else:
+            return none
+    except (TypeError, ValueError, IndexError):
+        return none
+    return faces if np.isfinite(faces).all() and np.abs(faces).max(initial=0) < _LARGEST_M else none
 
 
 def worst_first(runs: Sequence[Run]) -> list[tuple[int, int]]:

@@ -22,6 +22,7 @@ from alula.stages.viewing.shapes import balls
 from alula.stages.viewing.solids import Solids, solids_of
 
 _OPACITY = 0.6
+_LARGEST_M = 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +163,10 @@ def _map_of(message: _Update) -> LoggedMap:
 
 
 def _points(each: list[_Point]) -> FloatArray:
-    return np.array([(p.x, p.y, p.z) for p in each], np.float64).reshape(-1, 3)
+    found = np.array([(p.x, p.y, p.z) for p in each], np.float64).reshape(-1, 3)
+    if np.abs(found).max(initial=0.0) > _LARGEST_M:
+        raise ValueError("a place of the map is too large to be measured")
+    return found
 
 
 def _mesh(one: _Triangles) -> tuple[FloatArray, NDArray[np.int64]]:

@@ -26,14 +26,20 @@ def solid_obstacles(solids: Solids) -> PolytopeSet | None:
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
     good = length > 1e-12
-    normal = normal[good] / length[good, None]
     count = np.add.reduceat(good.astype(np.int64), solids.triangle_start[:-1])
+    is_solid = count >= 4
+    if not is_solid.any():
+        return None
+    good &= np.repeat(is_solid, np.diff(solids.triangle_start))
+    normal = normal[good] / length[good, None]
+    corner = np.repeat(is_solid, np.diff(solids.corner_start))
+    corner_count = np.diff(solids.corner_start)[is_solid]
     return PolytopeSet(
         normals=np.ascontiguousarray(normal),
         offsets=np.ascontiguousarray((normal * a[good]).sum(axis=1)),
-        plane_start=np.concatenate([[0], np.cumsum(count)]),
-        vertices=np.ascontiguousarray(solids.corners),
-        vertex_start=np.ascontiguousarray(solids.corner_start, np.int64),
+        plane_start=np.concatenate([[0], np.cumsum(count[is_solid])]),
+        vertices=np.ascontiguousarray(solids.corners[corner]),
+        vertex_start=np.concatenate([[0], np.cumsum(corner_count)]),
     )
 
 

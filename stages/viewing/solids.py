@@ -219,6 +219,13 @@ def _outer_quads(index: IntArray) -> IntArray:
         found: IntArray = (a * size[1] + b) * size[2] + c
         return found
 
+    if np.prod(size.astype(np.float64)) > 2.0**62:  # far apart: their numbers would not be distinct
+        taken = set(map(tuple, index.tolist()))
+        far = [
+            index[[tuple(cell) not in taken for cell in (index + side).tolist()]][:, None, :] + quad
+            for side, quad in zip(_SIDES, _QUADS, strict=True)
+        ]
+        return np.concatenate(far)
     known = np.sort(number(index))
     found = []
     for side, quad in zip(_SIDES, _QUADS, strict=True):

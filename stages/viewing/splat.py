@@ -13,6 +13,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.viewing.content import Gaussians
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
+_LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
 _MOST_GROWN = 3.5  # of a Gaussian that also stands for neighbours that are left out
 
 
@@ -101,12 +102,12 @@ def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = Tru
         visible: shown at first.
     """
     rows = choice.row
-    scale = np.asarray(scene["scale"], np.float64)[rows]
+    scale = np.minimum(np.asarray(scene["scale"], np.float64)[rows], _LARGEST)
     is_short = np.arange(3) == scale.argmin(axis=1)[:, None]
     scale = np.where(is_short, scale, scale * choice.grown[:, None])
     turn = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
     half = turn * scale[:, None, :]
-    mean = np.asarray(scene["mean"], np.float64)[rows]
+    mean = np.clip(np.asarray(scene["mean"], np.float64)[rows], -_LARGEST, _LARGEST)
     if len(rows):
         small = float(np.quantile(scale.max(axis=1), 0.05)) / 16
         grid = min(_GRID_M, 2.0 ** np.floor(np.log2(max(small, 1e-9))))

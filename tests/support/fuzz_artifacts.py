@@ -86,11 +86,13 @@ TARGETS: dict[str, tuple[Target, ...]] = {
         Target(f"simulate {{}} --filter cone-backup {_SHORT}", 1),
         Target(f"simulate {{cover}} --scene {{}} {_SHORT}"),
         Target("report --scene {} --cover {cover} -o {out}/o.html", 0.5),
+        Target("view {} -o {out}/o.html", 0.5),
     ),
     "tiny.voxels.npz": (
         Target("info {}"),
         Target("merge {} --hulls 6 --jobs 1 -o {out}/o.cover.npz", 3),
         Target("merge {} --max-bytes 2000 --jobs 1 -o {out}/o.cover.npz", 0.5),
+        Target("view {} -o {out}/o.html", 0.5),
         Target("verify {cover} --voxels {} --jobs 1 -o {out}/o.json", 2),
     ),
     "tiny.cover.npz": (
@@ -104,12 +106,14 @@ TARGETS: dict[str, tuple[Target, ...]] = {
         *(Target(f"export {{}} -o {{out}}/o.{name}", 0.4) for name in ("glb", "obj", "json", "stl", "bin")),
         Target("export {} --target crazyflie -o {out}/o.bin", 0.4),
         Target("report --cover {} -o {out}/o.html", 0.6),
+        Target("view {} -o {out}/o.html", 0.5),
     ),
     "tiny.plan.npz": (
         Target("info {}"),
         Target("simulate {} --map {cover} --set rules.max_time_s=0.3 -o {out}/o.run.mcap", 3),
         Target("simulate {} --map {cover} --filter none --set rules.max_time_s=0.3 -o {out}/o.run.mcap"),
         Target("report --plan {} --cover {cover} -o {out}/o.html", 1.0),
+        Target("view {} {cover} -o {out}/o.html", 0.5),
     ),
     "tiny.map.bin": (
         Target("info {}", 2),
@@ -121,10 +125,15 @@ TARGETS: dict[str, tuple[Target, ...]] = {
         Target("info {} --json"),
         Target(f"simulate {{cover}} --pairs-from {{}} {_SHORT.replace('2', '1')}", 3),
         Target("report {} -o {out}/o.html", 2.0),
+        Target("view {} -o {out}/o.html", 0.5),
         Target("export {} --ros2 -o {out}/bag"),
         Target("export {} --foxglove-layout -o {out}/o.json"),
     ),
-    "fence.run.mcap": (Target("info {}"), Target("report {} -o {out}/o.html", 1.5)),
+    "fence.run.mcap": (
+        Target("info {}"),
+        Target("report {} -o {out}/o.html", 1.5),
+        Target("view {} -o {out}/o.html", 0.5),
+    ),
     "tiny.run.json": (Target("info {}"), Target("report {run} -o {out}/o.html", 1.0)),
     "tiny.certificate.json": (
         Target("info {}"),
