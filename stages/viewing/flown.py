@@ -26,6 +26,7 @@ RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", 
 _CONTACT = (215, 48, 31)
 _RADIUS_M = 0.15  # of a vehicle whose size is not recorded
 _LARGEST_M = 1e12
+_MOST_ROWS = 5000  # of a flight that is played
 _ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WORDS = {
     "reached": "reached its goal",
@@ -254,9 +255,10 @@ def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | Ellipsoi
 
 
 def _rows(time_s: FloatArray) -> Any:
-    """Rows of samples about every 1 / PLAY_HZ s, with the first and the last."""
-    wanted = np.arange(time_s[0], time_s[-1], 1 / PLAY_HZ)
-    rows = np.searchsorted(time_s, wanted)
+    """Rows of samples about every 1 / PLAY_HZ s, at most `_MOST_ROWS`, with the first and the last."""
+    _, rows = np.unique(np.floor((time_s - time_s[0]) * PLAY_HZ), return_index=True)
+    if len(rows) > _MOST_ROWS:
+        rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).round().astype(np.int64)]
     return np.unique(np.concatenate([rows, [0, len(time_s) - 1]]))
 
 

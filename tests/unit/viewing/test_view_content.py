@@ -165,6 +165,14 @@ def test_a_played_flight_begins_at_zero_and_knows_what_is_nearest():
     assert play.marked_s == pytest.approx(2.0)
 
 
+def test_a_log_with_a_gap_of_years_is_played_by_its_samples():
+    run = run_of([make_trial(0)])
+    long = np.concatenate([run.flights[0].time_s[:-1], [2e9]])
+    play = play_of(replace(run, flights={0: replace(run.flights[0], time_s=long)}), 0, {}, several=False)
+    assert play.time_s[-1] == 2e9
+    assert len(play.time_s) <= 51
+
+
 def test_a_filter_of_several_acts_and_the_command_has_its_limit():
     m = 51
     nominal, sent = np.tile((1.0, 0, 0), (m, 1)), np.tile((0.5, 0, 0), (m, 1))
