@@ -41,8 +41,12 @@ PACKAGES = {
     "open3d": "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
     "pycolmap": "pycolmap",
 }
-# Module that only some commands need: the extra that provides it, and its purpose.
-EXTRAS = {"cflib": ("crazyflie", "only to fly a Crazyflie")}
+# Module that only some commands need: its distribution, the extra that provides it, and its purpose.
+EXTRAS = {
+    "cflib": ("cflib", "crazyflie", "only to fly a Crazyflie"),
+    "foxglove": ("foxglove-sdk", "foxglove", "only for fly --foxglove"),
+    "rosbags": ("rosbags", "ros2", "only for export --ros2"),
+}
 # Shared library that open3d's Linux wheels load: the Debian package that provides it.
 LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",

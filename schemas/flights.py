@@ -233,14 +233,12 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
-            line = decode_line(data)
-            at = line.timestamp
-            lines.append(Line(at.sec + 1e-9 * at.nsec, line.level, line.message))
+            lines.append(decode_line(data))
     flights = {
         trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}), each.get(trial, {}))
         for trial in sorted(states)
     }
-    return Flights(flights, hulls, _course(supervised, lines) if supervised else None)
+    return Flights(flights, hulls, _course(supervised, lines, start) if supervised else None)
 
 
 def _start(message: _Map) -> _Stamp:

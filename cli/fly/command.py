@@ -115,7 +115,11 @@ def command(
     from alula.schemas.start_time import start_time_ns
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.mission import make_mission
+    from alula.stages.flight.recorder.foxglove_server import require_foxglove
 
+    if foxglove is not None:
+        require_foxglove()
+    start_ns = None if start_time is None else start_time_ns(start_time)
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
     paths |= {} if within is None else {"within": within}
@@ -154,7 +158,8 @@ def command(
     flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
     if planned and flown and planned != flown and not common.quiet:
         echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
-    fly(mission, link, provenance, common, live, [paths[r] for r in ("scene", "plan") if r in paths])
+    files = [paths[role] for role in ("scene", "plan") if role in paths]
+    fly(mission, link, provenance, common, live, foxglove, start_ns, files)
 
 
 def _from_scenario(

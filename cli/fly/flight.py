@@ -41,6 +41,8 @@ def fly(
     provenance: Provenance,
     common: Common,
     live: int | None = None,
+    foxglove: int | None = None,
+    start_ns: int | None = None,
     files: Sequence[Path] = (),
 ) -> None:
     """Fly a mission over a link.
@@ -51,6 +53,8 @@ def fly(
         provenance: of the log and the record.
         common: common options of commands.
         live: port of the live view; None for none.
+        foxglove: port of the server for Foxglove; None for none.
+        start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
         files: scene and plan, for the live view.
 
     Raises:
@@ -88,7 +92,7 @@ def fly(
         plan=points.tolist(),
         **head_facts(mission),
     )
-    view = None if live is None else _open_view(live, mission, head, files, common)
+    views = _open_views(live, foxglove, mission, head, files, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
@@ -153,6 +157,33 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
     link.status.texts.clear()
 
 
+def _open_views(
+    live: int | None,
+    foxglove: int | None,
+    mission: Mission,
+    head: FlightHead,
+    files: Sequence[Path],
+    common: Common,
+) -> list[FlightPipe]:
+    """Start the live view and the server for Foxglove, each if it has a port."""
+    from alula.stages.flight.recorder.foxglove_server import open_foxglove
+
+    views = []
+    try:
+        if live is not None:
+            views.append(_open_view(live, mission, head, files, common))
+        if foxglove is not None:
+            server, address = open_foxglove(foxglove, head)
+            views.append(server)
+            if not common.quiet:
+                echo(f"Foxglove: {address}", err=True)
+    except BaseException:
+        for view in views:
+            view.close(_CLOSE_S)
+        raise
+    return views
+
+
 def _open_view(
     port: int, mission: Mission, head: FlightHead, files: Sequence[Path], common: Common
 ) -> FlightPipe:
@@ -165,7 +196,7 @@ def _open_view(
         vehicle=head.vehicle,
         radius_m=mission.vehicle.body.radius_m,
         map_message=head.map_message,
-        plan=_points(mission).tolist(),
+        plan=head.plan,
         rotors_m=[] if mission.vehicle.rotors is None else list(mission.vehicle.rotors.positions_m),
         files=[str(path) for path in files],
         fence=None if mission.config.fence is None else list(mission.config.fence),

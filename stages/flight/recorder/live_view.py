@@ -15,12 +15,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.errors import AlulaError, OutputError, UsageError
+from alula.schemas.errors import AlulaError
 from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.recorder.channels import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
+from alula.stages.flight.recorder.served import HOST, NICE, open_served
 from alula.stages.viewing.compose import Shown, content_of, fence_parts
 from alula.stages.viewing.content import Body, Content, Lines, Part, segments_of
 from alula.stages.viewing.corridor import PLAN_COLOR
@@ -34,7 +35,6 @@ _TEXT_S = 0.2  # between updates of the text
 _PATH_S = 0.5  # between updates of the path
 _PATH_POINTS = 3000
 _LINES = 8  # number of messages shown
-_NICE = 10
 _SILENT_S = 1.0  # without a message, after which the view says so
 _LAST_S = 0.5  # for the last words to reach the browsers
 _GAUSSIANS = 60_000
@@ -87,37 +87,9 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
         UsageError: the port is taken.
         OutputError: the process does not start.
     """
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError as error:
-            raise UsageError(f"--live {port}: {error.strerror}") from error
-    pipe = FlightPipe(
-        "from alula.stages.flight.recorder.live_view import main; main()",
-        (str(port),),
-        stdout=subprocess.PIPE,
-    )
-    assert pipe.process.stdout is not None
-    watchdog = _deadline(pipe.process)
-    try:
-        pipe.put(msgspec.msgpack.encode(head), _READY_S)
-        port_line = pipe.process.stdout.readline().decode().strip()
-    except OSError:
-        port_line = ""
-    finally:
-        watchdog.cancel()
-    if not port_line:
-        pipe.close(0.0)
-        raise OutputError("--live: the process of the view did not start")
-    return pipe, f"http://{HOST}:{port_line}"
-
-
-def _deadline(process: subprocess.Popen[bytes]) -> Any:
-    timer = threading.Timer(_READY_S, process.kill)
-    timer.daemon = True
-    timer.start()
-    return timer
+    code = "from alula.stages.flight.recorder.live_view import main; main()"
+    pipe, found = open_served("--live", port, code, msgspec.msgpack.encode(head))
+    return pipe, f"http://{HOST}:{found}"
 
 
 def _content(head: ViewHead) -> Content:
