@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from alula.cli.main import run
 from alula.stages.viewing.compose import Shown, content_of
 from alula.stages.viewing.page import page
 from support.fabricate import box, make_cover, make_scene, make_trial
@@ -77,3 +78,20 @@ def test_a_page_shows_its_scene_and_scrubbing_moves_the_vehicle(tmp_path):
     assert scene_rows.sum() > 60
     assert "4.5 s" in words
     assert dark.strip() == "#e8ecf1"
+
+
+def test_the_view_in_a_report_runs_in_its_sandbox(pipeline, tmp_path):
+    words = ["report", str(pipeline / "tiny.run.mcap"), "--cover", str(pipeline / "tiny.cover.npz")]
+    words += ["--scene", str(pipeline / "tiny.metric.scene.npz"), "-o", str(tmp_path / "r.html"), "-q"]
+    assert run(words) == 0
+    with browser() as (shown, errors, requests):
+        shown.goto(f"file://{tmp_path}/r.html")
+        shown.locator("iframe").scroll_into_view_if_needed()
+        frame = shown.locator("iframe").element_handle().content_frame()
+        frame.wait_for_function("window.alulaTime && alulaTime() !== null", timeout=60_000)
+        frame.evaluate("alulaSeek(1)")
+        frame.wait_for_function("Math.abs(alulaTime() - 1) < 0.02", timeout=20_000)
+        words = frame.text_content("#alula-words")
+    assert errors == []
+    assert all(url.startswith(("data:", "blob:", "file:", "about:")) for url in requests)
+    assert "reached its goal" in words
