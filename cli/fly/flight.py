@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -43,7 +43,7 @@ def fly(
     live: int | None = None,
     foxglove: int | None = None,
     start_ns: int | None = None,
-    files: Sequence[Path] = (),
+    paths: Mapping[str, Path] | None = None,
 ) -> None:
     """Fly a mission over a link.
 
@@ -55,7 +55,7 @@ def fly(
         live: port of the live view; None for none.
         foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
-        files: scene and plan, for the live view.
+        paths: files of plan and maps by role, for new plans in flight and for the live view; None for none.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -92,7 +92,7 @@ def fly(
         plan=points.tolist(),
         **head_facts(mission),
     )
-    views = _open_views(live, foxglove, mission, head, files, common)
+    views = _open_views(live, foxglove, mission, head, paths or {}, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
@@ -162,7 +162,7 @@ def _open_views(
     foxglove: int | None,
     mission: Mission,
     head: FlightHead,
-    files: Sequence[Path],
+    paths: Mapping[str, Path],
     common: Common,
 ) -> list[FlightPipe]:
     """Start the live view and the server for Foxglove, each if it has a port."""
@@ -171,7 +171,7 @@ def _open_views(
     views = []
     try:
         if live is not None:
-            views.append(_open_view(live, mission, head, files, common))
+            views.append(_open_view(live, mission, head, paths, common))
         if foxglove is not None:
             server, address = open_foxglove(foxglove, head)
             views.append(server)
@@ -185,7 +185,7 @@ def _open_views(
 
 
 def _open_view(
-    port: int, mission: Mission, head: FlightHead, files: Sequence[Path], common: Common
+    port: int, mission: Mission, head: FlightHead, paths: Mapping[str, Path], common: Common
 ) -> FlightPipe:
     """Start the live view with the map, the plan and the names in the log's head, and the splat's file."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
@@ -198,7 +198,7 @@ def _open_view(
         map_message=head.map_message,
         plan=head.plan,
         rotors_m=[] if mission.vehicle.rotors is None else list(mission.vehicle.rotors.positions_m),
-        files=[str(path) for path in files],
+        files=[str(paths[role]) for role in ("scene", "plan") if role in paths],
         fence=None if mission.config.fence is None else list(mission.config.fence),
         stale_s=mission.config.stale_s,
     )
