@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),
     "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
     "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
+    "view": ("view", "Show artifacts, runs and splat files in three dimensions."),
     "report": ("report", "Turn runs into a verdict, pictures, figures and tables."),
     "export": ("export", "Convert a cover, a scene or a run for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),

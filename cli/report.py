@@ -127,7 +127,7 @@ def _files(
         return to_report_markdown(content, comment(line)).encode()
 
     if form == "html":
-        from alula.stages.reporting.view3d import view
+        from alula.stages.viewing.report import view
 
         shown = view(material)
         progress(2, 3)

@@ -26,7 +26,7 @@ from alula.stages.reporting.tables import (
     runs_table,
     to_csv,
 )
-from support.fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
+from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 TRIALS = [
     make_trial(0, clearance=0.25),
@@ -379,37 +379,3 @@ def test_thinning_keeps_the_ends():
     assert len(thin) == 600
     assert (thin[0] == points[0]).all()
     assert (thin[-1] == points[-1]).all()
-
-
-def test_the_merged_mesh_leaves_out_the_smallest_hulls_when_there_are_too_many():
-    from alula.stages.compression.facets import mesh
-    from alula.stages.reporting.view3d import merged, sample
-
-    small = exact_hull([(40, 0, 0), (41, 0, 0), (40, 1, 0), (40, 0, 1)])
-    meshes = mesh(make_cover([small, box((0, 0, 0), (10, 10, 10))]))
-    solid, shown = merged(meshes)
-    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (2, 16, 12)
-    solid, shown = merged(meshes, maximum=12)
-    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (1, 12, 8)
-    assert solid.points_voxel.max() == 10
-    assert solid.triangles.max() == 7
-    scene = make_scene(50)
-    points, colors = sample(scene, maximum=7)
-    assert len(points) == len(colors) == 7
-    assert colors[0] == int.from_bytes(bytes(scene["color"][0]), "big")
-
-
-def test_what_lies_above_the_flights_is_hidden_at_first():
-    from alula.stages.compression.facets import mesh
-    from alula.stages.reporting import view3d
-
-    solid, _ = view3d.merged(mesh(make_cover([box((0, 0, 0), (9, 9, 9)), box((0, 0, 60), (9, 9, 61))])))
-    low, high = view3d._hull_objects(solid, 0.05, top=2.9)
-    assert (low.visible, high.visible) == (True, False)
-    assert (low.vertices[:, 2].max(), high.vertices[:, 2].min()) == pytest.approx((0.45, 3.0))
-    assert len(low.indices.reshape(-1, 3)) == len(high.indices.reshape(-1, 3)) == 12
-    (only,) = view3d._hull_objects(solid, 0.05, top=np.inf)
-    assert only.visible
-    points = np.array([[0, 0, 0], [1, 1, 3]], np.float32)
-    clouds = view3d._cloud_objects(points, np.array([1, 2], np.uint32), top=2.0)
-    assert [cloud.visible for cloud in clouds] == [True, False]
