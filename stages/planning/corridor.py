@@ -18,6 +18,7 @@ _REACH_M = 1.5  # of a cell beyond its segment
 _COMFORT = 1.5  # times the radius: distance that cells keep where there is room
 _SHARE = 0.75  # of what a segment keeps beyond the radius, for its cell; the rest is room to move in
 _MARGIN_M = 1e-9  # that a segment keeps beyond the distance of its cell; that of the path is as large
+_OVERLAP_M = 0.02  # of the parts of a cell beyond the plane where it was cut
 _ROOM = (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a joint within its two cells, in radii
 METHOD = "half-spaces at the radius, separated by duality"
 
@@ -178,3 +179,49 @@ def _inner_point(a: FloatArray, b: FloatArray, near: FloatArray, radius_m: float
         if result.status == 0 and (b - a @ inner).min() >= 0.5 * room * radius_m:
             return np.asarray(inner)
     return None
+
+
+def divided(corridor: Corridor, cells: ArrayLike, length_m: float) -> tuple[Corridor, NDArray[np.int64]]:
+    """Cut some cells of a corridor across, into parts about segments of at most a length.
+
+    A part is the cell between two planes across its segment; neighbours overlap by 4 cm.
+
+    Args:
+        corridor: any.
+        cells: to cut; one without room about its segment, or with a short one, stays as it is.
+        length_m: of the segments [m].
+
+    Returns:
+        The corridor, and the cell of the given one that each of its cells is a part of, shape (C,).
+    """
+    cut = set(np.asarray(cells).tolist())
+    normals, offsets, points, joints, opens, vias, parts = [], [], [corridor.point[0]], [], [], [], []
+    for i, (a, b) in enumerate(pairwise(corridor.point)):
+        along = b - a
+        length = float(np.linalg.norm(along))
+        count = max(1, int(np.ceil(length / length_m))) if i in cut and corridor.is_free[i] else 1
+        normal, offset = corridor.rows(i)
+        for k in range(count):
+            end = a + (k + 1) / count * along
+            ends = [(-along / length, a + k / count * along)] if k > 0 else []
+            ends += [(along / length, end)] if k + 1 < count else []
+            normals.append(np.concatenate([normal, np.reshape([n for n, _ in ends], (-1, 3))]))
+            offsets.append(np.concatenate([offset, [n @ q + _OVERLAP_M for n, q in ends]]))
+            parts.append(i)
+            last = k + 1 == count
+            points.append(b if last else end)
+            if i + 1 < len(corridor.point) - 1 or not last:
+                joints.append(corridor.joint[i] if last else end)
+                opens.append(bool(corridor.is_open[i]) if last else True)
+                vias.append(bool(corridor.is_via[i]) if last else False)
+    part = np.array(parts, np.int64)
+    return Corridor(
+        np.concatenate(normals),
+        np.concatenate(offsets),
+        np.concatenate([[0], np.cumsum([len(each) for each in offsets])]).astype(np.int64),
+        np.array(points),
+        np.array(joints).reshape(-1, 3),
+        np.array(opens, np.bool_),
+        np.array(vias, np.bool_),
+        corridor.is_free[part],
+    ), part

@@ -76,6 +76,7 @@ def fastest_curve(
     *,
     start: MovingState | None = None,
     smooth: float = 1.0,
+    speed_m_s: FloatArray | None = None,
 ) -> Curve | None:
     """The curve of minimum time through some consecutive cells, from rest to rest.
 
@@ -86,6 +87,7 @@ def fastest_curve(
         pieces: in each cell, at least 2.
         start: state of motion at the start; at rest if none.
         smooth: factor on the minimum time, in which snap is minimised.
+        speed_m_s: limit in each cell of the corridor, shape (C,) [m/s]; that of `limits` if none.
 
     Returns:
         None if there is none, or none was found.
@@ -117,6 +119,7 @@ def fastest_curve(
         _GAP,
         _MOST_STEPS,
         smooth,
+        None if speed_m_s is None else speed_m_s[cells.start + cell],
     )
     if status == _core.TimeStatus.infeasible:
         return None

@@ -20,6 +20,7 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.planning.behind import Behind, slowed, with_yaw
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
 from alula.stages.planning.fastest import (
@@ -35,7 +36,7 @@ from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.straight import straight_plan
-from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
+from alula.stages.planning.trajectory import control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
 
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
@@ -71,6 +72,7 @@ def plan(
     space: PlanSpace | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
+    behind: Behind | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Artifact:
@@ -92,6 +94,7 @@ def plan(
             not used.
         vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
+        behind: filters behind which a plan from rest will be flown; it is slower where they would act.
         jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
@@ -120,11 +123,16 @@ def plan(
         path.point, _via_points(path), space.solids(), space.keep_m, (path.lower, path.upper), jobs=jobs
     )
     curve = curve_along(corridor, config, limits, space, motion=motion, jobs=jobs)
+    acting = 0
+    if behind is not None and motion is None:
+
+        def solve(parts: Corridor, speed_m_s: FloatArray) -> Curve:
+            return curve_along(parts, config, limits, space, speed_m_s=speed_m_s, jobs=jobs)
+
+        corridor, curve, acting = slowed(corridor, curve, behind, config.speed_m_s, config.yaw_rad, solve)
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
 
-    yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
-    yaw[:, 0, 0] = config.yaw_rad
     dense = evaluate(time, coefficient, _sample_times(time))
     bound = float(proof.clearance_m.min(initial=2 * space.keep_m))
     knot = np.concatenate([curve.point[:, 0], curve.point[-1:, -1]])
@@ -132,7 +140,7 @@ def plan(
         PLAN,
         {
             "time": time,
-            "coefficient": np.concatenate([coefficient, yaw], axis=1),
+            "coefficient": with_yaw(coefficient, config.yaw_rad),
             "waypoint": np.column_stack([knot, np.full(len(knot), config.yaw_rad)]),
             "cell_normal": corridor.normal,
             "cell_offset": corridor.offset,
@@ -170,7 +178,7 @@ def plan(
             "resolution_m": path.resolution_m,
             "lattice_points": path.lattice_points,
             "visited_points": path.visited,
-            **({"notes": notes} if (notes := _notes(path)) else {}),
+            **({"notes": notes} if (notes := _notes(path, behind, acting)) else {}),
         },
         guarantee=Guarantee(
             f"Every point of the trajectory is at least {_distances(space)}, and its motion stays within the "
@@ -202,8 +210,11 @@ def _distances(space: PlanSpace) -> str:
     return " and ".join(f"{part.keep_m:g} m from every {part.words}" for part in space.parts)
 
 
-def _notes(path: Polyline) -> list[str]:
-    return [
+def _notes(path: Polyline, behind: Behind | None, acting: int) -> list[str]:
+    notes = []
+    if behind is not None and acting:
+        notes.append(f"{behind.name} still acts in {acting} ticks of a flight along the plan")
+    return notes + [
         f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), "
         f"{at_most(math.dist(given, taken))} m from it (--snap)"
         for name, given, taken in path.moved
@@ -217,6 +228,7 @@ def curve_along(
     space: PlanSpace,
     *,
     motion: MovingState | None = None,
+    speed_m_s: FloatArray | None = None,
     jobs: int = 0,
 ) -> Curve:
     """The fastest curve along a corridor, proven in its stored form, as `plan` describes it.
@@ -227,12 +239,13 @@ def curve_along(
         limits: of the motion.
         space: obstacles.
         motion: of the vehicle at the start; at rest if none.
+        speed_m_s: limit in each cell, shape (C,) [m/s]; that of `limits` if none.
         jobs: threads; the result does not depend on it.
 
     Raises:
         InfeasibleError: a straight line cannot be proven, or no curve leads from this motion.
     """
-    return _Task(config, limits, corridor, space, jobs).curve(motion)
+    return _Task(config, limits, corridor, space, speed_m_s, jobs).curve(motion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +256,7 @@ class _Task:
     limits: Limits
     corridor: Corridor
     space: PlanSpace
+    speed_m_s: FloatArray | None
     jobs: int
 
     def curve(self, motion: MovingState | None) -> Curve:
@@ -267,7 +281,13 @@ class _Task:
             return None
         for pieces in PIECES_PER_CELL:
             curve = fastest_curve(
-                self.corridor, cells, self.limits, pieces, start=motion, smooth=self.config.smooth
+                self.corridor,
+                cells,
+                self.limits,
+                pieces,
+                start=motion,
+                smooth=self.config.smooth,
+                speed_m_s=self.speed_m_s,
             )
             if curve is not None and self.is_proven(curve):
                 return curve

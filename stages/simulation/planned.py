@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.progress import Progress
+from alula.schemas.vehicle import Vehicle
+from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
+from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.simulation.pairs import Pairs
 
 
 def plans_of(
     pairs: Pairs,
     cover: Artifact,
+    scene: Artifact | None = None,
     *,
-    radius_m: float,
-    speed_m_s: float,
+    vehicle: Vehicle,
+    config: PlanConfig,
+    margin_m: FloatArray,
+    behind: Behind | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> list[Artifact | None]:
-    """Plan each pair as `alula plan` does, with its defaults for everything but the radius and the speed.
+    """Plan each pair as `alula plan` does.
 
     Args:
         pairs: starts and goals, world frame [m].
         cover: hulls to plan among.
-        radius_m: minimum distance of the plans to every hull [m].
-        speed_m_s: maximum speed of the plans [m/s].
+        scene: ellipsoids to plan among, too.
+        vehicle: that will fly them.
+        config: of the plans, but start, goal and heading; with the radius that filters keep.
+        margin_m: distance to keep beyond it, of each pair, shape (N,) [m].
+        behind: filters behind which they will be flown.
         jobs: threads; the result does not depend on it.
         progress: called with (pairs planned, pairs).
 
@@ -35,16 +46,22 @@ def plans_of(
         A plan per pair, with the heading from start to goal; None where the planner finds no way.
     """
     found: list[Artifact | None] = []
-    for i, (start, goal) in enumerate(zip(pairs.start.tolist(), pairs.goal.tolist(), strict=True)):
-        config = PlanConfig(
+    spaces: dict[float, PlanSpace] = {}
+    rows = zip(pairs.start.tolist(), pairs.goal.tolist(), margin_m.tolist(), strict=True)
+    for i, (start, goal, margin) in enumerate(rows):
+        own = dataclasses.replace(
+            config,
             start=tuple(start),
             goal=tuple(goal),
-            radius_m=radius_m,
-            speed_m_s=speed_m_s,
+            radius_m=config.keep_m + margin,
             yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
         )
+        if margin not in spaces:
+            spaces[margin] = plan_space(own, cover, scene, jobs=jobs)
         try:
-            found.append(plan(config, cover, jobs=jobs))
+            found.append(
+                plan(own, cover, scene=scene, vehicle=vehicle, behind=behind, space=spaces[margin], jobs=jobs)
+            )
         except InfeasibleError:
             found.append(None)
         if progress is not None:

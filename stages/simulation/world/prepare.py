@@ -9,6 +9,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.progress import Progress
@@ -24,6 +25,7 @@ from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.among_hulls import note_of_psi
+from alula.stages.simulation.world.behind import behind, undisturbed
 from alula.stages.simulation.world.encounters import seen_by
 from alula.stages.simulation.world.filters import (
     filter_world,
@@ -113,25 +115,38 @@ def prepare(
     among = None
     if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
         among = barrier(told)
+    options, is_point = _options(full), vehicle.model == "single-integrator"
+    flown_behind = None
+    if mission.planned:
+        still = undisturbed(full)
+        flown_behind = behind(
+            full,
+            filters,
+            int(mission.controller.guide != "none"),
+            vehicle_spec(still, vehicle, peak_m_s=peak, max_speed_m_s=most, lag_s=lag_s),
+            options,
+            plant_steps=plant_steps_of(full, is_point=is_point),
+            max_speed_m_s=most,
+        )
     missions = missions_of(
         full,
         world,
         count=_count(full, pairs),
-        model=vehicle.model,
         speed_m_s=peak,
         max_speed_m_s=most,
         plan=plan,
         cover=cover,
+        scene=scene,
+        vehicle=vehicle,
+        behind=flown_behind,
         given=pairs,
         geofence=geofence,
         psi=None if among is None else lambda points: among.psi(points, jobs=jobs)[1],
         jobs=jobs,
         progress=progress,
     )
-    is_point = vehicle.model == "single-integrator"
     # References and ellipsoids are compared with rows of ticks; a point's motion is that from tick to tick.
     by_ticks = any(missions.curves) or is_point or world.ellipsoids is not None
-    options = _options(full)
     simulation, bare = (
         _core.SimulationSpec(
             spec,
@@ -316,7 +331,19 @@ def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) ->
             peak /= PLAN_SPEED_FACTOR
     if vehicle.model == "double-integrator":
         return peak, math.inf if limit is None else limit
+    fast += _lead_m_s(scenario, plan)
     return peak, fast if limit is None else min(fast, limit)
+
+
+def _lead_m_s(scenario: WorldScenario, plan: Artifact | None) -> float:
+    """How much faster than a plan set-points of the velocity are that lead by its acceleration [m/s]."""
+    table, mission = scenario.vehicle, scenario.mission
+    if table.interface not in ("wrench", "body-rates") or table.velocity_gain_per_s is None:
+        return 0.0
+    if mission.planned:
+        return PlanConfig().acceleration_m_s2 / table.velocity_gain_per_s
+    limits: dict[str, float] = {} if plan is None else plan.manifest.limits  # type: ignore[attr-defined]
+    return limits.get("acceleration_m_s2", 0.0) / table.velocity_gain_per_s
 
 
 def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:

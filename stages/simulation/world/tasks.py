@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
+from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_times, via_tolerance
+from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
@@ -27,6 +30,7 @@ from alula.stages.simulation.world.world import StaticWorld, require_clear
 _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
+_ROUNDING_M = 1e-6
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
 
 Clearance = Callable[[FloatArray], FloatArray]
@@ -59,11 +63,13 @@ def missions_of(
     world: StaticWorld,
     *,
     count: int,
-    model: str,
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
     cover: Artifact | None,
+    scene: Artifact | None,
+    vehicle: Vehicle,
+    behind: Behind | None,
     given: Pairs | None,
     geofence: _core.Geofence | None,
     psi: Clearance | None,
@@ -76,11 +82,13 @@ def missions_of(
         scenario: completed.
         world: static obstacles.
         count: number of trials.
-        model: of the vehicle.
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
         cover: to plan in.
+        scene: to plan in, too.
+        vehicle: that flies, for its limits.
+        behind: filters behind which plans will be flown.
         given: starts and goals of another run, or None.
         geofence: in which a pilot's start is safe; None without a pilot.
         psi: of the hulls at points, shape (N, 3) to (N,), where the vehicle is flown by velocities among
@@ -92,7 +100,7 @@ def missions_of(
         UsageError: a start touches an obstacle, or there are no bounds.
         InfeasibleError: no clear pairs were found.
     """
-    mission = scenario.mission
+    mission, model = scenario.mission, vehicle.model
     around = world.centres if psi is None else world.vertices
     plans: list[Artifact | None]
     counts: dict[str, int]
@@ -115,11 +123,34 @@ def missions_of(
         plans = [None] * len(pairs.start)
         if mission.planned:
             assert cover is not None
+            config = PlanConfig(
+                radius_m=world.most_keep_m,
+                speed_m_s=speed_m_s,
+                sigma=world.sigma,
+            )
             plans = plans_of(
-                pairs, cover, radius_m=world.hull_keep_m, speed_m_s=speed_m_s, jobs=jobs, progress=progress
+                pairs,
+                cover,
+                scene,
+                vehicle=vehicle,
+                config=config,
+                margin_m=_margins(world, pairs, mission.margin_m, jobs),
+                behind=behind,
+                jobs=jobs,
+                progress=progress,
             )
             counts |= count_planned(plans)
     return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
+
+
+def _margins(world: StaticWorld, pairs: Pairs, margin_m: float, jobs: int) -> FloatArray:
+    """Distance that the plan of each pair keeps beyond what filters keep: the given one, or what both of its
+    ends have, shape (N,) [m].
+    """
+    cap = world.most_keep_m + margin_m + _ROUNDING_M
+    ends = [world.clearance(each, each, cap, jobs) for each in (pairs.start, pairs.goal)]
+    spare = np.minimum(*ends) - world.most_keep_m - _ROUNDING_M
+    return np.clip(spare, 0.0, margin_m)
 
 
 def _along(

@@ -2,10 +2,12 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <array>
+#include <optional>
 #include <tuple>
 
 #include "alula/planning/corridor.hpp"
@@ -77,7 +79,7 @@ std::tuple<TimeStatus, Doubles, Doubles, int> fastest(InRows3<double> normals, I
                                                       const MotionLimits& limits, InRows3<double> start, Triple goal,
                                                       InRows3<double> joint, InVector<std::uint8_t> is_via,
                                                       double least_duration, double gap, int most_steps,
-                                                      double stretch) {
+                                                      double stretch, std::optional<InVector<double>> speed) {
   if (start.shape(0) != 1 && start.shape(0) != 4) throw nb::value_error("start is a position, or p, v, a and j");
   TimeCurve curve;
   {
@@ -85,6 +87,7 @@ std::tuple<TimeStatus, Doubles, Doubles, int> fastest(InRows3<double> normals, I
     const std::vector<Vec3> joints = vectors(joint), state = vectors(start);
     TimeProblem problem{as_span(normals), as_span(offsets), as_span(row_start), as_span(cell), limits, {},
                         vector_of(goal),  joints,           as_span(is_via),    least_duration};
+    if (speed) problem.speed = as_span(*speed);
     problem.start.p = state[0];
     if (state.size() == 4) problem.start = {state[0], state[1], state[2], state[3], true};
     curve = minimum_time(problem, {gap, most_steps, stretch});
@@ -130,7 +133,7 @@ void bind_corridor(nb::module_& m) {
       .def_ro("least_thrust", &MotionLimits::least_thrust)
       .def_ro("tilt", &MotionLimits::tilt);
   m.def("minimum_time", &fastest, "normals"_a, "offsets"_a, "row_start"_a, "cell"_a, "limits"_a, "start"_a, "goal"_a,
-        "joint"_a, "is_via"_a, "least_duration"_a, "gap"_a, "most_steps"_a, "stretch"_a,
+        "joint"_a, "is_via"_a, "least_duration"_a, "gap"_a, "most_steps"_a, "stretch"_a, "speed"_a = nb::none(),
         "Fastest curve of degree 7 and class C4 in a corridor: status, Bernstein points (K, 8, 3), durations (K,), "
-        "steps.");
+        "steps. `speed` (K,) limits single pieces.");
 }

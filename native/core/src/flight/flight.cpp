@@ -14,6 +14,8 @@ using geometry::norm;
 
 constexpr double kRounding = 1 + 1e-12;  // a velocity that was scaled to the limit is not scaled again
 
+bool is_same(Vec3 a, Vec3 b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
+
 Vec3 limited(Vec3 v, double most) {
   const double length = norm(v);
   return length > most ? most / length * v : v;
@@ -64,6 +66,12 @@ std::optional<geometry::PerAxis> lag_of(const VehicleSpec& vehicle) {
 // Largest age of a measurement that is predicted; not of sticks, whose filters predict themselves [s].
 double oldest_s(const VehicleSpec& vehicle, const FlightOptions& options) {
   return vehicle.assumed.delay_s + (options.has_losses ? options.stale_s : 0);
+}
+
+// Time by which a velocity set-point leads, so that the loop which follows it has the acceleration of the reference:
+// gain (v + a / gain - v) = a. A vehicle that follows velocities itself gets them without a lead [s].
+double lead_of(const VehicleSpec& vehicle) {
+  return vehicle.interface == Interface::velocity ? 0 : 1 / vehicle.velocity_gain;
 }
 
 ActuatorModel remembered(const VehicleSpec& vehicle, const FlightOptions& options) {
@@ -236,7 +244,7 @@ void Flight::make_nominal() {
   if (mission_.kind != MissionKind::goal) {
     if (mission_.kind == MissionKind::curve)
       target_ = clock_ ? clock_->target() : mission_.curve->at(mission_.curve->start() + now_);
-    velocity = target_.v + mission_.gain / 2 * (target_.p - x.p);
+    velocity = target_.v + lead_of(vehicle_) * target_.a + mission_.gain / 2 * (target_.p - x.p);
   } else {
     target_ = reference_for(mission_.goal, {}, target_.yaw);
     velocity = mission_.gain / 2 * towards;
@@ -285,6 +293,10 @@ void Flight::lower(CommandKind from, CommandKind to) {
     const Vec3 velocity = nominal_.velocity;
     if (is_rigid()) {
       reference_ = reference_for(x.p, velocity, target_.yaw);
+      if (mission_.kind != MissionKind::goal && is_same(velocity, first_.velocity)) {  // no filter changed it
+        reference_ = target_;
+        reference_.p = x.p, reference_.v = velocity - lead_of(vehicle_) * target_.a;
+      }
       gains_ = holding(vehicle_);
       const std::optional<RacerCommand> sticks = nominal_.sticks;
       nominal_ = track(vehicle_.body, gains_, x, reference_);

@@ -204,8 +204,8 @@ class Program {
         x.control[i] = (1 - f) * from + f * to;
       }
       const double length = geometry::norm(to - from), count = double(end - begin);
-      const double speed = std::isfinite(problem_.limits.speed) ? problem_.limits.speed : 1.0;
       for (std::size_t k = begin; k < end; ++k) {
+        const double limit = speed_of(k), speed = std::isfinite(limit) ? limit : 1.0;
         x.log_duration[k] = std::log(std::max(4 * problem_.least_duration, 2 * length / (count * speed)));
       }
       begin = end, from = to;
@@ -306,7 +306,7 @@ class Program {
         for (std::size_t i = 0; i + order < kPoints; ++i) {
           p[i] = (double(kPoints - order) / duration) * (p[i + 1] - p[i]);
           if (is_given(k, order, i)) continue;
-          result.stretch = std::max(result.stretch, stretch_of(order, p[i]));
+          result.stretch = std::max(result.stretch, stretch_of(k, order, p[i]));
         }
       }
     }
@@ -367,6 +367,8 @@ class Program {
       good = end - begin >= 2;  // a piece alone cannot go from rest to rest with zero snap
       begin = end;
     }
+    good = good && (q.speed.empty() || q.speed.size() == pieces_);
+    for (std::size_t k = 0; good && k < q.speed.size(); ++k) good = q.speed[k] > 0;
     if (!good) throw std::invalid_argument("the cells, pieces and joints of the curve do not fit together");
     for (std::size_t k = 0; k < pieces_; ++k) {
       const auto c = static_cast<std::size_t>(q.cell[k]);
@@ -376,6 +378,10 @@ class Program {
 
   bool is_via_point(std::size_t i) const {
     return i >= 5 && (i - 2) % 3 == 0 && (i - 2) / 3 < pieces_ && problem_.is_via[(i - 2) / 3 - 1] != 0;
+  }
+
+  double speed_of(std::size_t k) const {
+    return problem_.speed.empty() ? problem_.limits.speed : std::min(problem_.limits.speed, problem_.speed[k]);
   }
 
   // The position points that do not depend on a variable.
@@ -436,12 +442,12 @@ class Program {
     return (f / 7) * s.v + (f * (f - 1) * t / 42) * s.a + (f * (f - 1) * (f - 2) / 2 * t * t / 210) * s.j;
   }
 
-  double stretch_of(std::size_t order, Vec3 y) const {
+  double stretch_of(std::size_t k, std::size_t order, Vec3 y) const {
     const MotionLimits& l = problem_.limits;
     const double size = geometry::norm(y);
     switch (order) {
       case 1:
-        return size / l.speed;
+        return size / speed_of(k);
       case 3:
         return size / l.jerk;
       case 4:
@@ -484,7 +490,7 @@ class Program {
     if (is_given(k, order, i)) return b;
     const double s = 1 / slack.stretch;
     y = s * y;
-    if (order == 1) b.add_ball(y, l.speed);
+    if (order == 1) b.add_ball(y, speed_of(k));
     if (order == 2) {
       b.add_ball(y, l.acceleration);
       b = thrust_barrier(y, b);

@@ -56,8 +56,9 @@ struct Mission {
   MissionKind kind = MissionKind::curve;
   std::shared_ptr<const ReferenceCurve> curve;
   Vec3 goal;
-  // u = v_ref + gain / 2 (p_ref - p), at most `speed`: PolyMerge (arXiv 2606.16232), eq. 16. Of accelerations to a
-  // goal: a = gain (u - v) with |u| = min(speed, sqrt(a_max d)), and while hovering gain d / 2.
+  // u = v_ref + gain / 2 (p_ref - p), at most `speed`: PolyMerge (arXiv 2606.16232), eq. 16. Where the cascade
+  // follows it, plus a_ref over the gain of its velocity loop; if no filter changes u, it has jerk and snap as well.
+  // To a goal: a = gain (u - v) with |u| = min(speed, sqrt(a_max d)), and while hovering gain d / 2.
   double gain = 2;
   double speed = std::numeric_limits<double>::infinity();  // [m/s]
   bool hovers = false;

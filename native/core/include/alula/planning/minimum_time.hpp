@@ -59,6 +59,7 @@ struct TimeProblem {
   std::span<const geometry::Vec3> joint;  // K - 1, strictly inside the cells of both pieces
   std::span<const std::uint8_t> is_via;   // K - 1
   double least_duration = 0.01;           // of a piece [s]
+  std::span<const double> speed = {};     // K or none: limits of single pieces, where they are lower [m/s]
 };
 
 struct TimeOptions {
