@@ -14,7 +14,7 @@ from alula.stages.planning.fastest import Curve
 from alula.stages.planning.trajectory import DEGREE, evaluate
 
 _CELL_M = 0.4  # length of the cells that become slower
-_SLOWER = 0.75  # times the speed at which the filter acts
+_SLOWER = 0.6  # times the speed at which the filter acts
 _SLOWEST_M_S = 0.1
 _ROUNDS = 14
 
@@ -42,7 +42,7 @@ def slowed(
     """Slow a curve down where filters act in a flight along it, until they do not.
 
     Cells in which they act are divided along their segments. In each part where they act the speed is limited
-    to three quarters of what it was there, at least 0.1 m/s, and the fastest curve within these limits is
+    to 0.6 of what it was there, at least 0.1 m/s, and the fastest curve within these limits is
     flown in its turn, at most 14 times.
 
     Args:

@@ -38,7 +38,7 @@ def undisturbed(scenario: WorldScenario) -> WorldScenario:
     )
 
 
-def behind(
+def flown_behind(
     scenario: WorldScenario,
     filters: list[_core.SafetyFilter],
     guides: int,
@@ -47,7 +47,7 @@ def behind(
     *,
     plant_steps: int,
     max_speed_m_s: float,
-) -> Behind | None:
+) -> Behind:
     """How a plan is flown for its planner: behind the filters, past nothing that moves, without noise.
 
     Args:
@@ -58,12 +58,7 @@ def behind(
         options: of its flights.
         plant_steps: of the plant in a tick.
         max_speed_m_s: limit of velocity commands [m/s].
-
-    Returns:
-        None without filters.
     """
-    if len(filters) == guides:
-        return None
     dt_s, gain = scenario.rules.dt_s, scenario.mission.controller.gain_per_s
     rules = _core.SimulationRules(plant_steps=plant_steps, keeps_path=False)
     native = _core.SimulationSpec(spec, options=options, rules=rules)

@@ -15,7 +15,7 @@ from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.schemas.world_tables import WorldTable
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import level_words, mass_within
-from alula.stages.simulation.world.prepare import plant_steps_of
+from alula.stages.simulation.world.parts import plant_steps_of
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
 

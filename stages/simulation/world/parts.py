@@ -1,0 +1,263 @@
+"""World, vehicle and filters of a scenario as native parts, before its missions are made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import FILTERS
+from alula.schemas.vehicle import Vehicle
+from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
+from alula.schemas.world import WorldScenario
+from alula.schemas.world_check import refusal
+from alula.schemas.world_defaults import completed, vehicle_of
+from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.registry import filter_kind
+from alula.stages.planning.behind import Behind
+from alula.stages.planning.plan_samples import curve_of
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.world.behind import flown_behind, undisturbed
+from alula.stages.simulation.world.filters import filter_world, needs_image, safety_filters
+from alula.stages.simulation.world.vehicle import vehicle_spec, velocity_lags_s
+from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
+
+_PLANT_STEP_S = 1e-3
+_PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What does not depend on the missions.
+
+    Attributes:
+        scenario: completed.
+        vehicle: that it names.
+        world: static obstacles.
+        told: what the filters were built for.
+        spec, options: what the computer on board knows.
+        filters: native, in their order.
+        names: of the scenario's filters, in their order; the guide of the controller before them.
+        peak_m_s: peak speed of the references [m/s].
+        max_speed_m_s: limit of velocity commands [m/s].
+        lag_s: with which velocities are followed along x, y, z [s].
+    """
+
+    scenario: WorldScenario
+    vehicle: Vehicle
+    world: StaticWorld
+    told: FilterWorld
+    spec: _core.VehicleSpec
+    options: _core.FlightOptions
+    filters: list[_core.SafetyFilter]
+    names: list[str]
+    peak_m_s: float
+    max_speed_m_s: float
+    lag_s: tuple[float, float, float]
+
+    @property
+    def is_point(self) -> bool:
+        """Whether the vehicle is moved by velocities."""
+        return self.vehicle.model == "single-integrator"
+
+    @property
+    def guides(self) -> int:
+        """Number of guides before the filters."""
+        return len(self.names) - len(self.scenario.safety.filters)
+
+    def behind(self) -> Behind | None:
+        """How a plan is flown for its planner; None without filters."""
+        if not self.scenario.safety.filters:
+            return None
+        return flown_behind(
+            self.scenario,
+            self.filters,
+            self.guides,
+            vehicle_spec(
+                undisturbed(self.scenario),
+                self.vehicle,
+                peak_m_s=self.peak_m_s,
+                max_speed_m_s=self.max_speed_m_s,
+                lag_s=self.lag_s,
+            ),
+            self.options,
+            plant_steps=plant_steps_of(self.scenario, is_point=self.is_point),
+            max_speed_m_s=self.max_speed_m_s,
+        )
+
+
+def parts_of(
+    scenario: WorldScenario,
+    vehicle: Vehicle | None = None,
+    *,
+    cover: Artifact | None = None,
+    scene: Artifact | None = None,
+    seen: Artifact | None = None,
+    plan: Artifact | None = None,
+    pairs: Pairs | None = None,
+    jobs: int = 0,
+) -> Parts:
+    """Make them.
+
+    Args:
+        scenario: as read.
+        vehicle: of the file that it names; default: the one built in by its name.
+        cover: that it names.
+        scene: that it names.
+        seen: space that it names.
+        plan: that it names.
+        pairs: starts and goals of the run that it names.
+        jobs: threads, 0 for all processors.
+
+    Raises:
+        UsageError: parts that make no sense together, in one sentence with what would work instead; or values
+            that are inconsistent.
+        InputError: files do not fit each other.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
+    """
+    if vehicle is None:
+        vehicle = vehicle_of(scenario, Path())
+    require_named(scenario, cover=cover, scene=scene, seen=seen, plan=plan)
+    foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
+    if words := refusal(scenario, vehicle, foreign):
+        raise UsageError(words)
+    full = completed(scenario, vehicle)
+    mission, table = full.mission, full.vehicle
+    assert table.radius_m is not None
+    peak, most = _speeds(full, vehicle, plan)
+    lag_s = velocity_lags_s(full, vehicle, most)
+    names = list(full.safety.filters)
+    if mission.controller.guide != "none":
+        names.insert(0, mission.controller.guide)
+    world = static_world(
+        full,
+        radius_m=table.radius_m,
+        cover=cover,
+        scene=scene,
+        seen=seen,
+        needs_image=full.world.onboard or needs_image(full),
+        jobs=jobs,
+    )
+    spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most, lag_s=lag_s)
+    extent = _extent(full, world, most, max(lag_s), pairs, plan)
+    known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
+    told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
+    return Parts(
+        scenario=full,
+        vehicle=vehicle,
+        world=world,
+        told=told,
+        spec=spec,
+        options=_options(full),
+        filters=safety_filters(full, told, lag_s),
+        names=names,
+        peak_m_s=peak,
+        max_speed_m_s=most,
+        lag_s=lag_s,
+    )
+
+
+def _options(scenario: WorldScenario) -> _core.FlightOptions:
+    rules, known = scenario.rules, scenario.estimation
+    if known.disturbance_time_s and scenario.vehicle.interface not in ("wrench", "body-rates"):
+        raise UsageError(
+            "`$.estimation.disturbance_time_s`: disturbances are estimated for a quadrotor that is commanded "
+            "by wrench or body-rates"
+        )
+    return _core.FlightOptions(
+        dt_s=rules.dt_s,
+        controller_ticks=rules.controller_ticks,
+        filter_ticks=rules.filter_ticks,
+        stale_s=min(known.stale_s, 1e3),
+        has_losses=has_losses(scenario),
+        disturbance_time_s=known.disturbance_time_s,
+    )
+
+
+def has_losses(scenario: WorldScenario) -> bool:
+    """Whether measurements can be missing.
+
+    Args:
+        scenario: completed.
+    """
+    return scenario.estimation.lost_share > 0 or scenario.estimation.lost_from_s is not None
+
+
+def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
+    """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
+
+    One is exact for a point whose velocity is held, where nothing else moves.
+
+    Args:
+        scenario: completed.
+        is_point: whether the vehicle is a single integrator.
+    """
+    if scenario.rules.plant_steps is not None:
+        return scenario.rules.plant_steps
+    if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
+        return 1
+    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
+
+
+def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
+    """Peak speed of the references, and limit of velocity commands [m/s]."""
+    mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
+    is_point = vehicle.model == "single-integrator"
+    if mission.kind == "plan" and plan is not None:
+        peak = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+        fast = limit if is_point and limit else PLAN_SPEED_FACTOR * peak
+    else:
+        peak = mission.speed_m_s or (limit if is_point and limit else None) or (DEFAULT_SPEED_M_S)
+        fast = peak if is_point else PLAN_SPEED_FACTOR * peak
+        if mission.planned and is_point:
+            peak /= PLAN_SPEED_FACTOR
+    if vehicle.model == "double-integrator":
+        return peak, math.inf if limit is None else limit
+    fast += _lead_m_s(scenario, plan)
+    return peak, fast if limit is None else min(fast, limit)
+
+
+def _lead_m_s(scenario: WorldScenario, plan: Artifact | None) -> float:
+    """How much faster than a plan set-points of the velocity are that lead by its acceleration [m/s]."""
+    table, mission = scenario.vehicle, scenario.mission
+    if table.interface not in ("wrench", "body-rates") or table.velocity_gain_per_s is None:
+        return 0.0
+    if mission.planned:
+        return PlanConfig().acceleration_m_s2 / table.velocity_gain_per_s
+    limits: dict[str, float] = {} if plan is None else plan.manifest.limits  # type: ignore[attr-defined]
+    return limits.get("acceleration_m_s2", 0.0) / table.velocity_gain_per_s
+
+
+def _extent(
+    scenario: WorldScenario,
+    world: StaticWorld,
+    most: float,
+    lag_s: float,
+    pairs: Pairs | None,
+    plan: Artifact | None,
+) -> float:
+    """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
+    points = [world.vertices if scenario.world.has_hulls else world.centres]
+    mission = scenario.mission
+    given = [mission.start_m, mission.goal_m, *mission.waypoints_m]
+    points += [np.array([point]) for point in given if point is not None]
+    for box in (mission.bounds_m, mission.start_box_m):
+        if box is not None:
+            points.append(np.array(box).reshape(2, 3))
+    if pairs is not None:
+        points += [pairs.start, pairs.goal]
+    if plan is not None:
+        curve = curve_of(plan)
+        points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
+    speed = most if math.isfinite(most) else 10.0
+    seconds = 1 + lag_s
+    radii = _PLANNED_RADII if mission.planned else 1
+    return (
+        2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed
+    )
