@@ -73,6 +73,7 @@ def command(
     from alula.schemas.kinds import PLAN
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
     from alula.stages.planning.plan import plan, resolve_plan
+    from alula.stages.simulation.world.parts import behind_filters
 
     if config.radius_m is not None and vehicle_path is not None:
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
@@ -89,8 +90,13 @@ def command(
     if config.start is None or config.goal is None:
         raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
 
+    if config.filter is not None and "image" in paths:
+        raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
+
     def build(progress: Progress) -> Artifact:
-        return plan(config, **_read(paths), vehicle=vehicle, jobs=common.jobs, progress=progress)
+        maps = _read(paths)
+        behind = None if config.filter is None else behind_filters(config, vehicle, **maps, jobs=common.jobs)
+        return plan(config, **maps, vehicle=vehicle, behind=behind, jobs=common.jobs, progress=progress)
 
     inputs = paths | ({} if vehicle_path is None else {"vehicle": vehicle_path})
     runner.run_stage(common, PLAN, config, inputs, build)

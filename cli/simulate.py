@@ -37,7 +37,7 @@ Examples:
 @click.option("--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover.")
 @click.option("--vehicle", metavar="NAME|FILE", help="Built-in vehicle, or vehicle file (.toml).")
 @click.option("--pairs-from", "pairs_path", type=options.input_path(), help="Run whose pairs to fly.")
-@click.option("--planned", is_flag=True, help="Plan each pair in the cover first.")
+@click.option("--planned", is_flag=True, help="Plan each pair first, for the vehicle and the filters.")
 @click.option("--filter", "filters", metavar="NAME,…", help="Safety filters in their order, or none.")
 @click.option("--speed", type=options.FINITE_FLOAT, help="Speed of the mission [m/s].")
 @click.option("--trials", type=options.Whole(1), help="Number of flights.")

@@ -191,13 +191,11 @@ def _wrong_mission(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
             "`$.mission.which`: no obstacle can block a pair, as there is none; set world.cover or "
             "world.scene, or mission.which=any"
         )
-    if mission.planned and world.seen is not None:
+    if mission.planned and world.cover is None and world.scene is None:
         return (
-            "`$.mission.planned`: these plans know the cover alone; leave out world.seen, or fly a plan made "
-            "by plan --within"
+            "`$.mission.planned`: plans are made in a cover or a scene; set world.cover or world.scene, or "
+            "mission.planned=false"
         )
-    if mission.planned and world.cover is None:
-        return "`$.mission.planned`: plans are made in a cover; set world.cover, or mission.planned=false"
     return _wrong_guide(scenario)
 
 

@@ -299,7 +299,11 @@ class MissionTable(Table, frozen=True, kw_only=True):
         about("pairs to fly; blocked: only those whose straight line meets an obstacle (pairs)"),
     ] = "any"
     planned: Annotated[
-        bool, about("plan each flight in the cover, and fly the plan (pairs, goal, waypoints)")
+        bool,
+        about(
+            "plan each flight in the cover, the scene and the space that was seen, slower where the filters "
+            "would act, and fly the plan (pairs, goal, waypoints)"
+        ),
     ] = False
     stop_fraction: Annotated[
         float,

@@ -105,6 +105,14 @@ class PlanConfig:
             "the accelerations and the jerk with which the vehicle's own autopilot follows them.",
         },
     )
+    filter: str | None = field(
+        default=None,
+        metadata={
+            "help": "Filters behind which the plan will be flown, as --filter of simulate: where they would "
+            "act it is slower.",
+            "metavar": "NAME,…",
+        },
+    )
     smooth: float = field(
         default=1.0,
         metadata={"help": "Fly this many times the minimum time, at least 1, and minimise snap instead."},

@@ -19,8 +19,7 @@ from alula.stages.simulation.pairs import Pairs
 
 def plans_of(
     pairs: Pairs,
-    cover: Artifact,
-    scene: Artifact | None = None,
+    maps: dict[str, Artifact | None],
     *,
     vehicle: Vehicle,
     config: PlanConfig,
@@ -33,8 +32,7 @@ def plans_of(
 
     Args:
         pairs: starts and goals, world frame [m].
-        cover: hulls to plan among.
-        scene: ellipsoids to plan among, too.
+        maps: cover, scene and seen space (`within`) to plan in, by role.
         vehicle: that will fly them.
         config: of the plans, but start, goal and heading; with the radius that filters keep.
         margin_m: distance to keep beyond it, of each pair, shape (N,) [m].
@@ -57,11 +55,9 @@ def plans_of(
             yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
         )
         if margin not in spaces:
-            spaces[margin] = plan_space(own, cover, scene, jobs=jobs)
+            spaces[margin] = plan_space(own, **maps, jobs=jobs)
         try:
-            found.append(
-                plan(own, cover, scene=scene, vehicle=vehicle, behind=behind, space=spaces[margin], jobs=jobs)
-            )
+            found.append(plan(own, **maps, vehicle=vehicle, behind=behind, space=spaces[margin], jobs=jobs))
         except InfeasibleError:
             found.append(None)
         if progress is not None:

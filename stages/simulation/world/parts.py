@@ -15,11 +15,11 @@ from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
-from alula.schemas.world import WorldScenario
+from alula.schemas.world import WorldScenario, decoded
 from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.filtering.registry import filter_kind
+from alula.stages.filtering.registry import NO_FILTER, filter_kind
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.simulation.pairs import Pairs
@@ -161,6 +161,47 @@ def parts_of(
         max_speed_m_s=most,
         lag_s=lag_s,
     )
+
+
+def behind_filters(
+    config: PlanConfig,
+    vehicle: Vehicle,
+    *,
+    cover: Artifact | None = None,
+    scene: Artifact | None = None,
+    within: Artifact | None = None,
+    jobs: int = 0,
+) -> Behind | None:
+    """How `simulate` flies a plan behind filters that keep the vehicle's radius, for its planner.
+
+    Args:
+        config: with the names of the filters.
+        vehicle: that will fly the plan.
+        cover: that it is made in.
+        scene: that it is made in.
+        within: seen space that it stays in.
+        jobs: threads, 0 for all processors.
+
+    Returns:
+        None for the filter `none`.
+
+    Raises:
+        UsageError: there is no such filter, or it does not fit the vehicle or the maps.
+    """
+    names = [name.strip() for name in (config.filter or NO_FILTER).split(",")]
+    maps = {"cover": cover, "scene": scene, "seen": within}
+    level = {"sigma": config.sigma, "confidence": config.confidence, "inflation_m": config.inflation_m}
+    tree = {
+        "vehicle": {"file": vehicle.name},
+        "world": {role: role for role, each in maps.items() if each is not None}
+        | {key: value for key, value in level.items() if value is not None},
+        "mission": {"planned": True, "speed_m_s": config.speed_m_s},
+        "safety": {"filters": [] if names == [NO_FILTER] else names},
+    }
+    try:
+        return parts_of(decoded(tree, "--filter"), vehicle, **maps, jobs=jobs).behind()
+    except UsageError as error:
+        raise UsageError(f"--filter {config.filter}: {str(error).removeprefix('--filter: ')}") from error
 
 
 def _options(scenario: WorldScenario) -> _core.FlightOptions:

@@ -66,8 +66,7 @@ def missions_of(
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
-    cover: Artifact | None,
-    scene: Artifact | None,
+    maps: dict[str, Artifact | None],
     vehicle: Vehicle,
     behind: Behind | None,
     given: Pairs | None,
@@ -85,8 +84,7 @@ def missions_of(
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
-        cover: to plan in.
-        scene: to plan in, too.
+        maps: cover, scene and seen space (`within`) to plan in, by role.
         vehicle: that flies, for its limits.
         behind: filters behind which plans will be flown.
         given: starts and goals of another run, or None.
@@ -122,7 +120,6 @@ def missions_of(
         pairs, counts = _pairs(scenario, world, around, count, given, psi, jobs)
         plans = [None] * len(pairs.start)
         if mission.planned:
-            assert cover is not None
             config = PlanConfig(
                 radius_m=world.most_keep_m,
                 speed_m_s=speed_m_s,
@@ -130,8 +127,7 @@ def missions_of(
             )
             plans = plans_of(
                 pairs,
-                cover,
-                scene,
+                maps,
                 vehicle=vehicle,
                 config=config,
                 margin_m=_margins(world, pairs, mission.margin_m, jobs),
