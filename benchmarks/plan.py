@@ -39,6 +39,7 @@ from measure import FloatArray
 from scenes import real, room, voxels_of
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import pdist
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.merge import MergeConfig
@@ -98,6 +99,11 @@ def real_worlds() -> list[World]:
 
 def connected_pairs(space: PlanSpace, count: int, seed: int) -> list[tuple[Point, Point]]:
     """Random pairs of grid points of one component each, drawn from all joined points alike."""
+    return [(start, goal) for start, goal in connected_chains(space, 2, count, seed)]
+
+
+def connected_chains(space: PlanSpace, length: int, count: int, seed: int) -> list[list[Point]]:
+    """The same for chains of some points, any two of which are apart."""
     box = space.box()
     assert box is not None
     lower, upper = box
@@ -117,15 +123,16 @@ def connected_pairs(space: PlanSpace, count: int, seed: int) -> list[tuple[Point
     _, part = connected_components(graph, directed=False)
     points = np.unique(np.concatenate([a, b]))
     rng = np.random.default_rng(seed)
-    pairs: list[tuple[Point, Point]] = []
+    chains: list[list[Point]] = []
     for _ in range(1000 * count):
-        if len(pairs) == count:
+        if len(chains) == count:
             break
         start = rng.choice(points)
-        goal = rng.choice(points[part[points] == part[start]])
-        if math.dist(grid[start], grid[goal]) >= APART_M:
-            pairs.append((tuple(grid[start].tolist()), tuple(grid[goal].tolist())))
-    return pairs
+        others = [rng.choice(points[part[points] == part[start]]) for _ in range(length - 1)]
+        chosen = grid[[start, *others]]
+        if pdist(chosen).min() >= APART_M:
+            chains.append([tuple(point) for point in chosen.tolist()])
+    return chains
 
 
 def scaled_time(corridor: Corridor, limits: Limits, speed: float) -> float:
@@ -233,15 +240,16 @@ def main() -> int:
         json.dump(found[0] if given.quick else found, sys.stdout, indent=2)
         sys.stdout.write("\n")
     else:
-        sys.stdout.write(_table(found))
+        sys.stdout.write(table(found))
     if given.markdown is not None:
         preface = "# Plans, measured\n\nWritten by `python benchmarks/plan.py --markdown FILE`.\n\n" + __doc__
-        given.markdown.write_text(f"{preface}\n{_table(found)}")
+        given.markdown.write_text(f"{preface}\n{table(found)}")
     missed = any(each["planned_pairs"] < each["connected_pairs"] for each in found)
     return int(missed or any(each["limit_violations"] for each in found))
 
 
-def _table(found: list[dict[str, Any]]) -> str:
+def table(found: list[dict[str, Any]]) -> str:
+    """Figures as rows of a Markdown table, a column for each set of them."""
     rows = [list(found[0]), ["---"] * len(found[0])]
     rows += [
         [f"{value:.3g}" if isinstance(value, float) else str(value) for value in each.values()]

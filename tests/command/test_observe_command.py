@@ -1,6 +1,7 @@
 """The command `alula observe`, and what other commands do with its file."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -177,9 +178,14 @@ def test_simulated_flights_stay_in_seen_space_and_are_judged_against_its_boundar
     assert run([*words, "--set", "mission.start_m=1.2,1.5,9"]) == 2
     assert "(1.200 1.500 9.000) is not in the space that was seen" in capsys.readouterr().err
     assert run([*words, "--set", "world.seen=missing.seen.npz"]) == 3
-    missing = [*words[:1], str(pipeline / "tiny.cover.npz"), *words[2:], "--planned"]
-    assert run([*missing, "--set", f"world.seen={tmp_path / 'tiny.seen.npz'}"]) == 2
-    assert "these plans know the cover alone" in capsys.readouterr().err
+    assert run([*words, "--planned"]) == 2
+    assert "plans are made in a cover or a scene" in capsys.readouterr().err
+    shutil.copy(pipeline / "tiny.cover.npz", tmp_path)
+    inside = ["--set", "mission.goal_m=2.8,1.5,1", "--set", "world.cover=tiny.cover.npz"]
+    assert run([*words, "--planned", *inside]) == 0
+    assert read_run(out).trials[0].outcome == "reached"
+    assert run([*words, "--planned", *inside[2:]]) == 0
+    assert read_run(out).summary["unplanned_pairs"] == 1  # its goal was not seen
 
 
 def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_path):

@@ -80,6 +80,26 @@ def test_a_straight_plan_through_an_obstacle_is_written_only_where_this_is_insis
     assert run(["verify", str(clear), "--map", str(cover), "-q"]) == 0
 
 
+def test_a_plan_for_a_filter_is_slower_where_it_would_act(cover, tmp_path, capsys):
+    output = tmp_path / "p.plan.npz"
+    words = ["--start", "-1.5 0.5 0.5", "--goal", "-0.35 0.4 0.5", "-f"]
+    assert plan(cover, output, *words) == 0
+    fastest = read_artifact(output, PLAN).manifest
+    assert plan(cover, output, *words, "--filter", "polytope-cbf") == 0
+    manifest = read_artifact(output, PLAN).manifest
+    assert manifest.parameters["filter"] == "polytope-cbf"
+    assert manifest.summary["duration_s"] > 1.2 * fastest.summary["duration_s"]
+    assert manifest.limits == fastest.limits
+    assert "notes" not in manifest.summary
+    assert run(["verify", str(output), "--map", str(cover)]) == 0
+    assert plan(cover, output, *words, "--filter", "none") == 0
+    assert read_artifact(output, PLAN).manifest.summary == fastest.summary
+    capsys.readouterr()
+    assert plan(cover, tmp_path / "q.plan.npz", *words, "--filter", "nonsense") == 2
+    assert "--filter nonsense: no filter is called 'nonsense'" in capsys.readouterr().err
+    assert not (tmp_path / "q.plan.npz").exists()
+
+
 def test_via_points_and_threads(cover, tmp_path):
     words = ["--start", "-1 -1 -1", "--goal", "-1 -1 2", "--via", "0.5 0.5 1.5", "--via", "2 2 2"]
     one, four = tmp_path / "one.plan.npz", tmp_path / "four.plan.npz"

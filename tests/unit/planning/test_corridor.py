@@ -11,7 +11,8 @@ from scipy.spatial import HalfspaceIntersection
 from alula._core import EllipsoidSet, check_cells, corridor_cells
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.corridor import Kept, find_corridor
+from alula.stages.planning.corridor import Kept, divided, find_corridor
+from support.chains import box_chain
 from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
 
@@ -164,3 +165,31 @@ def test_where_a_path_has_no_room_its_joint_is_closed():
     )
     assert corridor.is_open.tolist() == [False]
     np.testing.assert_array_equal(corridor.joint[0], corners[1])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parts_of_a_divided_cell_lie_in_it_and_share_inner_joints(seed):
+    whole = box_chain(seed, 4, via=seed % 2 == 1)
+    parts, part = divided(whole, [1, 3], 0.3)
+    length = np.linalg.norm(np.diff(parts.point, axis=0), axis=1)
+    assert sorted(set(part)) == [0, 1, 2, 3]
+    assert list(part).count(0) == list(part).count(2) == 1
+    assert length[np.isin(part, [1, 3])].max() <= 0.3 + 1e-12
+    for i, old in enumerate(part):
+        normal, offset = parts.rows(i)
+        given_normal, given_offset = whole.rows(old)
+        np.testing.assert_array_equal(normal[: len(given_normal)], given_normal)
+        np.testing.assert_array_equal(offset[: len(given_offset)], given_offset)
+        along = (parts.point[i + 1] - parts.point[i]) / length[i]
+        at = np.array([parts.point[i], parts.point[i + 1]])
+        assert (at @ normal.T <= offset).all()
+        beyond = parts.point[i + 1] + 0.03 * along
+        assert (beyond @ normal.T <= offset).all() == (i + 1 == len(part) or part[i + 1] != old)
+    for i, joint in enumerate(parts.joint):
+        for side in (i, i + 1):
+            normal, offset = parts.rows(side)
+            assert (joint @ normal.T < offset).all()
+    kept = [i for i in range(len(part) - 1) if part[i] != part[i + 1]]
+    np.testing.assert_array_equal(parts.joint[kept], whole.joint)
+    np.testing.assert_array_equal(parts.is_via[kept], whole.is_via)
+    assert parts.is_via.sum() == whole.is_via.sum()

@@ -120,6 +120,17 @@ def test_other_ratios_of_durations_are_not_faster_either(seed):
     assert minimum_scale(problem, equal, 2e-3) * equal.sum() >= 1.01 * curve.time[-1]
 
 
+def test_single_cells_can_have_lower_limits_of_the_speed():
+    corridor = box_chain(5, 3)
+    fast, slow = solve(corridor), solve(corridor, speed_m_s=np.array([9.0, 0.3, 2.0]))
+    for curve, limit in ((fast, [2.0, 2.0, 2.0]), (slow, [2.0, 0.3, 2.0])):
+        speed = 7 * np.linalg.norm(np.diff(curve.point, axis=1), axis=2) / curve.duration[:, None]
+        most = [speed[curve.cell == cell].max() for cell in range(3)]
+        assert (most <= np.array(limit) * (1 + 1e-12)).all()
+    assert fast.time[-1] < slow.time[-1]
+    assert most[1] > 0.28
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_in_a_longer_time_snap_is_that_of_the_convex_reference(seed):
     corridor = box_chain(seed, 3, seed == 2)

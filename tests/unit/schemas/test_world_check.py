@@ -176,7 +176,10 @@ REFUSED = [
         r"`\$\.mission\.goal_m`: a mission of kind goal needs",
     ),
     ({"mission": {"kind": "pairs"}, "world": {}}, r"`\$\.mission\.bounds_m`: random pairs need a box"),
-    ({"mission": {"planned": True}}, r"`\$\.mission\.planned`: plans are made in a cover"),
+    (
+        {"mission": {"planned": True, "kind": "pairs", "bounds_m": [0, 0, 0, 1, 1, 1]}, "world": {}},
+        r"`\$\.mission\.planned`: plans are made in a cover or a scene",
+    ),
     (
         {"mission": {"kind": "pairs", "which": "blocked", "bounds_m": [0, 0, 0, 1, 1, 1]}, "world": {}},
         "can block",

@@ -442,6 +442,20 @@ def test_a_velocity_of_a_quadrotor_is_held_as_numpy_says():
         assert thrust == pytest.approx(force @ (body_to_inertial(state[3:6]) @ E3), rel=1e-9)
 
 
+@pytest.mark.parametrize("interface", ["wrench", "body-rates"])
+def test_a_quadrotor_behind_a_filter_of_velocities_that_passes_follows_its_reference(interface):
+    """The set-point leads by a / k_v, and the attitude loop has jerk and snap; another velocity is held."""
+    vehicle, seen = spec(interface), Passing("velocity")
+    mission = _core.Mission.along(CURVE, gain_per_s=2.0)
+    (log,) = flown(vehicle, mission, [seen.native()], time_s=6.0)
+    reference = CURVE.at(0.01 * np.arange(len(log["state"])))
+    assert np.linalg.norm(log["state"][:, :3] - reference[:, :3], axis=1).max() < 0.01
+    assert np.linalg.norm(reference[:, 6:9], axis=1).max() > 0.3
+    u = [nominal["velocity"] for nominal in seen.seen]
+    lead = reference[:, 3:6] + reference[:, 6:9] / 2.0 + reference[:, :3] - log["state"][:, :3]
+    np.testing.assert_allclose(u, lead[: len(u)], atol=1e-9)
+
+
 def test_a_velocity_of_a_double_integrator_is_held_as_numpy_says():
     vehicle = spec("velocity", "double-integrator", velocity_gain_per_s=3.0, max_acceleration_m_s2=2.0)
     (log,) = flown(vehicle, _core.Mission.along(CURVE, gain_per_s=2.0), state=start(yaw=0.0))

@@ -1,15 +1,23 @@
 """Pairs flown along plans of their own, where the straight flight ends in front of a wall."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact, write_artifact
+from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
+from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import decoded
+from alula.schemas.world_defaults import completed
+from alula.stages.planning.limits import motion_limits
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.world.behind import undisturbed
+from alula.stages.simulation.world.parts import Parts
+from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_summary
 from support.small_scenes import ball_scene, box_cover
@@ -96,8 +104,61 @@ def test_references_among_ellipsoids_follow_the_plans():
     assert planned.summary["reached"] == 5
     assert planned.summary["planned_pairs"] == 5
     assert planned.summary["min_map_clearance_m"] > -0.02  # the controller tracks the plan that closely
-    with pytest.raises(UsageError, match=r"`\$.mission.planned`: plans are made in a cover; set world.cover"):
-        flown(planned=True, **given)
+    among_balls = flown(planned=True, **given)
+    assert among_balls.summary["collisions"] == 0
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "name"), [("crazyflie21", "polytope-cbf"), ("fastbridge", "cone-backup")]
+)
+def test_a_quadrotor_flies_its_plans_without_its_filter_acting(vehicle, name, monkeypatch):
+    """Towards a wall, where the filter acts along the fastest plan."""
+    cover = box_cover([((20, -20, -20), (22, 20, 20))])
+    ends = Pairs(np.array([[0.6, 0.0, 0.0]]), np.array([[1.65, 0.4, 0.0]]), 0, 0)
+    scenario = decoded(
+        {
+            "vehicle": {"type": vehicle},
+            "world": {"cover": "x"},
+            "mission": {"planned": True, "margin_m": 0.1},
+            "safety": {"filters": [name]},
+            "rules": {"trials": 1},
+        }
+    )
+
+    def flight():
+        ready = prepare(scenario, cover=cover, pairs=ends, jobs=1)
+        (log,) = ready.fly(0, 1, jobs=1)
+        return ready, ready.judged(0, log)
+
+    ready, trial = flight()
+    plan, limits = ready.missions.plans[0].manifest, motion_limits(PlanConfig(), VEHICLES[vehicle])
+    assert plan.vehicle == vehicle
+    assert plan.limits == limits.record()
+    assert trial.outcome == "reached"
+    assert not trial.collision
+    assert trial.filtered_steps <= 0.01 * trial.steps
+    assert trial.saturated_steps == 0
+    assert trial.max_tracking_error_m < 0.01
+    monkeypatch.setattr(Parts, "behind", lambda self: None)
+    _, fastest = flight()
+    assert fastest.filtered_steps > 0.02 * fastest.steps
+    assert fastest.duration_s < trial.duration_s
+
+
+def test_random_noise_is_left_out_where_plans_are_made_for_a_filter():
+    """The same seed with another number of trials, and noise, gives the same plans."""
+    given = {"vehicle": {"type": "crazyflie21"}, "world": {"cover": "x"}, "safety": {"filters": ["shield"]}}
+    still = completed(decoded(given), VEHICLES["crazyflie21"])
+    noisy = completed(
+        decoded(
+            given
+            | {"estimation": {"position_noise_m": 0.01, "delay_s": 0.02}}
+            | {"vehicle": {"type": "crazyflie21", "disturbance": {"gust_m_s": [1, 1, 1]}}}
+        ),
+        VEHICLES["crazyflie21"],
+    )
+    delayed = msgspec.structs.replace(still.estimation, delay_s=0.02)
+    assert undisturbed(noisy) == msgspec.structs.replace(still, estimation=delayed)
 
 
 def test_a_plan_is_not_planned_again():
