@@ -162,8 +162,9 @@ bench-autopilots: setup ## fly all filters on ALULA_ARDUCOPTER's program and on 
 bench-faults: setup ## make faults in flights of ALULA_ARDUCOPTER's program, an hour, into docs/results/benchmarks-fly.md
 	$(BIN)/python -P benchmarks/faults.py --markdown docs/results/benchmarks-fly.md
 
-bench-plan: setup ## plan between random pairs in the built-in room and real scenes, into docs/results/benchmarks-plan.md
+bench-plan: setup ## plan between random pairs in the built-in room and real scenes and fly such plans, into docs/results/benchmarks-plan*.md
 	$(BIN)/python -P benchmarks/plan.py --markdown docs/results/benchmarks-plan.md
+	$(BIN)/python -P benchmarks/planned_flights.py --markdown docs/results/benchmarks-planned-flights.md
 
 bench-world: setup ## fly the combined scenario behind every list of filters, an hour, into docs/results/benchmarks-world.md
 	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --keep build/bench-world \

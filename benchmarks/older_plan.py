@@ -1,8 +1,8 @@
 """The planner before version 1.1 of its artifact, to compare with.
 
 It made curves of minimum snap with its own allocation of times, and knew limits of speed and acceleration
-alone. A piece that was not proven clear was halved, up to four times, and then became a straight line from rest
-to rest.
+alone. A piece that was not proven clear was halved, up to four times, and then became a straight line from
+rest to rest.
 """
 
 from __future__ import annotations

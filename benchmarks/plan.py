@@ -5,9 +5,9 @@ distances from the map, which are 1-Lipschitz, prove that the segment between th
 is two points of one connected component. Flights begin and end at rest. Limits of speed and acceleration are
 equal; plans also keep those of thrust, tilt, body rates and rotors, and room for filters beside obstacles.
 
-- `time_over_today`: over the planner before 1.1 of the artifact along the same path: minimum snap with its own
-  allocation of times, halved or straight where it was not proven clear, all of it stretched until the same
-  limits hold; `time_over_today_without_limits`: until speed and acceleration hold, as it was flown;
+- `time_over_today`: over the planner before 1.1 of the artifact along the same path: minimum snap with its
+  own allocation of times, halved or straight where it was not proven clear, all of it stretched until the
+  same limits hold; `time_over_today_without_limits`: until speed and acceleration hold, as it was flown;
 - `time_over_splatnav`: over the curve of minimum snap in the same corridor with durations by the lengths of
   the segments, all stretched until the limits hold (Chen et al. 2024);
 - `time_over_bound`: over a point on the merged path with full acceleration that stops for no corner; no
