@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any, NamedTuple
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
@@ -17,9 +18,17 @@ from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.simulation.pairs import Pairs
 
 
+class PlanMaps(NamedTuple):
+    """What plans keep away from."""
+
+    cover: Artifact | None
+    scene: Artifact | None
+    within: Artifact | None  # seen space
+
+
 def plans_of(
     pairs: Pairs,
-    maps: dict[str, Artifact | None],
+    maps: PlanMaps,
     *,
     vehicle: Vehicle,
     config: PlanConfig,
@@ -32,7 +41,7 @@ def plans_of(
 
     Args:
         pairs: starts and goals, world frame [m].
-        maps: cover, scene and seen space (`within`) to plan in, by role.
+        maps: to plan in.
         vehicle: that will fly them.
         config: of the plans, but start, goal and heading; with the radius that filters keep.
         margin_m: distance to keep beyond it, of each pair, shape (N,) [m].
@@ -44,6 +53,7 @@ def plans_of(
         A plan per pair, with the heading from start to goal; None where the planner finds no way.
     """
     found: list[Artifact | None] = []
+    cover, scene, within = maps
     spaces: dict[float, PlanSpace] = {}
     rows = zip(pairs.start.tolist(), pairs.goal.tolist(), margin_m.tolist(), strict=True)
     for i, (start, goal, margin) in enumerate(rows):
@@ -55,9 +65,10 @@ def plans_of(
             yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
         )
         if margin not in spaces:
-            spaces[margin] = plan_space(own, **maps, jobs=jobs)
+            spaces[margin] = plan_space(own, cover, scene, None, within, jobs=jobs)
         try:
-            found.append(plan(own, **maps, vehicle=vehicle, behind=behind, space=spaces[margin], jobs=jobs))
+            known: dict[str, Any] = {"vehicle": vehicle, "behind": behind, "space": spaces[margin]}
+            found.append(plan(own, cover, scene=scene, within=within, **known, jobs=jobs))
         except InfeasibleError:
             found.append(None)
         if progress is not None:

@@ -75,7 +75,7 @@ def flown_behind(
         )
         (flown,) = _core.simulate(native, [task], filters, jobs=1)
         status = flown["status"][:, guides:]
-        acts: FloatArray = np.flatnonzero((status != FilterStatus.OK).any(axis=1)) * dt_s
-        return np.minimum(acts, time[-1])
+        ticks = np.flatnonzero((status != FilterStatus.OK).any(axis=1))
+        return np.asarray(np.minimum(dt_s * ticks, time[-1]), np.float64)
 
     return Behind(" + ".join(scenario.safety.filters), acting_s)

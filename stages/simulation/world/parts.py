@@ -199,7 +199,8 @@ def behind_filters(
         "safety": {"filters": [] if names == [NO_FILTER] else names},
     }
     try:
-        return parts_of(decoded(tree, "--filter"), vehicle, **maps, jobs=jobs).behind()
+        scenario = decoded(tree, "--filter")
+        return parts_of(scenario, vehicle, cover=cover, scene=scene, seen=within, jobs=jobs).behind()
     except UsageError as error:
         raise UsageError(f"--filter {config.filter}: {str(error).removeprefix('--filter: ')}") from error
 

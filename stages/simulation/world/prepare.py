@@ -16,6 +16,7 @@ from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_roo
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.planned import PlanMaps
 from alula.stages.simulation.world.among_hulls import note_of_psi
 from alula.stages.simulation.world.encounters import seen_by
 from alula.stages.simulation.world.filters import (
@@ -88,7 +89,7 @@ def prepare(
         speed_m_s=parts.peak_m_s,
         max_speed_m_s=most,
         plan=plan,
-        maps={"cover": cover, "scene": scene, "within": seen},
+        maps=PlanMaps(cover, scene, seen),
         vehicle=parts.vehicle,
         behind=parts.behind() if mission.planned else None,
         given=pairs,

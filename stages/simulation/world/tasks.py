@@ -23,7 +23,7 @@ from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
-from alula.stages.simulation.planned import count_planned, plans_of
+from alula.stages.simulation.planned import PlanMaps, count_planned, plans_of
 from alula.stages.simulation.world.piloted import pilots_starts
 from alula.stages.simulation.world.world import StaticWorld, require_clear
 
@@ -66,7 +66,7 @@ def missions_of(
     speed_m_s: float,
     max_speed_m_s: float,
     plan: Artifact | None,
-    maps: dict[str, Artifact | None],
+    maps: PlanMaps,
     vehicle: Vehicle,
     behind: Behind | None,
     given: Pairs | None,
@@ -84,7 +84,7 @@ def missions_of(
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         plan: that the scenario names, or None.
-        maps: cover, scene and seen space (`within`) to plan in, by role.
+        maps: to plan in.
         vehicle: that flies, for its limits.
         behind: filters behind which plans will be flown.
         given: starts and goals of another run, or None.
