@@ -187,7 +187,7 @@ def line_s(path: FloatArray, limits: Limits) -> float:
         is_via=np.empty(0, np.bool_),
         is_free=np.ones(1, np.bool_),
     )
-    curve = fastest_curve(corridor, range(1), limits, 5)
+    curve = fastest_curve(corridor, range(1), limits, 3)
     return math.nan if curve is None else float(curve.time[-1])
 
 

@@ -84,7 +84,7 @@ def fastest_curve(
         corridor: its joints between these cells are open.
         cells: cells to pass, from the first point of the first to the last point of the last.
         limits: of the motion.
-        pieces: in each cell, at least 2.
+        pieces: in each cell, at least 2; two more in a cell alone.
         start: state of motion at the start; at rest if none.
         smooth: factor on the minimum time, in which snap is minimised.
         speed_m_s: limit in each cell of the corridor, shape (C,) [m/s]; that of `limits` if none.
@@ -96,6 +96,8 @@ def fastest_curve(
     offset = [corridor.rows(i)[1] for i in cells]
     row_start = np.concatenate([[0], np.cumsum([len(rows) for rows in offset])]).astype(np.int64)
     count = max(2, min(pieces, _FEW_PIECES // len(cells) if pieces == PIECES_PER_CELL[0] else pieces))
+    if len(cells) == 1:
+        count += 2  # from rest to a constant speed and back take two pieces each
     cell = np.repeat(np.arange(len(cells)), count)
     joint = np.zeros((len(cell) - 1, 3))
     is_via = np.zeros(len(cell) - 1, np.uint8)
