@@ -120,6 +120,15 @@ def test_other_ratios_of_durations_are_not_faster_either(seed):
     assert minimum_scale(problem, equal, 2e-3) * equal.sum() >= 1.01 * curve.time[-1]
 
 
+def test_a_long_straight_flight_takes_its_length_over_the_speed_and_two_ramps():
+    short = box_chain(0, 1)
+    along = short.point[1] - short.point[0]
+    size = 12 / np.linalg.norm(along)
+    corridor = dataclasses.replace(short, point=size * short.point, offset=size * short.offset)
+    bound = 12 / LIMITS.speed_m_s + LIMITS.speed_m_s / LIMITS.acceleration_m_s2
+    assert bound < solve(corridor).time[-1] < 1.12 * bound
+
+
 def test_single_cells_can_have_lower_limits_of_the_speed():
     corridor = box_chain(5, 3)
     fast, slow = solve(corridor), solve(corridor, speed_m_s=np.array([9.0, 0.3, 2.0]))
