@@ -46,18 +46,20 @@ def pairs():
     return Pairs(start, goal, 0, 0)
 
 
-def simulated(cover, progress=None, **mission):
-    """Flights of the five pairs."""
+def simulated(cover, progress=None, which=range(5), **mission):
+    """Flights of some of the pairs."""
+    every = pairs()
+    chosen = Pairs(every.start[list(which)], every.goal[list(which)], 0, 0)
     scenario = decoded(
         {
             "vehicle": {"type": "single-integrator", "radius_m": 0.3},
             "world": {"cover": "x"},
             "mission": {"bounds_m": BOUNDS, "margin_m": 0.0} | mission,
             "safety": {"filters": ["polytope-cbf"]},
-            "rules": {"trials": 5},
+            "rules": {"trials": len(chosen.start)},
         }
     )
-    return simulate_world(scenario, cover=cover, pairs=pairs(), progress=progress)
+    return simulate_world(scenario, cover=cover, pairs=chosen, progress=progress)
 
 
 def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
@@ -81,12 +83,12 @@ def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
 
 def test_pairs_without_a_plan_are_flown_straight_and_counted():
     cover = box_cover(SHELL + SEALED)
-    straight, planned = (simulated(cover, planned=flag) for flag in (False, True))
+    straight, planned = (simulated(cover, planned=flag, which=(0, 4)) for flag in (False, True))
     summary = world_summary(planned)
     assert summary["planned_pairs"] == 1
-    assert summary["unplanned_pairs"] == 4
+    assert summary["unplanned_pairs"] == 1
     assert summary["collisions"] == 0
-    assert [t.outcome for t in straight.trials[:4]] == [t.outcome for t in planned.trials[:4]]
+    assert straight.trials[0].outcome == planned.trials[0].outcome
 
 
 def test_references_among_ellipsoids_follow_the_plans():
