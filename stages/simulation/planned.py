@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
@@ -12,10 +14,14 @@ from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.progress import Progress
 from alula.schemas.vehicle import Vehicle
+from alula.schemas.world import WorldScenario
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.world.world import StaticWorld
+
+_ROUNDING_M = 1e-6
 
 
 class PlanMaps(NamedTuple):
@@ -24,6 +30,36 @@ class PlanMaps(NamedTuple):
     cover: Artifact | None
     scene: Artifact | None
     within: Artifact | None  # seen space
+
+
+def plan_config(scenario: WorldScenario, world: StaticWorld, speed_m_s: float) -> PlanConfig:
+    """Configuration of the plans, with the distance that filters keep as their radius.
+
+    Args:
+        scenario: completed.
+        world: static obstacles.
+        speed_m_s: limit of the speed [m/s].
+    """
+    table = scenario.vehicle
+    followed: Literal["body-rates", "acceleration", "velocity"] = "body-rates"
+    if table.autopilot and (table.interface == "velocity" or table.interface == "acceleration"):
+        followed = table.interface
+    return PlanConfig(radius_m=world.most_keep_m, speed_m_s=speed_m_s, sigma=world.sigma, interface=followed)
+
+
+def margins(world: StaticWorld, pairs: Pairs, margin_m: float, jobs: int = 0) -> FloatArray:
+    """Distance that the plan of each pair keeps beyond what filters keep, shape (N,) [m].
+
+    Args:
+        world: static obstacles.
+        pairs: starts and goals.
+        margin_m: to keep, where both ends of the pair have it [m].
+        jobs: threads.
+    """
+    cap = world.most_keep_m + margin_m + _ROUNDING_M
+    ends = [world.clearance(each, each, cap, jobs) for each in (pairs.start, pairs.goal)]
+    spare = np.minimum(*ends) - world.most_keep_m - _ROUNDING_M
+    return np.clip(spare, 0.0, margin_m)
 
 
 def plans_of(

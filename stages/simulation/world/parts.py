@@ -191,8 +191,10 @@ def behind_filters(
     names = [name.strip() for name in (config.filter or NO_FILTER).split(",")]
     maps = {"cover": cover, "scene": scene, "seen": within}
     level = {"sigma": config.sigma, "confidence": config.confidence, "inflation_m": config.inflation_m}
+    is_followed = vehicle.model == "quadrotor" and config.interface != "body-rates"
+    followed = {"interface": config.interface} if is_followed else {}
     tree = {
-        "vehicle": {"file": vehicle.name},
+        "vehicle": {"file": vehicle.name} | followed,
         "world": {role: role for role, each in maps.items() if each is not None}
         | {key: value for key, value in level.items() if value is not None},
         "mission": {"planned": True, "speed_m_s": config.speed_m_s},

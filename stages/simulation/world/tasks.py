@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
@@ -23,14 +22,13 @@ from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
-from alula.stages.simulation.planned import PlanMaps, count_planned, plans_of
+from alula.stages.simulation.planned import PlanMaps, count_planned, margins, plan_config, plans_of
 from alula.stages.simulation.world.piloted import pilots_starts
 from alula.stages.simulation.world.world import StaticWorld, require_clear
 
 _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
-_ROUNDING_M = 1e-6
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
 
 Clearance = Callable[[FloatArray], FloatArray]
@@ -120,33 +118,18 @@ def missions_of(
         pairs, counts = _pairs(scenario, world, around, count, given, psi, jobs)
         plans = [None] * len(pairs.start)
         if mission.planned:
-            config = PlanConfig(
-                radius_m=world.most_keep_m,
-                speed_m_s=speed_m_s,
-                sigma=world.sigma,
-            )
             plans = plans_of(
                 pairs,
                 maps,
                 vehicle=vehicle,
-                config=config,
-                margin_m=_margins(world, pairs, mission.margin_m, jobs),
+                config=plan_config(scenario, world, speed_m_s),
+                margin_m=margins(world, pairs, mission.margin_m, jobs),
                 behind=behind,
                 jobs=jobs,
                 progress=progress,
             )
             counts |= count_planned(plans)
     return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
-
-
-def _margins(world: StaticWorld, pairs: Pairs, margin_m: float, jobs: int) -> FloatArray:
-    """Distance that the plan of each pair keeps beyond what filters keep: the given one, or what both of its
-    ends have, shape (N,) [m].
-    """
-    cap = world.most_keep_m + margin_m + _ROUNDING_M
-    ends = [world.clearance(each, each, cap, jobs) for each in (pairs.start, pairs.goal)]
-    spare = np.minimum(*ends) - world.most_keep_m - _ROUNDING_M
-    return np.clip(spare, 0.0, margin_m)
 
 
 def _along(
