@@ -10,8 +10,9 @@ equal; plans also keep those of thrust, tilt, body rates and rotors, and room fo
   same limits hold; `time_over_today_without_limits`: until speed and acceleration hold, as it was flown;
 - `time_over_splatnav`: over the curve of minimum snap in the same corridor with durations by the lengths of
   the segments, all stretched until the limits hold (Chen et al. 2024);
-- `time_over_bound`: over a point on the merged path with full acceleration that stops for no corner; no
-  planner is faster along this path than `bound_over_today`;
+- `time_over_bound`: over a point on the merged path with full acceleration that stops for no corner. That
+  point needs `bound_over_today` of the older planner's time, 0.7 to 0.9: no planner along these paths can be
+  as fast as 0.6 of it;
 - `time_over_line`: over the fastest curve along a straight line of the same length in free space, within the
   limits of jerk and snap, too;
 - `limit_violations`: plans whose limits `verify` does not prove again in rational arithmetic.
