@@ -90,6 +90,8 @@ def command(
     if config.start is None or config.goal is None:
         raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
 
+    if config.filter is not None and config.straight:
+        raise UsageError("--straight flies lines as they are, whatever a filter does; leave out --filter")
     if config.filter is not None and "image" in paths:
         raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
 
