@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.opening import Opening
 
 _REACH_M = 1.5  # of a cell beyond its segment
 _COMFORT = 1.5  # times the radius: distance that cells keep where there is room
@@ -45,6 +46,8 @@ class Corridor:
         is_open: shape (C - 1,).
         is_via: whether the joint is a point to pass, shape (C - 1,).
         is_free: whether a segment is in its cell, as it is where it keeps the radius, shape (C,).
+        opening: of joints that are vias with room about them, by number of the joint.
+        chosen: indices of `point` in the path that the corridor was made around, shape (C + 1,).
     """
 
     normal: FloatArray
@@ -55,6 +58,8 @@ class Corridor:
     is_open: NDArray[np.bool_]
     is_via: NDArray[np.bool_]
     is_free: NDArray[np.bool_]
+    opening: Mapping[int, Opening] = field(default_factory=dict)
+    chosen: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def rows(self, cell: int) -> tuple[FloatArray, FloatArray]:
         """Normals and offsets of a cell."""
@@ -77,6 +82,8 @@ def find_corridor(
     radius_m: float,
     bounds: tuple[FloatArray, FloatArray],
     *,
+    kept: Sequence[int] = (),
+    opening: Mapping[int, Opening] | None = None,
     jobs: int = 0,
 ) -> Corridor:
     """Make a corridor along a path whose segments keep `radius_m`.
@@ -92,13 +99,18 @@ def find_corridor(
         kept_from: hulls and ellipsoids.
         radius_m: distance to keep, from those without a larger one [m].
         bounds: corners of the box that contains the path and will contain the cells [m].
+        kept: indices of further points of the path that must stay, but need not be passed.
+        opening: room of points that must stay, by their index; before and behind a disc the path is on its
+            two sides.
         jobs: threads; the result does not depend on it.
     """
-    path, kept = np.asarray(point, np.float64), np.array(is_via, np.bool_)
-    kept[[0, -1]] = True
+    path, passed = np.asarray(point, np.float64), np.array(is_via, np.bool_)
+    stays = passed.copy()
+    stays[[0, -1, *kept]] = True
     comfort = _COMFORT * radius_m
-    chosen = _merged(path, kept, kept_from, comfort, jobs)
-    corner, via = path[chosen], kept[chosen][1:-1]
+    chosen = _merged(path, stays, kept_from, comfort, jobs)
+    corner, via = path[chosen], passed[chosen][1:-1]
+    room = {j: opening[i] for j, i in enumerate(chosen[1:-1]) if i in opening} if opening else {}
     begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
     lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
     own = _clearance(begin, end, kept_from, radius_m + (comfort - radius_m) / _SHARE, jobs)
@@ -132,10 +144,17 @@ def find_corridor(
         if via[i]:
             is_open[i] = (b - a @ joint[i]).min() >= _ROOM[-1] * radius_m
             continue
+        for j, sign in ((i - 1, -1.0), (i + 1, 1.0)):  # behind a disc, and before one
+            if j in room and room[j].is_disc:
+                a = np.vstack([a, sign * room[j].normal])
+                b = np.append(b, sign * room[j].normal @ room[j].centre)
         found = _inner_point(a, b, joint[i], radius_m)
         if found is not None:
             joint[i], is_open[i] = found, True
-    return Corridor(normal, offset, start, corner, joint, is_open, via, np.array(free, np.bool_))
+    return Corridor(
+        *(normal, offset, start, corner, joint, is_open, via, np.array(free, np.bool_), room),
+        np.array(chosen, np.int64),
+    )
 
 
 def _merged(

@@ -40,13 +40,15 @@ class Curve:
         point: control points, shape (K, 8, 3), world frame [m].
         duration: shape (K,) [s].
         cell: cell of each piece, -1 where it has none, shape (K,).
-        stop: pieces that end at rest, shape (K,); the last one does.
+        stop: pieces that come to rest at their end, shape (K,); the last one does.
+        segment: segment of the corridor that each piece belongs to, shape (K,).
     """
 
     point: FloatArray
     duration: FloatArray
     cell: NDArray[np.int64]
     stop: NDArray[np.bool_]
+    segment: NDArray[np.int64]
 
     @property
     def time(self) -> FloatArray:
@@ -100,6 +102,10 @@ def fastest_curve(
     at = np.arange(1, len(cells)) * count - 1
     between = slice(cells.start, cells.stop - 1)
     joint[at], is_via[at] = corridor.joint[between], corridor.is_via[between]
+    centre, across, room = np.zeros((len(joint), 3)), np.zeros((len(joint), 3)), np.zeros(len(joint))
+    for i, each in enumerate(at.tolist()):
+        if (opening := corridor.opening.get(cells.start + i)) is not None:
+            centre[each], across[each], room[each] = opening.centre, opening.normal, opening.radius_m
     begin = corridor.point[cells.start][None]
     if start is not None:
         begin = np.vstack([begin, start.velocity_m_s, start.acceleration_m_s2, start.jerk_m_s3])
@@ -117,19 +123,25 @@ def fastest_curve(
         _GAP,
         _MOST_STEPS,
         smooth,
+        centre,
+        across,
+        room,
     )
     if status == _core.TimeStatus.infeasible:
         return None
     point = np.array(point)
     point[0, 0], point[-1, -1] = corridor.point[cells.start], corridor.point[cells.stop]
     for i in np.flatnonzero(is_via):
-        point[i, -1] = point[i + 1, 0] = joint[i]
+        point[i, -1] = point[i + 1, 0] = point[i + 1, 0] if room[i] > 0 else joint[i]
     stop = np.zeros(len(cell), np.bool_)
     stop[-1] = True
-    return Curve(point, np.asarray(duration), cell.astype(np.int64) + cells.start, stop)
+    segment = cell.astype(np.int64) + cells.start
+    return Curve(point, np.asarray(duration), segment, stop, segment)
 
 
-def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: float = 1.0) -> Curve:
+def straight_curve(
+    start: FloatArray, goal: FloatArray, limits: Limits, smooth: float = 1.0, segment: int = 0
+) -> Curve:
     """Straight from rest to rest in two pieces, as fast as the limits allow for this shape.
 
     Args:
@@ -137,6 +149,7 @@ def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: 
         goal: shape (3,), another point [m].
         limits: of the motion.
         smooth: factor on the time.
+        segment: of the corridor that it belongs to.
     """
     point = (1 - _STRAIGHT[..., None]) * start + _STRAIGHT[..., None] * goal
     low, high = 1e-3, 1e-3
@@ -146,7 +159,25 @@ def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: 
         middle = 0.5 * (low + high)
         fits = keeps(point, np.full(2, middle), limits).all()
         low, high = (low, middle) if fits else (middle, high)
-    return Curve(point, np.full(2, smooth * high), np.full(2, -1), np.array([False, True]))
+    duration, cell = np.full(2, smooth * high), np.full(2, -1)
+    return Curve(point, duration, cell, np.array([False, True]), np.full(2, segment))
+
+
+def hold_curve(point: FloatArray, duration_s: float, segment: int) -> Curve:
+    """Rest at a point.
+
+    Args:
+        point: shape (3,) [m].
+        duration_s: of the rest [s].
+        segment: of the corridor that begins there.
+    """
+    return Curve(
+        np.tile(point, (1, DEGREE + 1, 1)),
+        np.array([duration_s]),
+        np.array([segment]),
+        np.zeros(1, np.bool_),
+        np.array([segment]),
+    )
 
 
 def keeps(point: FloatArray, duration: FloatArray, limits: Limits) -> NDArray[np.bool_]:

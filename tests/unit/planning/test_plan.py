@@ -192,7 +192,7 @@ def test_a_lattice_too_fine_is_refused_and_one_too_coarse_is_refined():
 
 
 def test_without_obstacles_a_plan_is_a_straight_line():
-    result = plan(PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), yaw_rad=0.7), boxes_cover([]))
+    result = plan(PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), yaw="0.7"), boxes_cover([]))
     assert result.kind is PLAN
     assert result.manifest.summary["length_m"] == pytest.approx(2.0)
     assert result.manifest.summary["min_clearance_m"] is None
