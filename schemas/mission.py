@@ -111,6 +111,8 @@ def read_mission(path: Path) -> Mission:
         UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
     mission = read_toml(path, Mission, MISSION_SCHEMA)
+    if wrong := first_beyond(msgspec.to_builtins(mission), "$", _LARGEST_M):
+        raise UsageError(f"{path}: {wrong} must be below {_LARGEST_M:g}")
     if wrong := complaint(mission):
         raise UsageError(f"{path}: {wrong}")
     return mission
@@ -122,8 +124,6 @@ def complaint(mission: Mission) -> str | None:
     Args:
         mission: of a file or of options.
     """
-    if wrong := first_beyond(msgspec.to_builtins(mission), "$", _LARGEST_M):
-        return f"{wrong} must be below {_LARGEST_M:g}"
     if wrong := _heading_complaint(mission, "$"):
         return wrong
     for i, each in enumerate(mission.passes):

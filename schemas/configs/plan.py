@@ -193,7 +193,7 @@ class PlanConfig:
         if self.confidence is not None and not (0 < self.confidence < 1):
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points
-        for before, after in pairwise(points):
+        for before, after in pairwise(points) if self.via else ():
             if before == after:
                 raise UsageError("two consecutive points of the flight are the same")
         if self.bounds is not None:

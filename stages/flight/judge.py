@@ -56,7 +56,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
     flags = rows[flying, 8].astype(np.int64)
     infeasible = ((flags & 1) != 0) | (rows[flying, 7] == FilterStatus.REFUSED)
     path = path_metrics(position, dt)
-    followed = mission.along.result(position[flying]) if flying.any() else None
+    followed = mission.along.result(position[flying], rows[flying, 0]) if flying.any() else None
     speed = np.linalg.norm(velocity, axis=1)
     margin = rows[flying, 9]
     margin = margin[np.isfinite(margin)]

@@ -524,8 +524,7 @@ def make_clock(mission: Mission) -> PlanClock:
     Args:
         mission: to fly.
     """
-    waits = _core.PlanClockOptions(via_s=mission.along.via_s, via_m=mission.along.tolerance_m)
-    return PlanClock(mission.curve, waits)
+    return PlanClock(mission.curve, mission.along.waits)
 
 
 def describe(mission: Mission) -> str:

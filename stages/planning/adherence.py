@@ -1,4 +1,4 @@
-"""Whether a flown path followed its plan: its via points, and the tube about it."""
+"""Whether a flown path followed its plan: its waypoints and gates, and the tube about it."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_least, at_most
 from alula.schemas.errors import UsageError
-from alula.schemas.run import Outcome, PlanResult
+from alula.schemas.manifest import PlanPass
+from alula.schemas.run import Outcome, PassResult, PlanResult
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.plan_samples import curve_of
 
 LEAST_VIA_TOLERANCE_M = 0.1
@@ -21,6 +24,7 @@ LEAST_VIA_TOLERANCE_M = 0.1
 FINISHED_M, FINISHED_M_S = 0.2, 0.3
 _SPACING_M = 0.01  # of the samples of plan and path
 _MOST_SAMPLES = 20_000
+_TIMING_S = 1e-6  # that a time at a waypoint may be short of it
 _CAP_M = 5.0  # the tube is at most this wide
 
 
@@ -50,7 +54,9 @@ class PlanJudge:
         jobs: threads, 0 for all processors.
 
     Attributes:
-        via: via points, shape (V, 3) [m], and `via_s`, the times at which the plan passes them [s].
+        passes: waypoints and gates of all laps, in their order.
+        allowed_m: distance within which each of them counts as passed [m].
+        waits: how the time along the plan waits for the vehicle.
     """
 
     def __init__(
@@ -61,13 +67,15 @@ class PlanJudge:
         via_tolerance_m: float,
         jobs: int = 0,
     ) -> None:
-        self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
+        self.passes = passes_of(plan)
+        self.laps = laps_of(self.passes)
+        self.allowed_m = [allowed_m(each, radius_m, via_tolerance_m) for each in self.passes]
         self.tolerance_m = via_tolerance_m
         curve = curve_of(plan)
         speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
         count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
-        self.via_s = via_times(plan)
+        self.waits = waits(plan, radius_m, via_tolerance_m)
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
@@ -76,31 +84,39 @@ class PlanJudge:
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
-    def result(self, path: FloatArray) -> PlanResult:
+    def result(self, path: FloatArray, time_s: FloatArray | None = None) -> PlanResult:
         """Compare a path with the plan.
 
-        Via points are passed in their order: each is looked for where the one before was passed, or later.
+        Waypoints and gates are passed in their order: each is looked for where the one before was passed, or
+        later. A gate is passed by a chord from behind its plane to before it, in its direction, that meets the
+        plane where the vehicle fits into the opening.
 
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
+            time_s: of its points, shape (T,) [s]; without it the time at waypoints is not judged.
         """
+        found: list[PassResult] = []
         closest: list[float] = []
-        missed: list[int] = []
-        begin, end = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
         first = 0
-        for number, point in enumerate(self.via, 1):
-            distance = _distances(begin[first:], end[first:], point)
+        for each, allowed in zip(self.passes, self.allowed_m, strict=True):
+            ahead = path[min(first, len(path) - 1) :]
+            begin, end = ahead[: max(len(ahead) - 1, 1)], ahead[min(1, len(ahead) - 1) :]
+            distance = _distances(begin, end, np.array(each.point_m))
             closest.append(float(distance.min()))
-            near = np.flatnonzero(distance <= self.tolerance_m)
-            if len(near):
-                first += int(near[0])
+            name = name_of(each, self.laps)
+            if each.kind == "gate":
+                step, one = _through(begin, end, each, name, allowed)
             else:
-                missed.append(number)
+                times = None if time_s is None or not each.hold_s else time_s[-len(ahead) :]
+                step, one = _near(distance, times, each, name, allowed)
+            found.append(one)
+            first += step
         return PlanResult(
             via_tolerance_m=self.tolerance_m,
             closest_m=closest,
-            missed=missed,
+            missed=[number for number, one in enumerate(found, 1) if not one.passed],
             outside_m=self._outside(path),
+            passes=found,
         )
 
     def _outside(self, path: FloatArray) -> float:
@@ -121,21 +137,95 @@ class PlanJudge:
         return worst
 
 
-def via_times(plan: Artifact) -> list[float]:
-    """Times at which a plan passes its via points, which are ends of its pieces, in their order [s].
+def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.PlanClockOptions:
+    """How the time along a plan waits at waypoints and gates for a vehicle that is not there.
+
+    At a gate it waits for a vehicle that is farther from the plan than the room about the plan in the opening,
+    but not for one within a tenth of a metre.
 
     Args:
         plan: an `alula/plan`.
+        radius_m: of the vehicle [m].
+        via_tolerance_m: distance within which a via point without its own tolerance counts as passed [m].
     """
-    points = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
-    ends_s = np.asarray(plan["time"], np.float64)
-    ends = curve_of(plan).at(ends_s)[:, :3]
-    found: list[float] = []
-    first = 0
-    for point in points:
-        first += int(np.linalg.norm(ends[first:] - point, axis=1).argmin())
-        found.append(float(ends_s[first]))
-    return found
+    curve, own = curve_of(plan), []
+    passes = passes_of(plan)
+    for each in passes:
+        room = allowed_m(each, radius_m, via_tolerance_m)
+        if each.kind == "gate":
+            at = curve.at(np.array([each.time_s]))[0, :3]
+            room = max(room - float(np.linalg.norm(at - each.point_m)), LEAST_VIA_TOLERANCE_M)
+        own.append(room)
+    return _core.PlanClockOptions(via_s=[each.time_s for each in passes], own_via_m=own)
+
+
+def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
+    """Distance from the plan's point within which a vehicle passes it [m].
+
+    Args:
+        each: waypoint or gate of a plan.
+        radius_m: of the vehicle [m].
+        via_tolerance_m: of waypoints without their own [m].
+    """
+    if each.kind == "gate":
+        return each.radius_m - radius_m
+    return via_tolerance_m if each.tolerance_m is None else each.tolerance_m
+
+
+def _through(
+    begin: FloatArray, end: FloatArray, gate: PlanPass, name: str, allowed: float
+) -> tuple[int, PassResult]:
+    """Chords until a gate was passed, 0 if it was not, and how it was."""
+    normal, centre = np.array(gate.normal), np.array(gate.point_m)
+    before, after = (begin - centre) @ normal, (end - centre) @ normal
+
+    def offsets(chords: NDArray[np.int64]) -> FloatArray:
+        share = (before[chords] / (before[chords] - after[chords]))[:, None]
+        met = (1 - share) * begin[chords] + share * end[chords] - centre
+        apart: FloatArray = np.linalg.norm(met - (met @ normal)[:, None] * normal, axis=1)
+        return apart
+
+    along = np.flatnonzero((before <= 0) & (after > 0))
+    against = np.flatnonzero((before >= 0) & (after < 0))
+    off = offsets(along)
+    good = np.flatnonzero(off <= allowed)
+    step = int(along[good[0]]) + 1 if len(good) else 0
+    nearest = float(off[good[0]]) if len(good) else float(off.min()) if len(off) else None
+    backwards = not len(good) and bool((offsets(against) <= allowed).any())
+    return step, PassResult(
+        name=name, passed=bool(len(good)), allowed_m=allowed, off_m=nearest, backwards=backwards
+    )
+
+
+def _near(
+    distance: FloatArray, time_s: FloatArray | None, each: PlanPass, name: str, allowed: float
+) -> tuple[int, PassResult]:
+    """Chords until a waypoint was passed, 0 if it was not, and how it was.
+
+    Args:
+        distance: of the chords.
+        time_s: of their ends; None where the vehicle need not stay.
+        each: the waypoint.
+        name: of it.
+        allowed: distance within which it counts as passed [m].
+    """
+    near = distance <= allowed
+    held, step = None, int(np.argmax(near))
+    passed = bool(near.any())
+    if time_s is not None:
+        edge = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(np.int8)))
+        into, out = edge[::2], np.minimum(edge[1::2], len(time_s) - 1)
+        stays = time_s[out] - time_s[into]
+        held = float(stays.max(initial=0.0))
+        enough = np.flatnonzero(stays >= each.hold_s - _TIMING_S)
+        passed = bool(len(enough))
+        step = 0
+        if passed:
+            since = time_s[into[enough[0]]] + each.hold_s
+            step = min(int(np.searchsorted(time_s, since)), int(out[enough[0]]))
+    return step if passed else 0, PassResult(
+        name=name, passed=passed, allowed_m=allowed, off_m=float(distance.min()), held_s=held
+    )
 
 
 def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
@@ -209,11 +299,35 @@ def complaint(result: PlanResult | None) -> str | None:
     if result is None:
         return None
     if result.missed:
-        first = result.missed[0]
+        first = result.missed[0] - 1
+        if first < len(result.passes):
+            return _words(result.passes[first], result.via_tolerance_m)
         return (
-            f"via point {first} was missed: the closest approach was {result.closest_m[first - 1]:.3g} m, "
+            f"via point {first + 1} was missed: the closest approach was {result.closest_m[first]:.3g} m, "
             f"{result.via_tolerance_m:.3g} m are allowed (--via-tolerance)"
         )
     if result.outside_m > 0:
         return f"the flight left the tube about the plan, by {result.outside_m:.3g} m"
     return None
+
+
+def _words(missed: PassResult, via_tolerance_m: float) -> str:
+    """How a waypoint or gate was missed."""
+    begin = f"{missed.name} was missed"
+    if not missed.name.startswith("gate"):
+        if missed.held_s is not None and missed.off_m is not None and missed.off_m <= missed.allowed_m:
+            return f"{begin}: the vehicle left it after {missed.held_s:.3g} s"
+        option = " (--via-tolerance)" if missed.allowed_m == via_tolerance_m else ""
+        return (
+            f"{begin}: the closest approach was {missed.off_m:.3g} m, {missed.allowed_m:.3g} m are allowed{option}"
+        )
+    if missed.backwards:
+        return f"{begin}: it was flown through against its direction"
+    if missed.off_m is None:
+        return f"{begin}: its plane was not crossed in its direction"
+    if missed.allowed_m <= 0:
+        return f"{begin}: the vehicle does not fit through it"
+    return (
+        f"{begin}: the vehicle crossed its plane {missed.off_m:.3g} m from the centre, "
+        f"{missed.off_m - missed.allowed_m:.3g} m more than fits through"
+    )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
@@ -94,8 +95,11 @@ def passages_of(mission: Mission, config: PlanConfig) -> list[Passage]:
 
     Raises:
         InfeasibleError: the vehicle does not fit through a gate.
-        UsageError: a waypoint or a centre is outside of the given box.
+        UsageError: a waypoint or a centre is outside of the given box, or is the point before it.
     """
+    whole = msgspec.structs.replace(mission, start_m=config.start, goal_m=config.goal)
+    if wrong := complaint(whole):
+        raise UsageError(wrong)
     margin_m = config.margin_m or 0.0
     body_m = config.keep_m - margin_m
     found: list[Passage] = []

@@ -114,11 +114,13 @@ def plan(
     limits = motion_limits(config, vehicle)
     space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
-        require_seen(within, [point for point in (config.start, config.goal) if point is not None])
-        require_seen(within, [each.point for each in passages])
+        points = [(each.name, each.point) for each in passages if not each.is_gate]
+        ends = [(name, point) for name, point in (("start", config.start), ("goal", config.goal)) if point]
+        require_seen(within, [*ends[:1], *points, *ends[1:]])
     path = find_polyline(config, space, passages, jobs=jobs, progress=progress)
     if within is not None:
-        require_seen(within, path.flown)
+        names = ["start", *(each.name for each in passages), "goal"]
+        require_seen(within, list(zip(names, path.flown, strict=True)))
     corridor = corridor_around(path, passages, space, jobs=jobs)
     number = {int(i): j - 1 for j, i in enumerate(corridor.chosen)}  # of the joint at a point of the path
     holds = {number[i]: each.table.hold_s for i, each in zip(path.at, passages, strict=True) if each.table.hold_s}

@@ -187,5 +187,5 @@ def test_help_shows_the_line_of_the_command_list_and_examples():
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.count("alula plan room.cover.npz") == 5
+    assert done.stdout.count("alula plan room.cover.npz") == 7
     assert "--via" in done.stdout

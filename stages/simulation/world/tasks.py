@@ -16,7 +16,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
-from alula.stages.planning.adherence import FINISHED_M, via_times, via_tolerance
+from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
@@ -200,8 +200,7 @@ def _clock(scenario: WorldScenario, plan: Artifact | None) -> _core.PlanClockOpt
     radius_m = scenario.vehicle.radius_m
     if not scenario.mission.waits or plan is None or radius_m is None:
         return None
-    tolerance_m = via_tolerance(scenario.mission.via_tolerance_m, radius_m)
-    return _core.PlanClockOptions(via_s=via_times(plan), via_m=tolerance_m)
+    return waits(plan, radius_m, via_tolerance(scenario.mission.via_tolerance_m, radius_m))
 
 
 def _flies_straight(scenario: WorldScenario, model: str) -> bool:

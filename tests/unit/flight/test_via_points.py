@@ -46,7 +46,7 @@ def at_via(clock, error_m, seconds):
 
 def test_the_time_stops_at_a_via_point_until_the_vehicle_is_there():
     made = around(1.0)
-    (via_s,) = made.along.via_s
+    (via_s,) = made.along.waits.via_s
     np.testing.assert_allclose(made.curve.at(np.array([via_s]))[0, :3], VIA, atol=1e-9)
     clock = clock_of(made, [via_s])
     assert at_via(clock, 0.14, via_s + 3.0) == pytest.approx(via_s, abs=0.01)
@@ -55,7 +55,7 @@ def test_the_time_stops_at_a_via_point_until_the_vehicle_is_there():
 
 def test_a_via_point_that_cannot_be_reached_is_waited_for_and_left():
     made = around(1.0)
-    (via_s,) = made.along.via_s
+    (via_s,) = made.along.waits.via_s
     clock = clock_of(made, [via_s])
     assert at_via(clock, 0.2, via_s + 3.0) <= via_s
     assert at_via(clock, 0.2, 10.0) > via_s + 1.0
@@ -63,7 +63,7 @@ def test_a_via_point_that_cannot_be_reached_is_waited_for_and_left():
 
 def test_a_vehicle_that_keeps_up_is_not_delayed():
     made = around(1.0)
-    waiting, free = (clock_of(made, via) for via in (made.along.via_s, []))
+    waiting, free = (clock_of(made, via) for via in (made.along.waits.via_s, []))
     for _ in range(800):
         waiting.advance(DT, 0.1)
         free.advance(DT, 0.1)
