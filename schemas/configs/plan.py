@@ -142,7 +142,7 @@ class PlanConfig:
     yaw_rate_rad_s: float | None = field(
         default=None,
         metadata={
-            "help": "Maximum rate of the heading [rad/s]; default: at most 1.5, by what the vehicle can do.",
+            "help": "Maximum rate of the heading [rad/s]; default: 2, or what the vehicle can do.",
             "option": "--yaw-rate",
         },
     )

@@ -34,6 +34,7 @@ from alula.stages.planning.fastest import (
     keeps,
     straight_curve,
 )
+from alula.stages.planning.heading import Leg, constant_heading, has_heading, heading_along, is_turning
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
@@ -111,7 +112,7 @@ def plan(
     if mission is None:
         mission = mission_of(config)
     passages = passages_of(mission, config)
-    limits = motion_limits(config, vehicle)
+    limits = motion_limits(config, vehicle, turns=is_turning(mission))
     space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
         points = [(each.name, each.point) for each in passages if not each.is_gate]
@@ -128,18 +129,22 @@ def plan(
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
 
-    yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
-    yaw[:, 0, 0] = config.heading.get("yaw_rad", 0.0)
     dense = evaluate(time, coefficient, _sample_times(time))
     bound = float(proof.clearance_m.min(initial=2 * space.keep_m))
     knot = np.concatenate([curve.point[:, 0], curve.point[-1:, -1]])
     passed = _passed(curve, corridor, path)
+    passes = [
+        _record(each, float(curve.time[i]), point)
+        for each, i, point in zip(passages, passed, path.flown[1:-1], strict=True)
+    ]
+    yaw, off_rad = _heading(mission, passages, passes, time, coefficient, limits)
+    headings = evaluate(time, yaw, time)
     return make_artifact(
         PLAN,
         {
             "time": time,
             "coefficient": np.concatenate([coefficient, yaw], axis=1),
-            "waypoint": np.column_stack([knot, np.full(len(knot), yaw[0, 0, 0])]),
+            "waypoint": np.column_stack([knot, headings]),
             "cell_normal": corridor.normal,
             "cell_offset": corridor.offset,
             "cell_start": corridor.start,
@@ -152,10 +157,7 @@ def plan(
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
         via_m=[curve.point[i, 0].tolist() for i in passed],
-        passes=[
-            _record(each, float(curve.time[i]), point)
-            for each, i, point in zip(passages, passed, path.flown[1:-1], strict=True)
-        ],
+        passes=passes,
         maps=[part.facts for part in space.parts],
         limits=limits.record(),
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
@@ -177,6 +179,7 @@ def plan(
             "min_clearance_m": space.clearance_m(dense, jobs),
             "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
             "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
+            **({} if off_rad is None else {"max_heading_error_rad": off_rad}),
             "resolution_m": path.resolution_m,
             "lattice_points": path.lattice_points,
             "visited_points": path.visited,
@@ -212,6 +215,27 @@ def corridor_around(
     return find_corridor(
         *(path.point, marks, space.solids(), space.keep_m, box), kept=path.beside, opening=room, jobs=jobs
     )
+
+
+def _heading(
+    mission: Mission,
+    passages: Sequence[Passage],
+    passes: Sequence[PlanPass],
+    time: FloatArray,
+    coefficient: FloatArray,
+    limits: Limits,
+) -> tuple[FloatArray, float | None]:
+    """Coefficients of the heading, shape (K, 1, 8), and its largest error; None for a constant one."""
+    if not is_turning(mission):
+        yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
+        yaw[:, 0, 0] = constant_heading(mission)
+        return yaw, None
+    legs = [
+        Leg(each.time_s + each.hold_s, one.table if has_heading(one.table) else mission)
+        for one, each in zip(passages, passes, strict=True)
+    ]
+    found, off = heading_along(time, coefficient, [*legs, Leg(float(time[-1]), mission)], limits)
+    return found[:, None], off
 
 
 def _record(passage: Passage, time_s: float, point: Point) -> PlanPass:

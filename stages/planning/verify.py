@@ -30,6 +30,8 @@ _JUMP = (
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
 _HOLD_S = 1e-9  # that the rest at a point may be short of its time
 _CORRIDOR = ("cell_normal", "cell_offset", "cell_start", "piece_cell")
+_YAW_LIMITS = ("yaw_rate_rad_s", "yaw_acceleration_rad_s2")
+_REST = (Fraction(0), Fraction(0), Fraction(0))
 _ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
 
@@ -120,6 +122,8 @@ def verify_plan(
     if pieces.used:
         checks.append(pieces.in_cells())
     checks += [pieces.limits(), pieces.continuity(), pieces.passed()]
+    if pieces.turns:
+        checks.append(pieces.heading())
     proven = all(check.ok for check in checks)
     notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
     recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
@@ -214,6 +218,39 @@ class _Pieces:
                 before = exact.derivative(before, self.duration[i])
                 after = exact.derivative(after, self.duration[i + 1])
         return _check("continuity", len(self.points) - 1, offences, f"up to {_ORDERS[orders - 1]}")
+
+    @property
+    def turns(self) -> bool:
+        """Whether the heading is not a constant without limits."""
+        yaw = np.asarray(self.plan["coefficient"])[:, 3]
+        limited = any(name in self.manifest.limits for name in _YAW_LIMITS)
+        return limited or bool(yaw[:, 1:].any() or (yaw[:, 0] != yaw[0, 0]).any())
+
+    def heading(self) -> Check:
+        """Check the limits of the heading over every piece, its continuity, and that it ends at rest."""
+        yaw = np.asarray(self.plan["coefficient"], np.float64)[:, 3:]
+        rows = np.concatenate([yaw, np.zeros((len(yaw), 2, yaw.shape[2]))], axis=1)
+        offences: list[Offence] = []
+        last: list[exact.Vector] | None = None
+        for i, (row, duration) in enumerate(zip(rows, self.duration, strict=True)):
+            points = exact.control_points(row, duration)
+            ends = []
+            for order, name in enumerate(("", *_YAW_LIMITS)):
+                points = points if order == 0 else exact.derivative(points, duration)
+                ends.append((points[0], points[-1]))
+                if order and not exact.holds(points, exact.ball(self.manifest.limits.get(name, 0.0))):
+                    offences.append(Offence(fault=f"piece {i} exceeds the limit {name}", place_m=self.where(i)))
+            for order, (begin, _) in enumerate(ends):
+                before = (last or [begin, *[_REST] * 2])[order]
+                if abs(begin[0] - before[0]) > Fraction(_JUMP) * (1 + abs(begin[0])) / duration**order:
+                    fault = f"the heading jumps in derivative {order} before piece {i}"
+                    offences.append(Offence(fault=fault, place_m=self.where(i)))
+            last = [end for _, end in ends]
+        if last is not None and any(
+            abs(last[order][0]) > Fraction(_JUMP) / self.duration[-1] ** order for order in (1, 2)
+        ):
+            offences.append(Offence(fault="the heading turns at the end"))
+        return _check("heading", len(rows), offences, "rate and acceleration, in rational arithmetic")
 
     def passed(self) -> Check:
         """Check start, waypoints, gates and goal, in their order, and rest at the goal."""
