@@ -1,27 +1,27 @@
 """Missions: what a plan passes on its way, in one TOML file, `alula/mission`.
 
-    schema = "alula/mission"      # optional, as is the version
-    version = "1.0"
-    name = "two laps"
-    start_m = [0.8, 0.8, 1.0]     # or options of `alula plan`, as is the goal
-    goal_m = [0.8, 0.8, 1.0]
-    loops = 2                     # the passes are flown so many times, one lap after the other
-    yaw = "along"                 # the motion; or yaw_rad = 1.57, or look_at_m = [4, 3, 1]
+schema = "alula/mission"      # optional, as is the version
+version = "1.0"
+name = "two laps"
+start_m = [0.8, 0.8, 1.0]     # or options of `alula plan`, as is the goal
+goal_m = [0.8, 0.8, 1.0]
+loops = 2                     # the passes are flown so many times, one lap after the other
+yaw = "along"                 # the motion; or yaw_rad = 1.57, or look_at_m = [4, 3, 1]
 
-    [[pass]]                      # in the order in which they are flown
-    gate_m = [3.0, 2.0, 1.2]      # centre of a hoop,
-    normal = [1.0, 0.0, 0.0]      # which is flown through in this direction
-    radius_m = 0.5                # of its opening
+[[pass]]                      # in the order in which they are flown
+gate_m = [3.0, 2.0, 1.2]      # centre of a hoop,
+normal = [1.0, 0.0, 0.0]      # which is flown through in this direction
+radius_m = 0.5                # of its opening
 
-    [[pass]]
-    point_m = [6.0, 4.0, 1.0]     # a waypoint
-    tolerance_m = 0.3             # distance within which it counts as passed; default: that of the flight
-    hold_s = 2.0                  # stay there
-    look_at_m = [6.0, 6.0, 1.0]   # on the way to it and there; or yaw, yaw_rad
+[[pass]]
+point_m = [6.0, 4.0, 1.0]     # a waypoint
+tolerance_m = 0.3             # distance within which it counts as passed; default: that of the flight
+hold_s = 2.0                  # stay there
+look_at_m = [6.0, 6.0, 1.0]   # on the way to it and there; or yaw, yaw_rad
 
-    [[zone]]
-    box_m = [4, 0, 0, 5, 5, 3]    # XMIN YMIN ZMIN XMAX YMAX ZMAX
-    speed_m_s = 0.5               # top speed in it
+[[zone]]
+box_m = [4, 0, 0, 5, 5, 3]    # XMIN YMIN ZMIN XMAX YMAX ZMAX
+speed_m_s = 0.5               # top speed in it
 """
 
 from __future__ import annotations
@@ -60,7 +60,9 @@ class PassTable(_Table, frozen=True, kw_only=True):
     radius_m: Annotated[Size | None, Meta(description="of the opening of a gate [m]")] = None
     tolerance_m: Annotated[
         Size | None,
-        Meta(description="distance within which a waypoint counts as passed; default: that of the flight [m]"),
+        Meta(
+            description="distance within which a waypoint counts as passed; default: that of the flight [m]"
+        ),
     ] = None
     hold_s: Annotated[
         Annotated[float, Meta(ge=0, le=1e3)], Meta(description="time to stay at a waypoint [s]")
@@ -141,7 +143,9 @@ def complaint(mission: Mission) -> str | None:
     ends: list[Vector | None] = [mission.start_m, *round_trip, mission.goal_m]
     for before, after in [*pairwise(ends), (points[-1] if points else mission.start_m, mission.goal_m)]:
         if before is not None and before == after:
-            return f"two consecutive points of the flight are the same, ({' '.join(f'{x:g}' for x in before)})"
+            return (
+                f"two consecutive points of the flight are the same, ({' '.join(f'{x:g}' for x in before)})"
+            )
     return None
 
 

@@ -318,9 +318,7 @@ def _words(missed: PassResult, via_tolerance_m: float) -> str:
         if missed.held_s is not None and missed.off_m is not None and missed.off_m <= missed.allowed_m:
             return f"{begin}: the vehicle left it after {missed.held_s:.3g} s"
         option = " (--via-tolerance)" if missed.allowed_m == via_tolerance_m else ""
-        return (
-            f"{begin}: the closest approach was {missed.off_m:.3g} m, {missed.allowed_m:.3g} m are allowed{option}"
-        )
+        return f"{begin}: the closest approach was {missed.off_m:.3g} m, {missed.allowed_m:.3g} m are allowed{option}"
     if missed.backwards:
         return f"{begin}: it was flown through against its direction"
     if missed.off_m is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.planning.corridor import Corridor
-from alula.stages.planning.limits import Limits
+from alula.stages.planning.limits import WITHIN, Limits
 from alula.stages.planning.trajectory import DEGREE
 
 PIECES_PER_CELL = (3, 5)  # tried in turn; the first is less, but 2 at least, in a corridor of many cells
@@ -126,6 +126,7 @@ def fastest_curve(
         centre,
         across,
         room,
+        None if corridor.speed is None else np.minimum(corridor.speed[cell + cells.start] * WITHIN, 1e9),
     )
     if status == _core.TimeStatus.infeasible:
         return None
@@ -180,7 +181,9 @@ def hold_curve(point: FloatArray, duration_s: float, segment: int) -> Curve:
     )
 
 
-def keeps(point: FloatArray, duration: FloatArray, limits: Limits) -> NDArray[np.bool_]:
+def keeps(
+    point: FloatArray, duration: FloatArray, limits: Limits, speed: FloatArray | None = None
+) -> NDArray[np.bool_]:
     """Whether the control points of each piece's derivatives keep the limits, beyond rounding; shape (K,).
 
     A derivative lies in the hull of its control points, and the limits are convex: they hold at every
@@ -190,13 +193,17 @@ def keeps(point: FloatArray, duration: FloatArray, limits: Limits) -> NDArray[np
         point: control points of positions, shape (K, 8, 3) [m].
         duration: shape (K,) [s].
         limits: of the motion.
+        speed: lower limits of the pieces, shape (K,) [m/s].
     """
     room = 1 - 1e-9
     bound = (limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3, limits.snap_m_s4)
     good = np.ones(len(point), np.bool_)
     for order in range(1, 5):
         point = (DEGREE + 1 - order) / duration[:, None, None] * np.diff(point, axis=1)
-        good &= np.linalg.norm(point, axis=2).max(axis=1) <= room * bound[order - 1]
+        size = np.linalg.norm(point, axis=2).max(axis=1)
+        good &= size <= room * bound[order - 1]
+        if order == 1 and speed is not None:
+            good &= size <= room * speed
         if order == 2:
             thrust = point + np.array([0, 0, limits.gravity_m_s2])
             sideways, upward = np.linalg.norm(thrust[..., :2], axis=2), thrust[..., 2]

@@ -21,7 +21,7 @@ LIMIT_SHARE = (
 )
 _TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
 _SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
-_WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
+WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
 _STEP_S = 0.01  # between samples of a plan
 _SLACK = 0.01  # of the limits of what a vehicle follows, which are fitted
 _YAW_RATE_RAD_S = 2.0  # of the heading, where none is given
@@ -65,14 +65,14 @@ class Limits:
     def native(self) -> MotionLimits:
         """For the native solver, smaller by more than the rounding of stored coefficients."""
         return MotionLimits(
-            speed=_WITHIN * self.speed_m_s,
-            acceleration=_WITHIN * self.acceleration_m_s2,
-            jerk=_WITHIN * self.jerk_m_s3,
-            snap=_WITHIN * self.snap_m_s4,
+            speed=WITHIN * self.speed_m_s,
+            acceleration=WITHIN * self.acceleration_m_s2,
+            jerk=WITHIN * self.jerk_m_s3,
+            snap=WITHIN * self.snap_m_s4,
             gravity=self.gravity_m_s2,
-            most_thrust=_WITHIN * self.most_thrust_m_s2,
-            least_thrust=self.least_thrust_m_s2 + (1 - _WITHIN) * self.gravity_m_s2,
-            tilt=_WITHIN * self.tangent,
+            most_thrust=WITHIN * self.most_thrust_m_s2,
+            least_thrust=self.least_thrust_m_s2 + (1 - WITHIN) * self.gravity_m_s2,
+            tilt=WITHIN * self.tangent,
         )
 
     def record(self) -> dict[str, float]:

@@ -155,7 +155,9 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
     w = np.cross(disc.normal, u)
     angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
     ring = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * w
-    points = np.concatenate([disc.centre[None], *(disc.centre + f * disc.radius_m * ring for f in _FRACTIONS[1:])])
+    points = np.concatenate(
+        [disc.centre[None], *(disc.centre + f * disc.radius_m * ring for f in _FRACTIONS[1:])]
+    )
     enough = 2 * radius_m
     own = np.minimum(space.map.distance(np.ascontiguousarray(points), enough), enough)
     order = np.argsort(-own, kind="stable")

@@ -168,7 +168,9 @@ def find_polyline(
     if not (box.distance(point[:-1], point[1:], box.keep_m) >= box.keep_m).all():
         raise InfeasibleError("the straight path is not clear; use another --resolution")
     count = math.prod(_lattice(box, box.spacings[-1], stations[0].point)[1])
-    flown = tuple(each.point for i, each in enumerate(stations) if each.is_passed or i in (0, len(stations) - 1))
+    flown = tuple(
+        each.point for i, each in enumerate(stations) if each.is_passed or i in (0, len(stations) - 1)
+    )
     return Polyline(
         point, lower, upper, box.spacings[-1], count, visited, flown, tuple(at), tuple(beside), tuple(moved)
     )

@@ -17,7 +17,7 @@ from alula.schemas.configs.plan import MARGIN_M, PlanConfig, Point
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import Guarantee, PlanPass
+from alula.schemas.manifest import Guarantee, PlanPass, PlanZone
 from alula.schemas.mission import Mission
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
@@ -41,6 +41,7 @@ from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
+from alula.stages.planning.zones import Zone, split_at
 
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
 METHOD_STRAIGHT = "straight lines from rest to rest"
@@ -122,9 +123,13 @@ def plan(
     if within is not None:
         names = ["start", *(each.name for each in passages), "goal"]
         require_seen(within, list(zip(names, path.flown, strict=True)))
-    corridor = corridor_around(path, passages, space, jobs=jobs)
+    zones = [Zone.of(table) for table in mission.zones]
+    path = _split(path, zones)
+    corridor = corridor_around(path, passages, space, zones, jobs=jobs)
     number = {int(i): j - 1 for j, i in enumerate(corridor.chosen)}  # of the joint at a point of the path
-    holds = {number[i]: each.table.hold_s for i, each in zip(path.at, passages, strict=True) if each.table.hold_s}
+    holds = {
+        number[i]: each.table.hold_s for i, each in zip(path.at, passages, strict=True) if each.table.hold_s
+    }
     curve = curve_along(corridor, config, limits, space, hold_s=holds, motion=motion, jobs=jobs)
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
@@ -158,6 +163,7 @@ def plan(
         margin_m=config.margin_m or 0.0,
         via_m=[curve.point[i, 0].tolist() for i in passed],
         passes=passes,
+        zones=[PlanZone(box_m=list(each.box_m), speed_m_s=each.speed_m_s) for each in mission.zones],
         maps=[part.facts for part in space.parts],
         limits=limits.record(),
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
@@ -198,7 +204,12 @@ def plan(
 
 
 def corridor_around(
-    path: Polyline, passages: Sequence[Passage], space: PlanSpace, *, jobs: int = 0
+    path: Polyline,
+    passages: Sequence[Passage],
+    space: PlanSpace,
+    zones: Sequence[Zone] = (),
+    *,
+    jobs: int = 0,
 ) -> Corridor:
     """The corridor of a plan.
 
@@ -206,6 +217,7 @@ def corridor_around(
         path: through the passages.
         passages: waypoints and gates, in their order.
         space: obstacles.
+        zones: boxes with a lower top speed.
         jobs: threads; the result does not depend on it.
     """
     marks = np.zeros(len(path.point), np.bool_)
@@ -213,8 +225,21 @@ def corridor_around(
     room = {i: each.opening for i, each in zip(path.at, passages, strict=True) if each.opening is not None}
     box = (path.lower, path.upper)
     return find_corridor(
-        *(path.point, marks, space.solids(), space.keep_m, box), kept=path.beside, opening=room, jobs=jobs
+        *(path.point, marks, space.solids(), space.keep_m, box),
+        kept=path.beside,
+        opening=room,
+        zones=zones,
+        jobs=jobs,
     )
+
+
+def _split(path: Polyline, zones: Sequence[Zone]) -> Polyline:
+    """The same path with further corners at zones."""
+    if not zones:
+        return path
+    point, index, further = split_at(path.point, zones)
+    at, beside = (tuple(index[list(each)].tolist()) for each in (path.at, path.beside))
+    return dataclasses.replace(path, point=point, at=at, beside=(*beside, *further))
 
 
 def _heading(
@@ -259,7 +284,6 @@ def _passed(curve: Curve, corridor: Corridor, path: Polyline) -> list[int]:
     """Pieces that begin at the passages, in their order."""
     first = {int(i): int(np.flatnonzero(curve.segment == j)[0]) for j, i in enumerate(corridor.chosen[:-1])}
     return [first[i] for i in path.at]
-
 
 
 def _distances(space: PlanSpace) -> str:
@@ -348,16 +372,26 @@ class _Task:
     def straight(self, segments: range) -> list[Curve]:
         """Straight lines along the segments."""
         corner = self.corridor.point
-        curves = [straight_curve(corner[i], corner[i + 1], self.limits, self.config.smooth, i) for i in segments]
+        curves = [
+            straight_curve(corner[i], corner[i + 1], self.limits_in(i), self.config.smooth, i)
+            for i in segments
+        ]
         if not all(self.is_proven(curve) for curve in curves):
             raise InfeasibleError("a straight part of the path cannot be proven clear; use a larger --radius")
         return curves
+
+    def limits_in(self, segment: int) -> Limits:
+        """Limits on a segment, with those of the zones that it touches."""
+        if self.corridor.speed is None or self.corridor.speed[segment] >= self.limits.speed_m_s:
+            return self.limits
+        return dataclasses.replace(self.limits, speed_m_s=float(self.corridor.speed[segment]))
 
     def is_proven(self, curve: Curve) -> bool:
         """Whether the stored form of a curve keeps the radius and the limits."""
         time, coefficient = curve.time, curve.coefficient()
         points = control_points(time, coefficient).transpose(0, 2, 1)
-        if not keeps(points, np.diff(time), self.limits).all():
+        speed = None if self.corridor.speed is None else self.corridor.speed[curve.segment]
+        if not keeps(points, np.diff(time), self.limits, speed).all():
             return False
         return certify_in(time, coefficient, self.space, jobs=self.jobs).holds
 

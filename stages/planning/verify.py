@@ -28,6 +28,7 @@ _JUMP = (
     2.0**-30
 )  # of the size of control points, over a power of the duration: rounding of stored coefficients
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
+_ZONE_HALVINGS = 12  # of a piece beside a zone
 _HOLD_S = 1e-9  # that the rest at a point may be short of its time
 _CORRIDOR = ("cell_normal", "cell_offset", "cell_start", "piece_cell")
 _YAW_LIMITS = ("yaw_rate_rad_s", "yaw_acceleration_rad_s2")
@@ -122,6 +123,8 @@ def verify_plan(
     if pieces.used:
         checks.append(pieces.in_cells())
     checks += [pieces.limits(), pieces.continuity(), pieces.passed()]
+    if manifest.zones:
+        checks.append(pieces.zones())
     if pieces.turns:
         checks.append(pieces.heading())
     proven = all(check.ok for check in checks)
@@ -219,6 +222,18 @@ class _Pieces:
                 after = exact.derivative(after, self.duration[i + 1])
         return _check("continuity", len(self.points) - 1, offences, f"up to {_ORDERS[orders - 1]}")
 
+    def zones(self) -> Check:
+        """Check that each piece is slow wherever it may be in a zone."""
+        offences = []
+        for zone in self.manifest.zones:
+            for i, points in enumerate(self.points):
+                velocity = exact.derivative(points, self.duration[i])
+                if not exact.is_slow_in(points, velocity, zone.box_m, zone.speed_m_s, _ZONE_HALVINGS):
+                    fault = f"piece {i} may be faster than {zone.speed_m_s:g} m/s in a zone"
+                    offences.append(Offence(fault=fault, place_m=self.where(i)))
+        count = len(self.manifest.zones) * len(self.points)
+        return _check("zones", count, offences, "Bernstein bounds, in rational arithmetic")
+
     @property
     def turns(self) -> bool:
         """Whether the heading is not a constant without limits."""
@@ -239,7 +254,9 @@ class _Pieces:
                 points = points if order == 0 else exact.derivative(points, duration)
                 ends.append((points[0], points[-1]))
                 if order and not exact.holds(points, exact.ball(self.manifest.limits.get(name, 0.0))):
-                    offences.append(Offence(fault=f"piece {i} exceeds the limit {name}", place_m=self.where(i)))
+                    offences.append(
+                        Offence(fault=f"piece {i} exceeds the limit {name}", place_m=self.where(i))
+                    )
             for order, (begin, _) in enumerate(ends):
                 before = (last or [begin, *[_REST] * 2])[order]
                 if abs(begin[0] - before[0]) > Fraction(_JUMP) * (1 + abs(begin[0])) / duration**order:
@@ -317,7 +334,9 @@ class _Pieces:
         """Whether the pieces from a knot on stand still for a time."""
         left = Fraction(hold_s)
         while left > _HOLD_S and knot < len(self.points):
-            if any(abs(a - b) > _PASSED_M for p in self.points[knot] for a, b in zip(p, self.points[knot][0])):
+            if any(
+                abs(a - b) > _PASSED_M for p in self.points[knot] for a, b in zip(p, self.points[knot][0])
+            ):
                 return False
             left -= self.duration[knot]
             knot += 1

@@ -108,9 +108,19 @@ def test_a_gate_only_just_wide_enough_is_flown_through(cover):
 
 def test_a_gate_in_an_obstacle_and_one_behind_a_wall_are_refused_with_a_sentence(cover):
     inside = (1.1, 1.0, 1.0, 1.0, 0.0, 0.0, 0.4)
-    with pytest.raises(InfeasibleError, match=r"gate 1 at \(1.1 1 1\) is not free: no point of its opening keeps"):
+    with pytest.raises(
+        InfeasibleError, match=r"gate 1 at \(1.1 1 1\) is not free: no point of its opening keeps"
+    ):
         plan(dataclasses.replace(CONFIG, gate=(inside,)), cover)
-    before = (0.7, 1.0, 1.0, 1.0, 0.0, 0.0, 0.6)  # 0.3 m before the wall: its disc is free, the way on is along
+    before = (
+        0.7,
+        1.0,
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+        0.6,
+    )  # 0.3 m before the wall: its disc is free, the way on is along
     made = plan(dataclasses.replace(CONFIG, gate=(before,)), cover)
     assert verify_plan(made, cover=cover).covered
     outside = dataclasses.replace(CONFIG, gate=(ASIDE,), bounds=(-1, -1, 0.3, 2.9, 2, 2))
