@@ -220,7 +220,7 @@ def figures(world: World, speed: float, count: int, compared: int, seed: int) ->
 
 
 def random_gate(space: PlanSpace, grid: FloatArray, rng: np.random.Generator) -> Gate:
-    """A gate at a random point of a random horizontal direction, with a free way straight through its centre."""
+    """A gate at a random point, in a random horizontal direction, with a free way straight through."""
     while True:
         centre, angle = rng.choice(grid), rng.uniform(-np.pi, np.pi)
         normal = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -261,7 +261,7 @@ def gate_figures(world: World, count: int, seed: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print a table, or JSON; return 1 if a connected pair has no plan, a gate is missed or a plan not proven again."""
+    """Print a table, or JSON; return 1 if a pair has no plan, a gate is missed or a plan is not proven again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the built-in room alone, 40 pairs at 1 m/s")
     parser.add_argument("--pairs", type=int, default=100, help="in each world: 100")

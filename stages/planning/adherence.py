@@ -88,8 +88,8 @@ class PlanJudge:
         """Compare a path with the plan.
 
         Waypoints and gates are passed in their order: each is looked for where the one before was passed, or
-        later. A gate is passed by a chord from behind its plane to before it, in its direction, that meets the
-        plane where the vehicle fits into the opening.
+        later. A gate is passed by a chord that crosses its plane in its direction, where the vehicle fits
+        into the opening.
 
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
@@ -140,8 +140,8 @@ class PlanJudge:
 def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.PlanClockOptions:
     """How the time along a plan waits at waypoints and gates for a vehicle that is not there.
 
-    At a gate it waits for a vehicle that is farther from the plan than the room about the plan in the opening,
-    but not for one within a tenth of a metre.
+    At a gate it waits for a vehicle that is farther from the plan than the opening leaves room about the
+    plan, but not for one within a tenth of a metre.
 
     Args:
         plan: an `alula/plan`.
@@ -318,7 +318,8 @@ def _words(missed: PassResult, via_tolerance_m: float) -> str:
         if missed.held_s is not None and missed.off_m is not None and missed.off_m <= missed.allowed_m:
             return f"{begin}: the vehicle left it after {missed.held_s:.3g} s"
         option = " (--via-tolerance)" if missed.allowed_m == via_tolerance_m else ""
-        return f"{begin}: the closest approach was {missed.off_m:.3g} m, {missed.allowed_m:.3g} m are allowed{option}"
+        off = f"the closest approach was {missed.off_m:.3g} m"
+        return f"{begin}: {off}, {missed.allowed_m:.3g} m are allowed{option}"
     if missed.backwards:
         return f"{begin}: it was flown through against its direction"
     if missed.off_m is None:

@@ -48,7 +48,7 @@ class Corridor:
         is_via: whether the joint is a point to pass, shape (C - 1,).
         is_free: whether a segment is in its cell, as it is where it keeps the radius, shape (C,).
         opening: of joints that are vias with room about them, by number of the joint.
-        speed: top speed in each cell, infinite where no zone is touched, shape (C,) [m/s]; None without zones.
+        speed: top speed in each cell [m/s], infinite where it touches no zone, shape (C,); None without any.
         chosen: indices of `point` in the path that the corridor was made around, shape (C + 1,).
     """
 

@@ -17,6 +17,7 @@ from alula.stages.planning.trajectory import DEGREE
 PIECES_PER_CELL = (3, 5)  # tried in turn; the first is less, but 2 at least, in a corridor of many cells
 _FEW_PIECES = 20
 _LEAST_DURATION_S = 0.02  # of a piece
+_HOLD_PIECE_S = 0.5  # of the first and last pieces of a rest
 _GAP = 1e-2  # of the barrier method, in units of the total time; less costs more than it saves in flight
 _MOST_STEPS = 300  # of Newton's method
 # A straight piece from rest to rest, class C4, in two halves: control points along the way.
@@ -165,20 +166,21 @@ def straight_curve(
 
 
 def hold_curve(point: FloatArray, duration_s: float, segment: int) -> Curve:
-    """Rest at a point.
+    """Rest at a point, in pieces that let the heading turn at the beginning and at the end.
 
     Args:
         point: shape (3,) [m].
         duration_s: of the rest [s].
         segment: of the corridor that begins there.
     """
-    return Curve(
-        np.tile(point, (1, DEGREE + 1, 1)),
-        np.array([duration_s]),
-        np.array([segment]),
-        np.zeros(1, np.bool_),
-        np.array([segment]),
-    )
+    begin = np.full(2, _HOLD_PIECE_S)
+    duration = np.array([*begin, duration_s - 2 * begin.sum(), *begin])
+    if duration[2] < _HOLD_PIECE_S:
+        count = max(1, round(duration_s / _HOLD_PIECE_S))
+        duration = np.full(count, duration_s / count)
+    count = len(duration)
+    of = np.full(count, segment)
+    return Curve(np.tile(point, (count, DEGREE + 1, 1)), duration, of, np.zeros(count, np.bool_), of)
 
 
 def keeps(

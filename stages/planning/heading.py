@@ -22,6 +22,8 @@ _LEAST_SAMPLES, _MOST_SAMPLES = 12, 64  # of the wanted heading, per piece
 _SPACING_S = 0.05  # of these samples
 _SLOW = 0.1  # of the speed limit: below it the heading along the motion remains that of before
 _SLOW_M_S = 0.2  # at most
+_FIRM = 30.0  # weight of errors at a pass with its own heading, and at rest
+FIRM_S = 0.3  # time before such a pass, from which on its errors have that weight
 _NEAR_M = 0.1  # from the point that it looks at, seen from above, the heading remains that of before
 _SMOOTHING_S4 = 1e-4  # of the squared second derivative against the squared error
 
@@ -33,10 +35,13 @@ class Leg:
     Attributes:
         end_s: its end [s].
         table: of the mission or of a pass, with `yaw`, `yaw_rad` or `look_at_m`.
+        firm_s: from when on the heading matters most: shortly before a pass with its own heading, and at rest
+            [s].
     """
 
     end_s: float
     table: Mission | PassTable
+    firm_s: float = math.inf
 
 
 def is_turning(mission: Mission) -> bool:
@@ -92,7 +97,7 @@ def heading_along(
     Raises:
         InfeasibleError: the program was not solved.
     """
-    t, wanted = _wanted(time, coefficient, legs, limits.speed_m_s)
+    t, wanted, weight = _wanted(time, coefficient, legs, limits.speed_m_s)
     knots = np.concatenate(
         [
             np.full(_SPLINE_DEGREE + 1 - _MULTIPLICITY, time[0]),
@@ -100,14 +105,14 @@ def heading_along(
             np.full(_SPLINE_DEGREE + 1 - _MULTIPLICITY, time[-1]),
         ]
     )
-    point = _fit(knots, t, wanted, limits)
+    point = _fit(knots, t, wanted, weight, limits)
     return _coefficients(time, knots, point), float(np.abs(_values(knots, t, point) - wanted).max())
 
 
 def _wanted(
     time: FloatArray, coefficient: FloatArray, legs: Sequence[Leg], speed_m_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Samples: times, and the wanted heading, unwrapped."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Samples: times, the wanted heading, unwrapped, and the weights of its errors."""
     parts = []
     for begin, end in zip(time[:-1].tolist(), time[1:].tolist(), strict=True):
         count = min(max(_LEAST_SAMPLES, math.ceil((end - begin) / _SPACING_S)), _MOST_SAMPLES)
@@ -115,6 +120,8 @@ def _wanted(
     t = np.concatenate(parts)
     p, v = (evaluate(time, coefficient, t, order)[:, :2] for order in (0, 1))
     leg = np.minimum(np.searchsorted([each.end_s for each in legs], t), len(legs) - 1)
+    # A sample stands for the time about it.
+    weight = np.gradient(t) * np.where(t >= np.array([each.firm_s for each in legs])[leg], _FIRM, 1.0)
     angle = np.full(len(t), np.nan)
     for i, each in enumerate(legs):
         here = leg == i
@@ -128,10 +135,10 @@ def _wanted(
             angle[here] = np.where(length >= least, np.arctan2(way[:, 1], way[:, 0]), np.nan)
     known = np.flatnonzero(np.isfinite(angle))
     if not len(known):
-        return t, np.zeros(len(t))
+        return t, np.zeros(len(t)), weight
     unwrapped = np.unwrap(angle[known])
     before = np.maximum(np.searchsorted(known, np.arange(len(t)), side="right") - 1, 0)
-    return t, unwrapped[before]
+    return t, unwrapped[before], weight
 
 
 def _values(knots: FloatArray, t: FloatArray, point: FloatArray) -> FloatArray:
@@ -140,7 +147,9 @@ def _values(knots: FloatArray, t: FloatArray, point: FloatArray) -> FloatArray:
     return np.asarray(BSpline(knots, point, _SPLINE_DEGREE)(t))
 
 
-def _fit(knots: FloatArray, t: FloatArray, wanted: FloatArray, limits: Limits) -> FloatArray:
+def _fit(
+    knots: FloatArray, t: FloatArray, wanted: FloatArray, weight: FloatArray, limits: Limits
+) -> FloatArray:
     """De Boor points of the heading."""
     import clarabel
     from scipy import sparse
@@ -150,8 +159,6 @@ def _fit(knots: FloatArray, t: FloatArray, wanted: FloatArray, limits: Limits) -
     basis = BSpline.design_matrix(t, knots, _SPLINE_DEGREE).tocsc()
     first = _derivative(knots, count, 1)
     second = _derivative(knots, count, 2) @ first
-    # Samples stand for the time about them; the second derivative for the time about its point.
-    weight = np.gradient(t)
     span = (knots[_SPLINE_DEGREE + 1 : -2] - knots[2 : -_SPLINE_DEGREE - 1]) / (_SPLINE_DEGREE - 1)
     middle = float(wanted.mean())
     least = basis.T @ sparse.diags(weight) @ basis

@@ -174,10 +174,8 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
     if own[best] >= radius_m:
         raise InfeasibleError(f"{where}: there is no way straight through it that keeps {radius_m:.6g} m")
     what = space.nearest_part(tuple(points[best].tolist()))
-    raise InfeasibleError(
-        f"{where}: no point of its opening keeps {radius_m:.6g} m; the freest is {at_least(max(own[best], 0))} m "
-        f"from {what}"
-    )
+    freest = f"the freest is {at_least(max(float(own[best]), 0.0))} m from {what}"
+    raise InfeasibleError(f"{where}: no point of its opening keeps {radius_m:.6g} m; {freest}")
 
 
 def passes_of(plan: Artifact) -> list[PlanPass]:

@@ -140,8 +140,8 @@ def find_polyline(
         progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:
-        InfeasibleError: a gate has no way through it, a point is too close to an obstacle, with the nearest that is not; or there is no
-            path, with the widest passage that there is.
+        InfeasibleError: a gate has no way through it; a point is too close to an obstacle, with the nearest
+            that is not; or there is no path, with the widest passage that there is.
         UsageError: the lattice would be too large.
     """
     if passages is None:

@@ -34,7 +34,14 @@ from alula.stages.planning.fastest import (
     keeps,
     straight_curve,
 )
-from alula.stages.planning.heading import Leg, constant_heading, has_heading, heading_along, is_turning
+from alula.stages.planning.heading import (
+    FIRM_S,
+    Leg,
+    constant_heading,
+    has_heading,
+    heading_along,
+    is_turning,
+)
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
@@ -256,7 +263,9 @@ def _heading(
         yaw[:, 0, 0] = constant_heading(mission)
         return yaw, None
     legs = [
-        Leg(each.time_s + each.hold_s, one.table if has_heading(one.table) else mission)
+        Leg(each.time_s + each.hold_s, one.table, each.time_s - FIRM_S)
+        if has_heading(one.table)
+        else Leg(each.time_s + each.hold_s, mission, each.time_s if each.hold_s else math.inf)
         for one, each in zip(passages, passes, strict=True)
     ]
     found, off = heading_along(time, coefficient, [*legs, Leg(float(time[-1]), mission)], limits)

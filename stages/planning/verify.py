@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.ellipsoids import retained, rows_of
@@ -334,9 +334,8 @@ class _Pieces:
         """Whether the pieces from a knot on stand still for a time."""
         left = Fraction(hold_s)
         while left > _HOLD_S and knot < len(self.points):
-            if any(
-                abs(a - b) > _PASSED_M for p in self.points[knot] for a, b in zip(p, self.points[knot][0])
-            ):
+            here = self.points[knot][0]
+            if any(abs(a - b) > _PASSED_M for p in self.points[knot] for a, b in zip(p, here, strict=True)):
                 return False
             left -= self.duration[knot]
             knot += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +125,7 @@ def split_at(point: FloatArray, zones: Sequence[Zone]) -> tuple[FloatArray, NDAr
     """
     parts, index, further = [point[:1]], [0], []
     count = 1
-    for a, b in zip(point[:-1], point[1:], strict=True):
+    for a, b in pairwise(point):
         length = float(np.linalg.norm(b - a))
         cuts = set()
         for zone in zones:

@@ -1,7 +1,8 @@
-"""Missions: gates are flown through as polynomial roots show, waypoints within their tolerance, lap by lap."""
+"""Missions: gates as polynomial roots show them, waypoints within their tolerance, lap by lap."""
 
 import dataclasses
 import math
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -12,7 +13,7 @@ from alula.schemas.errors import InfeasibleError, UsageError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan
-from alula.stages.planning.plan import plan, resolve_plan
+from alula.stages.planning.plan import plan
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
@@ -81,7 +82,10 @@ def test_each_lap_flies_through_each_gate_in_its_direction(course, cover):
     result = judge.result(path)
     assert (result.missed, result.outside_m, complaint(result)) == ([], 0, None)
     assert [each.off_m for each in result.passes] == pytest.approx(
-        [np.linalg.norm(np.array(via) - each.point_m) for via, each in zip(course.manifest.via_m, passes)],
+        [
+            np.linalg.norm(np.array(via) - each.point_m)
+            for via, each in zip(course.manifest.via_m, passes, strict=True)
+        ],
         abs=1e-3,
     )
 
@@ -182,7 +186,7 @@ def test_random_chords_pass_gates_as_dense_samples_show(course, cover):
     for _ in range(200):
         path = np.array([3, 1, 1]) + np.cumsum(rng.normal(size=(6, 3)) * 0.3, axis=0)
         share = np.linspace(0, 1, 2001)[:-1, None]
-        dense = np.concatenate([a + share * (b - a) for a, b in zip(path[:-1], path[1:], strict=True)])
+        dense = np.concatenate([a + share * (b - a) for a, b in pairwise(path)])
         height = dense[:, 1] - 1.0
         rising = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0))
         off = np.hypot(dense[rising, 0] - 3, dense[rising, 2] - 1)
