@@ -261,7 +261,7 @@ def gate_figures(world: World, count: int, seed: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print a table, or JSON; return 1 if a pair has no plan, a gate is missed or a plan is not proven again."""
+    """Print a table, or JSON; return 1 if a pair has no plan, a gate is missed or a plan not proven again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the built-in room alone, 40 pairs at 1 m/s")
     parser.add_argument("--pairs", type=int, default=100, help="in each world: 100")

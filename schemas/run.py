@@ -52,7 +52,7 @@ class PassResult(msgspec.Struct, frozen=True, kw_only=True):
         passed: within its tolerance, or through its opening in its direction, after the one before.
         allowed_m: tolerance, or what the vehicle's radius leaves of that of the opening [m].
         off_m: minimum distance from a waypoint; distance from the centre of a gate where its plane was
-            crossed in its direction, nearest to the centre if none was within; None if it was not crossed so [m].
+            crossed in its direction, nearest to the centre if none was within; None if it never was [m].
         backwards: the gate's opening was flown through, against its direction.
         held_s: longest time within the tolerance of a waypoint where the plan holds [s].
     """

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
@@ -16,7 +15,8 @@ from alula.schemas.errors import UsageError
 from alula.schemas.manifest import PlanPass
 from alula.schemas.run import Outcome, PassResult, PlanResult
 from alula.stages.clearance import segment_clearance
-from alula.stages.planning.passes import laps_of, name_of, passes_of
+from alula.stages.planning.passes import passes_of
+from alula.stages.planning.passing import passed_of
 from alula.stages.planning.plan_samples import curve_of
 
 LEAST_VIA_TOLERANCE_M = 0.1
@@ -24,7 +24,7 @@ LEAST_VIA_TOLERANCE_M = 0.1
 FINISHED_M, FINISHED_M_S = 0.2, 0.3
 _SPACING_M = 0.01  # of the samples of plan and path
 _MOST_SAMPLES = 20_000
-_TIMING_S = 1e-6  # that a time at a waypoint may be short of it
+_ALIGNING_S, _ALIGNING_STEP_S = 2.0, 0.005  # before a gate, where its clock looks for a place to wait
 _CAP_M = 5.0  # the tube is at most this wide
 
 
@@ -68,7 +68,6 @@ class PlanJudge:
         jobs: int = 0,
     ) -> None:
         self.passes = passes_of(plan)
-        self.laps = laps_of(self.passes)
         self.allowed_m = [allowed_m(each, radius_m, via_tolerance_m) for each in self.passes]
         self.tolerance_m = via_tolerance_m
         curve = curve_of(plan)
@@ -87,30 +86,13 @@ class PlanJudge:
     def result(self, path: FloatArray, time_s: FloatArray | None = None) -> PlanResult:
         """Compare a path with the plan.
 
-        Waypoints and gates are passed in their order: each is looked for where the one before was passed, or
-        later. A gate is passed by a chord that crosses its plane in its direction, where the vehicle fits
-        into the opening.
+        Waypoints and gates are passed in their order, see `passed_of`.
 
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
             time_s: of its points, shape (T,) [s]; without it the time at waypoints is not judged.
         """
-        found: list[PassResult] = []
-        closest: list[float] = []
-        first = 0
-        for each, allowed in zip(self.passes, self.allowed_m, strict=True):
-            ahead = path[min(first, len(path) - 1) :]
-            begin, end = ahead[: max(len(ahead) - 1, 1)], ahead[min(1, len(ahead) - 1) :]
-            distance = _distances(begin, end, np.array(each.point_m))
-            closest.append(float(distance.min()))
-            name = name_of(each, self.laps)
-            if each.kind == "gate":
-                step, one = _through(begin, end, each, name, allowed)
-            else:
-                times = None if time_s is None or not each.hold_s else time_s[-len(ahead) :]
-                step, one = _near(distance, times, each, name, allowed)
-            found.append(one)
-            first += step
+        found, closest = passed_of(self.passes, self.allowed_m, path, time_s)
         return PlanResult(
             via_tolerance_m=self.tolerance_m,
             closest_m=closest,
@@ -140,23 +122,28 @@ class PlanJudge:
 def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.PlanClockOptions:
     """How the time along a plan waits at waypoints and gates for a vehicle that is not there.
 
-    At a gate it waits for a vehicle that is farther from the plan than the opening leaves room about the
-    plan, but not for one within a tenth of a metre.
+    Of a gate it waits before the plane, for a vehicle that is farther from the plan than the opening leaves
+    room about the plan, but not for one within a tenth of a metre: aligned, it then crosses the plane.
 
     Args:
         plan: an `alula/plan`.
         radius_m: of the vehicle [m].
         via_tolerance_m: distance within which a via point without its own tolerance counts as passed [m].
     """
-    curve, own = curve_of(plan), []
-    passes = passes_of(plan)
-    for each in passes:
-        room = allowed_m(each, radius_m, via_tolerance_m)
+    curve = curve_of(plan)
+    at_s: list[float] = []
+    own: list[float] = []
+    for each in passes_of(plan):
+        room, when = allowed_m(each, radius_m, via_tolerance_m), each.time_s
         if each.kind == "gate":
             at = curve.at(np.array([each.time_s]))[0, :3]
             room = max(room - float(np.linalg.norm(at - each.point_m)), LEAST_VIA_TOLERANCE_M)
+            times = each.time_s - np.arange(0.0, min(_ALIGNING_S, each.time_s), _ALIGNING_STEP_S)
+            height = (curve.at(times)[:, :3] - each.point_m) @ np.array(each.normal)
+            when = float(times[int(np.argmax(height <= -room))]) if (height <= -room).any() else when
+        at_s.append(max([when, *at_s[-1:]]))
         own.append(room)
-    return _core.PlanClockOptions(via_s=[each.time_s for each in passes], own_via_m=own)
+    return _core.PlanClockOptions(via_s=at_s, own_via_m=own)
 
 
 def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
@@ -170,71 +157,6 @@ def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
     if each.kind == "gate":
         return each.radius_m - radius_m
     return via_tolerance_m if each.tolerance_m is None else each.tolerance_m
-
-
-def _through(
-    begin: FloatArray, end: FloatArray, gate: PlanPass, name: str, allowed: float
-) -> tuple[int, PassResult]:
-    """Chords until a gate was passed, 0 if it was not, and how it was."""
-    normal, centre = np.array(gate.normal), np.array(gate.point_m)
-    before, after = (begin - centre) @ normal, (end - centre) @ normal
-
-    def offsets(chords: NDArray[np.int64]) -> FloatArray:
-        share = (before[chords] / (before[chords] - after[chords]))[:, None]
-        met = (1 - share) * begin[chords] + share * end[chords] - centre
-        apart: FloatArray = np.linalg.norm(met - (met @ normal)[:, None] * normal, axis=1)
-        return apart
-
-    along = np.flatnonzero((before <= 0) & (after > 0))
-    against = np.flatnonzero((before >= 0) & (after < 0))
-    off = offsets(along)
-    good = np.flatnonzero(off <= allowed)
-    step = int(along[good[0]]) + 1 if len(good) else 0
-    nearest = float(off[good[0]]) if len(good) else float(off.min()) if len(off) else None
-    backwards = not len(good) and bool((offsets(against) <= allowed).any())
-    return step, PassResult(
-        name=name, passed=bool(len(good)), allowed_m=allowed, off_m=nearest, backwards=backwards
-    )
-
-
-def _near(
-    distance: FloatArray, time_s: FloatArray | None, each: PlanPass, name: str, allowed: float
-) -> tuple[int, PassResult]:
-    """Chords until a waypoint was passed, 0 if it was not, and how it was.
-
-    Args:
-        distance: of the chords.
-        time_s: of their ends; None where the vehicle need not stay.
-        each: the waypoint.
-        name: of it.
-        allowed: distance within which it counts as passed [m].
-    """
-    near = distance <= allowed
-    held, step = None, int(np.argmax(near))
-    passed = bool(near.any())
-    if time_s is not None:
-        edge = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(np.int8)))
-        into, out = edge[::2], np.minimum(edge[1::2], len(time_s) - 1)
-        stays = time_s[out] - time_s[into]
-        held = float(stays.max(initial=0.0))
-        enough = np.flatnonzero(stays >= each.hold_s - _TIMING_S)
-        passed = bool(len(enough))
-        step = 0
-        if passed:
-            since = time_s[into[enough[0]]] + each.hold_s
-            step = min(int(np.searchsorted(time_s, since)), int(out[enough[0]]))
-    return step if passed else 0, PassResult(
-        name=name, passed=passed, allowed_m=allowed, off_m=float(distance.min()), held_s=held
-    )
-
-
-def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
-    """Distances of chords, shape (S, 3), to a point; shape (S,)."""
-    chord, to = end - begin, point - begin
-    length2 = np.einsum("ij,ij->i", chord, chord)
-    along = np.einsum("ij,ij->i", to, chord) / np.where(length2 > 0, length2, 1)
-    apart: FloatArray = np.linalg.norm(to - np.clip(along, 0, 1)[:, None] * chord, axis=1)
-    return apart
 
 
 def require_room(

@@ -10,6 +10,7 @@ import pytest
 
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.mission import Mission, PassTable, ZoneTable
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan
@@ -195,3 +196,120 @@ def test_random_chords_pass_gates_as_dense_samples_show(course, cover):
         outcomes.append(bool((off <= 0.35).any()))
         assert judge.result(path).passes[0].passed == outcomes[-1]
     assert 20 < sum(outcomes) < len(outcomes) - 20
+
+
+def test_a_gate_that_one_lap_misses_is_named_and_the_others_are_passed(course, cover):
+    judge, path, _ = judged(course, cover)
+    second = course.manifest.passes[2]
+    missed = path.copy()
+    near = np.abs(0.004 * np.arange(len(path)) - second.time_s) < 0.4
+    missed[near] += np.array([0, 0, 0.6])
+    result = judge.result(missed)
+    assert result.missed == [3]
+    assert complaint(result).startswith("gate 1 of lap 2 was missed: the vehicle crossed its plane 0.6")
+
+
+TOLERANT = Mission(
+    passes=(
+        PassTable(point_m=(2.0, 1.5, 1.0), tolerance_m=0.4),
+        PassTable(point_m=(3.0, -1.0, 1.0), hold_s=2.5),
+    )
+)
+GOAL = dataclasses.replace(CONFIG, goal=(4, 1, 1))
+
+
+@pytest.fixture(scope="module")
+def visit(cover):
+    return plan(GOAL, cover, mission=TOLERANT)
+
+
+def test_a_tolerance_lets_the_curve_cut_the_corner_and_its_margin_is_kept(visit, cover):
+    exact = Mission(passes=(PassTable(point_m=(2.0, 1.5, 1.0)), TOLERANT.passes[1]))
+    assert visit["time"][-1] < plan(GOAL, cover, mission=exact)["time"][-1] - 0.1
+    first, second = visit.manifest.passes
+    _, path, _ = judged(visit, cover)
+    closest = np.linalg.norm(path - first.point_m, axis=1).min()
+    assert 0.1 < closest <= 0.4 - 0.1 + 1e-3  # less the margin of 0.1 m
+    assert (first.tolerance_m, second.hold_s) == (0.4, 2.5)
+    assert verify_plan(visit, cover=cover).covered
+
+
+def test_a_plan_rests_where_it_holds_and_the_judge_measures_the_time(visit, cover):
+    hold = visit.manifest.passes[1]
+    times = np.linspace(hold.time_s, hold.time_s + 2.5, 50)
+    at = [evaluate(visit["time"], visit["coefficient"], times, order)[:, :3] for order in range(3)]
+    np.testing.assert_allclose(at[0], np.tile((3.0, -1.0, 1.0), (50, 1)), atol=1e-9)
+    assert max(np.abs(each).max() for each in at[1:]) < 1e-6
+    judge, path, time_s = judged(visit, cover)
+    result = judge.result(path, time_s)
+    assert result.missed == []
+    assert 2.5 <= result.passes[1].held_s < 4.0
+    stays = (time_s < hold.time_s + 0.5) | (time_s > hold.time_s + 2.6)
+    hurried = judge.result(path[stays], np.arange(stays.sum()) * 0.004)
+    assert hurried.missed == [2]
+    assert complaint(hurried).startswith("via point 2 was missed: the vehicle left it after ")
+    passes = [visit.manifest.passes[0], msgspec.structs.replace(hold, hold_s=3.0)]
+    longer = dataclasses.replace(visit, manifest=msgspec.structs.replace(visit.manifest, passes=passes))
+    (check,) = (each for each in verify_plan(longer, cover=cover).checks if not each.ok)
+    assert check.first[0].fault == "the plan does not rest at the via point 2"
+
+
+SLOW = ZoneTable(box_m=(1.5, -0.5, 0.0, 2.2, 0.8, 3.0), speed_m_s=0.4)
+
+
+@pytest.mark.parametrize("smooth", [1.0, 1.5])
+def test_in_a_zone_a_plan_is_slow_and_beside_it_fast(cover, smooth):
+    config = dataclasses.replace(
+        CONFIG, goal=(4, 0, 1), smooth=smooth, bounds=(-0.5, -0.5, 0.3, 4.5, 0.5, 1.7)
+    )
+    made = plan(config, cover, mission=Mission(zones=(SLOW,)))
+    free = plan(config, cover)
+    t = np.linspace(0, made["time"][-1], 20_001)[:-1]
+    at, velocity = (evaluate(made["time"], made["coefficient"], t, order)[:, :3] for order in (0, 1))
+    speed = np.linalg.norm(velocity, axis=1)
+    low, high = np.array(SLOW.box_m[:3]), np.array(SLOW.box_m[3:])
+    inside = ((at >= low) & (at <= high)).all(axis=1)
+    assert inside.sum() > 1000
+    assert 0.35 / smooth < speed[inside].max() <= 0.4
+    assert speed[at[:, 0] > 2.4].max() > 1.0 / smooth
+    assert made["time"][-1] > free["time"][-1] + 0.5
+    assert verify_plan(made, cover=cover).covered
+    zones = made.manifest.zones
+    faster = [msgspec.structs.replace(zones[0], speed_m_s=0.3 / smooth)]
+    (check,) = (
+        each
+        for each in verify_plan(
+            dataclasses.replace(made, manifest=msgspec.structs.replace(made.manifest, zones=faster)),
+            cover=cover,
+        ).checks
+        if not each.ok
+    )
+    assert check.name == "zones"
+    assert "may be faster than" in check.first[0].fault
+    unzoned = dataclasses.replace(free, manifest=msgspec.structs.replace(free.manifest, zones=zones))
+    assert [each.name for each in verify_plan(unzoned, cover=cover).checks if not each.ok] == ["zones"]
+
+
+def test_older_plans_are_judged_and_verified_by_their_via_points(cover):
+    made = plan(dataclasses.replace(GOAL, via=((2, 0, 1), (3, 0.5, 1))), cover)
+    old = dataclasses.replace(made, manifest=msgspec.structs.replace(made.manifest, passes=[], version="1.1"))
+    judge, path, _ = judged(old, cover)
+    assert judge.waits.via_s == pytest.approx([each.time_s for each in made.manifest.passes], abs=1e-9)
+    assert judge.result(path).missed == []
+    assert judge.result(path + np.array([0, 0, 0.2])).missed == [1, 2]
+    assert verify_plan(old, cover=cover).covered
+
+
+def test_the_clock_waits_before_a_gate_and_within_each_tolerance(course, visit):
+    from alula.stages.planning.adherence import waits
+    from alula.stages.planning.plan_samples import curve_of
+
+    options = waits(course, 0.15, 0.1)
+    at = curve_of(course).at(np.array(options.via_s))[:, :3]
+    for each, point, room, when in zip(
+        course.manifest.passes, at, options.own_via_m, options.via_s, strict=True
+    ):
+        before = (np.array(each.point_m) - point) @ each.normal
+        assert before == pytest.approx(room, abs=0.03)
+        assert when < each.time_s
+    assert waits(visit, 0.15, 0.07).own_via_m == [0.4, 0.07]
