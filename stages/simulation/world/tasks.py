@@ -28,6 +28,7 @@ _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
+_PLAN_FLOOR_M = 0.01  # of a plan, which may end where it begins: a point is slow from there on
 
 Clearance = Callable[[FloatArray], FloatArray]
 
@@ -166,6 +167,8 @@ def _along(
             allowed = slow if clock is None else _TIME_FACTOR * curve.duration_s + _EXTRA_TIME_S
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         floor_m = FINISHED_M if own is not None and mission.waits else _STOP_FLOOR_M[is_point]
+        if own is not None:
+            floor_m = max(floor_m, _PLAN_FLOOR_M)
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), floor_m)
         state = _at_rest(start, yaw if model == "quadrotor" else 0.0)  # a point has no attitude
         if mission.kind == "plan" and mission.start_m is not None:
