@@ -8,6 +8,7 @@ from alula.schemas.configs.plan import PlanConfig
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.planning.plan import plan
+from alula.stages.sim_vehicle.common.quaternions import to_euler
 from support.flights import PILLAR, mission
 from support.lockstep import Flight
 from support.small_scenes import box_cover
@@ -68,3 +69,38 @@ def test_a_vehicle_that_keeps_up_is_not_delayed():
         waiting.advance(DT, 0.1)
         free.advance(DT, 0.1)
         assert waiting.time_s == free.time_s
+
+
+def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_plan():
+    config = PlanConfig(
+        start=(0.4, 0.7, 1.0),
+        goal=(0.4, 0.7, 1.0),
+        gate=((2.0, 2.1, 1.2, 1.0, 0.0, 0.0, 0.4), (3.0, 0.7, 1.0, 0.0, -1.0, 0.0, 0.45)),
+        loops=2,
+        radius_m=0.27,
+        margin_m=0.1,
+        yaw="along",
+        speed_m_s=1.5,
+    )
+    made = mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
+    flight, turned = Flight(made), []
+
+    def follow(flight):
+        if flight.loop is not None and flight.loop.state is State.FLY:
+            planned = made.curve.at(np.array([flight.loop.plan.time_s]))[0, 15]
+            turned.append(
+                (to_euler(flight.copter.airframe.truth.attitude)[2], flight.frame.yaw_to_ned(planned))
+            )
+
+    flight.each = follow
+    flight.fly()
+    assert flight.cause is Event.PLAN_FINISHED
+    heading, planned = np.array(turned).T
+    error = np.remainder(heading - planned + np.pi, 2 * np.pi) - np.pi
+    assert np.abs(error[200:]).max() < 1.2  # the autopilot turns later than it is told
+    assert np.abs(error[200:]).mean() < 0.3
+    assert np.ptp(np.unwrap(planned)) > 9
+    rows = flight.path(State.FLY, State.HOLD)
+    result = made.along.result(rows[:, 1:], rows[:, 0])
+    assert result.missed == [], result
+    assert flight.clearance(State.FLY, State.HOLD) > 0
