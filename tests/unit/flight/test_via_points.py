@@ -1,5 +1,7 @@
 """The plan's time waits at via points, so that a vehicle that follows late does not cut them."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,14 @@ def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_pla
     result = made.along.result(rows[:, 1:], rows[:, 0])
     assert result.missed == [], result
     assert flight.clearance(State.FLY, State.HOLD) > 0
+
+
+def test_each_via_point_of_a_clock_has_its_own_distance():
+    made = around(1.0)
+    half, end = 0.5 * made.curve.duration_s, made.curve.duration_s
+    clock = PlanClock(made.curve, _core.PlanClockOptions(via_s=[half, 0.9 * end], own_via_m=[0.3, 0.1]))
+    assert at_via(clock, 0.2, half + 0.5) > half
+    assert at_via(clock, 0.2, end) == pytest.approx(0.9 * end, abs=0.01)
+    for wrong in ([0.1], [0.1, 0.0], [0.1, math.nan]):
+        with pytest.raises(ValueError, match="distance"):
+            PlanClock(made.curve, _core.PlanClockOptions(via_s=[half, end], own_via_m=wrong))
