@@ -24,7 +24,8 @@ from alula.stages.reporting.material import (
     flew_through,
     outcome_of,
 )
-from alula.stages.reporting.tables import path_ratio, voxel_count
+from alula.stages.reporting.tables import voxel_count
+from alula.stages.verdict import path_ratio
 
 _ROUTINE = ("", "ok", "filtered", "passed", "blended")  # statuses of a filter in normal operation
 _GAP_S = 0.2
