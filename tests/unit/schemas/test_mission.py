@@ -1,12 +1,14 @@
 """Mission files: read as written, and each error named in one line."""
 
 import textwrap
+from pathlib import Path
 
 import pytest
 
 from alula.schemas.errors import InputError, UsageError, VersionError
 from alula.schemas.mission import __doc__ as EXAMPLE
 from alula.schemas.mission import read_mission
+from alula.stages.reconstruction.room import HOOP_TUBE_M, HOOPS
 
 GOOD = """
 start_m = [0, 0, 1]
@@ -83,3 +85,10 @@ def test_files_of_later_versions_and_no_files_are_refused(tmp_path):
         mission_of(tmp_path, "[[pass")
     with pytest.raises(InputError, match="cannot read"):
         read_mission(tmp_path / "none.toml")
+
+
+def test_the_example_mission_flies_through_the_hoops_of_the_room():
+    mission = read_mission(Path(__file__).parents[3] / "examples/room/course.toml")
+    for gate, hoop in zip(mission.passes, HOOPS, strict=True):
+        assert (gate.gate_m, gate.normal) == (hoop.centre, hoop.axis)
+        assert gate.radius_m == pytest.approx(hoop.radius_m - HOOP_TUBE_M)
