@@ -104,8 +104,8 @@ def fastest_curve(
     between = slice(cells.start, cells.stop - 1)
     joint[at], is_via[at] = corridor.joint[between], corridor.is_via[between]
     centre, across, room = np.zeros((len(joint), 3)), np.zeros((len(joint), 3)), np.zeros(len(joint))
-    for i, each in enumerate(at.tolist()):
-        if (opening := corridor.opening.get(cells.start + i)) is not None:
+    for j, each in enumerate(at.tolist()):
+        if (opening := corridor.opening.get(cells.start + j)) is not None:
             centre[each], across[each], room[each] = opening.centre, opening.normal, opening.radius_m
     begin = corridor.point[cells.start][None]
     if start is not None:
@@ -133,7 +133,7 @@ def fastest_curve(
         return None
     point = np.array(point)
     point[0, 0], point[-1, -1] = corridor.point[cells.start], corridor.point[cells.stop]
-    for i in np.flatnonzero(is_via):
+    for i in np.flatnonzero(is_via).tolist():
         point[i, -1] = point[i + 1, 0] = point[i + 1, 0] if room[i] > 0 else joint[i]
     stop = np.zeros(len(cell), np.bool_)
     stop[-1] = True

@@ -15,6 +15,7 @@ from alula.schemas.mission import Mission, PassTable
 from alula.stages.planning.limits import Limits
 from alula.stages.planning.trajectory import DEGREE, evaluate
 
+_DEFAULT: tuple[str, Any] = ("yaw_rad", 0.0)  # of a mission that says nothing
 _SPLINE_DEGREE = 5
 _MULTIPLICITY = 3  # of its knots: two continuous derivatives
 _WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
@@ -50,14 +51,18 @@ def is_turning(mission: Mission) -> bool:
     Args:
         mission: to fly.
     """
-    kinds = {_kind(table) for table in (mission, *mission.passes) if _kind(table) is not None}
-    return len(kinds) > 1 or any(kind[0] != "yaw_rad" for kind in kinds if kind)
+    own = [_kind(table) for table in mission.passes]
+    kinds = {_kind(mission) or _DEFAULT, *(kind for kind in own if kind is not None)}
+    return len(kinds) > 1 or next(iter(kinds))[0] != "yaw_rad"
 
 
 def constant_heading(mission: Mission) -> float:
-    """The heading of a mission that does not turn [rad]."""
-    given = [table.yaw_rad for table in (mission, *mission.passes) if table.yaw_rad is not None]
-    return given[0] if given else 0.0
+    """The heading of a mission that does not turn [rad].
+
+    Args:
+        mission: to fly.
+    """
+    return float((_kind(mission) or _DEFAULT)[1])
 
 
 def has_heading(table: PassTable) -> bool:
@@ -125,7 +130,7 @@ def _wanted(
     angle = np.full(len(t), np.nan)
     for i, each in enumerate(legs):
         here = leg == i
-        kind, value = _kind(each.table) or ("yaw_rad", 0.0)
+        kind, value = _kind(each.table) or _DEFAULT
         if kind == "yaw_rad":
             angle[here] = value
         else:

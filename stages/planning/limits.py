@@ -29,6 +29,7 @@ _YAW_RATIO_PER_S = 4.0  # of the acceleration of the heading to its rate, at mos
 _YAW_RATE_SHARE = 0.7  # of the rate about z, for turns of the heading; the rest is for tilting
 _YAW_SHARE = 0.3  # of the torque about z that is reserved, for turns of the heading
 _RATE_TOLERANCE = 1e-12  # of the body rate, relative
+_LEAST_RATE_RAD_S = 1e-6
 _FASTEST_FALL = 0.9  # of gravity, for an acceleration without a lower limit of the thrust
 
 
@@ -250,11 +251,13 @@ def _quadrotor_limits(
         return bool((np.abs(mixer[:, 1:]) @ torques <= torque).all())
 
     if not fits(rate):
-        low, high = 0.0, rate
-        while high - low > _RATE_TOLERANCE * high:
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if fits(middle) else (low, middle)
-        rate = low
+        slow, fast = 0.0, rate
+        while fast - slow > _RATE_TOLERANCE * fast and fast > _LEAST_RATE_RAD_S:
+            between = 0.5 * (slow + fast)
+            slow, fast = (between, fast) if fits(between) else (slow, between)
+        rate = slow
+    if not rate > _LEAST_RATE_RAD_S:
+        raise UsageError(f"{vehicle.name} has no torque left for tilting; use a lower --yaw-rate")
     return Limits(
         speed_m_s=config.speed_m_s,
         acceleration_m_s2=acceleration,

@@ -124,10 +124,11 @@ def passages_of(mission: Mission, config: PlanConfig) -> list[Passage]:
             else:
                 opening = None
             found.append(Passage(each, number, lap, mission.loops, opening))
-    for one in found if config.bounds is not None else []:
-        inside = zip(config.bounds[:3], one.point, config.bounds[3:], strict=True)
-        if not all(a <= x <= b for a, x, b in inside):
-            raise UsageError(f"{one.name}, ({exact(one.point)}), is outside --bounds")
+    if config.bounds is not None:
+        lower, upper = config.bounds[:3], config.bounds[3:]
+        for one in found:
+            if not all(a <= x <= b for a, x, b in zip(lower, one.point, upper, strict=True)):
+                raise UsageError(f"{one.name}, ({exact(one.point)}), is outside --bounds")
     return found
 
 

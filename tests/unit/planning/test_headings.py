@@ -14,6 +14,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.mission import Mission, PassTable
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.schemas.world import decoded
+from alula.stages.planning.heading import is_turning
 from alula.stages.planning.limits import LIMIT_SHARE, motion_limits
 from alula.stages.planning.plan import plan
 from alula.stages.planning.trajectory import evaluate
@@ -93,6 +94,9 @@ def test_a_constant_heading_has_no_limits_and_is_that_of_before():
     assert (made["coefficient"][:, 3] == np.array([-2.5, *[0.0] * 7])).all()
     assert "yaw_rate_rad_s" not in made.manifest.limits
     assert "heading" not in [check.name for check in verify_plan(made, cover=EMPTY).checks]
+    one = Mission(passes=(PassTable(point_m=(4, 0, 1), yaw_rad=1.0),))
+    assert is_turning(one)  # from 0
+    assert not is_turning(Mission(yaw_rad=1.0, passes=one.passes))
     for wrong in ("up", "towards:1,2", "1 2", "9", "nan", "towards:1,2,inf", ""):
         with pytest.raises(UsageError, match="--yaw is"):
             dataclasses.replace(ROUND, yaw=wrong)
