@@ -193,6 +193,9 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
             raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
 
 
+Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+
+
 class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
     """A waypoint or gate of a plan.
 
@@ -209,10 +212,10 @@ class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     kind: Literal["waypoint", "gate"]
-    number: int
-    time_s: float
+    number: Count
+    time_s: Margin
     point_m: Vector
-    lap: int = 1
+    lap: Count = 1
     normal: list[float] = []
     radius_m: Margin = 0.0
     tolerance_m: float | None = None

@@ -10,12 +10,13 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.decimals import at_least, at_most
+from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import PlanPass
 from alula.schemas.run import Outcome, PassResult, PlanResult
+from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
-from alula.stages.planning.passes import passes_of
+from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.passing import passed_of
 from alula.stages.planning.plan_samples import curve_of
 
@@ -157,6 +158,26 @@ def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
     if each.kind == "gate":
         return each.radius_m - radius_m
     return via_tolerance_m if each.tolerance_m is None else each.tolerance_m
+
+
+def require_fit(plan: Artifact, vehicle: Vehicle) -> None:
+    """Refuse a plan through a gate that the vehicle does not fit through.
+
+    Args:
+        plan: an `alula/plan`.
+        vehicle: that will fly it.
+
+    Raises:
+        UsageError: names the first such gate.
+    """
+    passes = passes_of(plan)
+    for each in passes:
+        if each.kind == "gate" and each.radius_m <= vehicle.body.radius_m:
+            name, own = name_of(each, laps_of(passes)), exact(vehicle.body.radius_m)
+            raise UsageError(
+                f"{name} has a radius of {exact(each.radius_m)} m, and {vehicle.name} one of {own} m: it does "
+                "not fit through"
+            )
 
 
 def require_room(

@@ -2,11 +2,14 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
 from alula import _core
 from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.planning.plan import plan
@@ -84,7 +87,13 @@ def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_pla
         yaw="along",
         speed_m_s=1.5,
     )
-    made = mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
+    course = plan(config, box_cover(PILLAR))
+    made = mission("polytope-cbf", cover=box_cover(PILLAR), plan=course)
+    large = msgspec.structs.replace(
+        FASTBRIDGE, body=msgspec.structs.replace(FASTBRIDGE.body, radius_m=0.41), name="large"
+    )
+    with pytest.raises(UsageError, match=r"gate 1 of lap 1 has a radius of 0\.4 m, and large one of 0\.41 m"):
+        mission("polytope-cbf", cover=box_cover(PILLAR), plan=course, vehicle=large)
     flight, turned = Flight(made), []
 
     def follow(flight):
