@@ -193,7 +193,7 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
             raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
 
 
-Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+_Number = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 
 
 class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
@@ -212,10 +212,10 @@ class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     kind: Literal["waypoint", "gate"]
-    number: Count
+    number: _Number
     time_s: Margin
     point_m: Vector
-    lap: Count = 1
+    lap: _Number = 1
     normal: list[float] = []
     radius_m: Margin = 0.0
     tolerance_m: float | None = None

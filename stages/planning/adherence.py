@@ -175,8 +175,8 @@ def require_fit(plan: Artifact, vehicle: Vehicle) -> None:
         if each.kind == "gate" and each.radius_m <= vehicle.body.radius_m:
             name, own = name_of(each, laps_of(passes)), exact(vehicle.body.radius_m)
             raise UsageError(
-                f"{name} has a radius of {exact(each.radius_m)} m, and {vehicle.name} one of {own} m: it does "
-                "not fit through"
+                f"{name} has a radius of {exact(each.radius_m)} m, and {vehicle.name} one of {own} m: "
+                "it does not fit through"
             )
 
 
