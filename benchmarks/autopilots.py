@@ -367,32 +367,45 @@ def groups_of(found: dict[str, dict[str, Any]]) -> dict[Group, list[dict[str, An
 
 def extremes(name: str, flights: list[dict[str, Any]]) -> tuple[float, float, float]:
     """Least clearance, median of the 95 % of distances from the plan, and the largest one [m]."""
-    clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
     return (
-        min(each[clear] for each in flights),
+        min(each[_clearance_key(name)] for each in flights),
         float(np.median([each["away_p95_m"] for each in flights])),
         max(each["away_max_m"] for each in flights),
     )
 
 
-def agreement(figures: dict[Group, tuple[float, float, float]]) -> str:
-    """How the figures of `extremes` in `simulate` compare with those of the real autopilot."""
-    heads = ["filter", "plan, m/s", "95 % from the plan", "max", "least clearance", "differences, m"]
-    lines = [[*heads, "within 20 %"], ["---"] * 7]
-    for (name, speed, autopilot), found in figures.items():
-        real = figures.get((name, speed, REAL))
-        if autopilot != SCENARIO or real is None:
-            continue
-        ratios = [mine / its for mine, its in zip(found, real, strict=True)]
-        apart = [mine - its for mine, its in zip(found, real, strict=True)]
-        order = (1, 2, 0)
-        parts = ("clearance", "95 %", "max")
-        off = [parts[i] for i in order if not 1 - _AGREES <= round(ratios[i], 2) <= 1 + _AGREES]
-        row = [name, f"{speed:g}", *(f"{ratios[i]:.2f}" for i in order)]
-        lines.append(
-            [*row, ", ".join(f"{apart[i]:+.3f}" for i in order), f"not {', '.join(off)}" if off else "yes"]
-        )
+def agreement(found: dict[str, dict[str, Any]]) -> str:
+    """How flights in `simulate` compare with the real ones that they begin as."""
+    heads = ["filter", "plan, m/s", "pairs", "95 % from the plan", "least clearance", "differences, m"]
+    lines = [[*heads, "within 20 %", "nearest of all, real", "simulate"], ["---"] * 9]
+    pairs: dict[tuple[str, float], list[FloatArray]] = {}
+    for key, mine in found.items():
+        autopilot, name, speed, number = key.split("/")
+        its = found.get(f"{REAL}/{name}/{speed}/{number}", {})
+        if autopilot == SCENARIO and "via_m" in its:
+            parts = ("away_p95_m", _clearance_key(name))
+            pairs.setdefault((name, float(speed)), []).append(
+                np.array([[mine[part], its[part]] for part in parts])
+            )
+    order = list(FILTERS)
+    for name, speed in sorted(pairs, key=lambda group: (order.index(group[0]), group[1])):
+        flown = np.array(pairs[name, speed])  # (pairs, figure, simulated or real)
+        medians = np.median(flown, axis=0)
+        ratios, apart = medians[:, 0] / medians[:, 1], medians[:, 0] - medians[:, 1]
+        off = [
+            part
+            for part, ratio in zip(("95 %", "clearance"), ratios, strict=True)
+            if not 1 - _AGREES <= round(ratio, 2) <= 1 + _AGREES
+        ]
+        row = [name, f"{speed:g}", str(len(flown)), *(f"{ratio:.2f}" for ratio in ratios)]
+        row += [", ".join(f"{each:+.3f}" for each in apart), f"not {', '.join(off)}" if off else "yes"]
+        lines.append([*row, f"{flown[:, 1, 1].min():.3f}", f"{flown[:, 1, 0].min():.3f}"])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def _clearance_key(name: str) -> str:
+    """Clearance from the map that a filter flies among."""
+    return f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
@@ -408,7 +421,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     ]
     lines = [heads, ["---"] * len(heads)]
     for (name, speed, autopilot), flights in groups_of(found).items():
-        clear = f"{'hull' if FILTERS[name][1] == 'cover' else 'scene'}_clearance_m"
+        clear = _clearance_key(name)
         least, away, most = extremes(name, flights)
         lines.append(
             [
@@ -450,8 +463,9 @@ code 4. Made by:
 
 """
 _COMPARED = """
-`simulate` over {real}, as ratios, and the differences in the same order: median of the 95 % of
-distances from the plan, largest distance, and least clearance of all flights, which is an extreme of few.
+`simulate` beside {real}, flight by flight: each pair begins alike. Ratios and differences
+(simulated less real) are those of the medians over the pairs of a flight's 95 % of distances from the plan
+and of its least clearance. The last columns are the nearest flights of all, which are extremes of few.
 
 """
 
@@ -535,7 +549,7 @@ def main() -> int:
     wanted = {cell.key for cell in cells}
     found = {row.pop("key"): row for row in rows if row["key"] in wanted}
     shown = table(found)
-    compared = agreement({group: extremes(group[0], each) for group, each in groups_of(found).items()})
+    compared = agreement(found)
     if compared.count("\n") > 2:
         shown += _COMPARED.format(real=REAL) + compared
     if options.markdown is not None:

@@ -190,6 +190,17 @@ def write_artifact(path: Path, artifact: Artifact) -> None:
         _write_members(file, artifact)
 
 
+def encode_artifact(artifact: Artifact) -> bytes:
+    """Encode an artifact as the bytes of its file.
+
+    Args:
+        artifact: manifest and arrays.
+    """
+    file = io.BytesIO()
+    _write_members(file, artifact)
+    return file.getvalue()
+
+
 def _write_members(file: BinaryIO, artifact: Artifact) -> None:
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         _write_member(archive, file, "manifest.json", [encode_manifest(artifact.manifest)])

@@ -18,7 +18,8 @@ VERSION = "1.0"
 # Features that a manifest's `requires` may name and that this program supports.
 OUTER_POLYTOPES = "outer-polytopes"
 SPLAT_LOSS = "splat-loss"
-FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS})
+UNPROVEN_PLAN = "unproven-plan"
+FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS, UNPROVEN_PLAN})
 
 # Ranges that readers accept: wide enough for everything that the commands write, narrow enough that lengths
 # in double precision neither overflow nor lose their sign.
@@ -247,6 +248,8 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     them, `limits` are the bounds of the motion that hold at every instant, by the names of `Limits`, `method`
     is how the curve was found, and `vehicle` the name of the vehicle. Since 1.2 `passes` lists waypoints and
     gates of all laps in their order, and `via_m` where the curve passes them; `zones` have lower top speeds.
+    A plan that `requires` names unproven keeps the limits, but may lead through obstacles; only its start and
+    goal keep `radius_m`.
     """
 
     unit: Literal["m"]
@@ -261,6 +264,11 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     maps: list[dict[str, Any]] = []
     passes: list[PlanPass] = []
     zones: list[PlanZone] = []
+
+    @property
+    def is_proven(self) -> bool:
+        """True if the plan is proven to keep its distance from the map."""
+        return UNPROVEN_PLAN not in self.requires
 
 
 def _check_crop(crop: list[float] | None) -> None:

@@ -154,6 +154,9 @@ class FlyTable(_Table, frozen=True, kw_only=True):
     velocity_lag_s: float | None = None
     frame_check: Literal["motion", "hand", "none"] | None = None
     near_m: float | None = None
+    allow_blocked: bool | None = None
+    replan_after_s: float | None = None
+    replans: int | None = None
     battery: float | None = None
     stale_s: float | None = None
     fallback_s: float | None = None

@@ -138,6 +138,9 @@ def is_world(path: Path) -> bool:
         return False
 
 
+_NEW_PLANS = ("replan_after_s", "replans")
+
+
 def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldScenario:
     """Read a scenario of version 2, or upgrade one of version 1.
 
@@ -206,6 +209,7 @@ def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | Non
     Raises:
         UsageError: a key is unknown, of the wrong type or out of range; the message has its path.
     """
+    _refuse_new_plans(tree, where)
     safety = tree.get("safety")
     if isinstance(safety, dict):
         _gather(safety, where, _filters(tree) if known is None else known)
@@ -216,6 +220,18 @@ def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | Non
     except (MalformedError, UsageError) as error:
         raise UsageError(f"{where}: {error}") from error
     return scenario
+
+
+def _refuse_new_plans(tree: Mapping[str, Any], where: str) -> None:
+    """Refuse keys of new plans in flight, which the native runner of simulations cannot make."""
+    for name in ("mission", "rules"):
+        table = tree.get(name)
+        for key in _NEW_PLANS:
+            if isinstance(table, dict) and key in table:
+                raise UsageError(
+                    f"{where}: {name}.{key}: simulate makes no new plans in flight; alula fly with the link "
+                    "sim: does, by this key of the table [fly]"
+                )
 
 
 def plain(scenario: WorldScenario) -> dict[str, Any]:

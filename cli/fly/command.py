@@ -161,7 +161,7 @@ def command(
     flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
     if planned and flown and planned != flown and not common.quiet:
         echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
-    fly(mission, link, provenance, common, live, foxglove, start_ns)
+    fly(mission, link, provenance, common, live, foxglove, start_ns, paths)
 
 
 def _from_scenario(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -42,6 +43,7 @@ def fly(
     live: int | None = None,
     foxglove: int | None = None,
     start_ns: int | None = None,
+    paths: Mapping[str, Path] | None = None,
 ) -> None:
     """Fly a mission over a link.
 
@@ -53,6 +55,7 @@ def fly(
         live: port of the live view; None for none.
         foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
+        paths: files of the maps by role, for new plans in flight; None for none.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -74,11 +77,13 @@ def fly(
     )
     from alula.stages.flight.recorder.channels import FlightHead
     from alula.stages.flight.recorder.log import FlightRecorder
+    from alula.stages.flight.replan.of_mission import make_planner, make_replanner
     from alula.stages.runlog.cloud import cloud_message
     from alula.stages.runlog.maps import map_message
 
     interrupts = Interrupts()
     safety = make_safety(mission)
+    planner = None if common.dry_run or paths is None else make_planner(mission, paths)
     frame, points = mission.map.manifest.frame, _points(mission)
     head = FlightHead(
         provenance=provenance,
@@ -101,6 +106,8 @@ def fly(
     try:
         with signals(stop):
             contact = reach(link, str(provenance.parameters.get("link", "")), quiet=common.quiet)
+            if planner is not None and link.status.own_safety is not None:
+                planner.know(link.status.own_safety)
             checks = FlightChecks(
                 make_needs(mission, wanted_setpoints(mission, safety)),
                 changed=contact.changed,
@@ -117,6 +124,7 @@ def fly(
                 recorder,
                 make_options(mission.config, dry_run=common.dry_run),
                 watchdog=contact.watchdog,
+                replanner=None if planner is None else make_replanner(mission, planner),
                 interrupts=lambda: interrupts.number,
             )
             with signals(interrupts.count):
@@ -135,6 +143,8 @@ def fly(
     finally:
         for view in views:
             view.close(_CLOSE_S)
+        if planner is not None:
+            planner.close()
     _conclude(loop, flown, common)
 
 
@@ -207,6 +217,7 @@ def _finish(
     import msgspec
 
     from alula.cli.runner import show
+    from alula.schemas.artifact import encode_artifact
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
     from alula.stages.flight.judge import guarantee_of, judge, summary_of, timing_of
     from alula.stages.flight.mission import describe
@@ -223,8 +234,11 @@ def _finish(
         if not common.quiet:
             echo(f"{recorder.where}: log of a take-off without a flight; it has no verdict", err=True)
         return _Flown(None, [] if is_whole else [_cut(recorder.where)])
-    trial = judge(mission, rows, loop.supervision.cause, common.jobs)
-    summary = summary_of(trial, loop.supervision, loop.taken)
+    for number, (time_s, plan) in enumerate(loop.joined, 1):
+        recorder.attach(f"new-{number}.plan.npz", time_s, encode_artifact(plan))
+    new_plans = len(loop.joined)
+    trial = judge(mission, rows, loop.supervision.cause, common.jobs, loop.joined)
+    summary = summary_of(trial, loop.supervision, loop.taken, new_plans)
     if mission.notes:
         summary["notes"] = mission.notes
     record = RunRecord(
@@ -236,7 +250,7 @@ def _finish(
         vehicle=describe(mission),
         trials=[trial],
         summary=summary,
-        guarantee=guarantee_of(mission, trial),
+        guarantee=guarantee_of(mission, trial, new_plans),
     )
     trouble = [] if recorder.finish(record) else [_cut(recorder.where)]
     if trouble:

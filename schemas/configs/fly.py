@@ -113,6 +113,23 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
             "option": "--max-time",
         },
     )
+    allow_blocked: bool = field(
+        default=False,
+        metadata={
+            "help": "Fly a plan that is not proven to be clear of the map (plan --allow-blocked), "
+            "behind the filter alone."
+        },
+    )
+    replan_after_s: float = field(
+        default=2.0,
+        metadata={
+            "help": "Make a new plan when the filter has held the vehicle up for so long [s]; 0 makes none.",
+            "option": "--replan-after",
+        },
+    )
+    replans: int = field(
+        default=5, metadata={"help": "Maximum number of new plans that are asked for in a flight."}
+    )
     log_rate_hz: float = field(
         default=100.0, metadata={"help": "Rate of samples in the log [Hz].", "option": "--log-rate"}
     )
@@ -131,6 +148,8 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
             ("--kappa", self.kappa_per_m, *limits(parameters["kappa_per_m"].meta)),
             ("--sigma", self.sigma, 0.01, 100.0),
             ("--fallback", self.fallback_s, 0.1, 60.0),
+            ("--replan-after", self.replan_after_s, 0.0, 1e3),
+            ("--replans", self.replans, 1, 1000),
             ("--log-rate", self.log_rate_hz, 0.1, 500.0),
         ):
             require_between(option, value, low, high)

@@ -110,6 +110,19 @@ class PlanConfig:
         default=1.0,
         metadata={"help": "Fly this many times the minimum time, at least 1, and minimise snap instead."},
     )
+    straight: bool = field(
+        default=False,
+        metadata={
+            "help": "Fly straight from start to goal, from rest to rest by a polynomial of degree 7 in time: "
+            "the reference of FastBridge."
+        },
+    )
+    allow_blocked: bool = field(
+        default=False,
+        metadata={
+            "help": "With --straight, also write a plan that is not proven: for flights behind a filter."
+        },
+    )
     resolution_m: float | None = field(
         default=None,
         metadata={
@@ -190,6 +203,12 @@ class PlanConfig:
         self.heading  # noqa: B018  # refuses what is none
         if not (1 <= self.loops <= 100):
             raise UsageError(f"--loops must be between 1 and 100, not {self.loops}")
+        if self.straight and (self.via or self.gate or self.loops > 1):
+            raise UsageError("--straight leads from --start to --goal; leave out --via, --gate and --loops")
+        if self.straight and "look_at_m" in self.heading:
+            raise UsageError("--straight has one heading: an angle in radians, or along")
+        if self.allow_blocked and not self.straight:
+            raise UsageError("--allow-blocked is for plans with --straight; all others are proven")
         if self.confidence is not None and not (0 < self.confidence < 1):
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
@@ -20,7 +21,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
-from alula.stages.planning.adherence import outcome_of_plan
+from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.verdict import head, mean_path_ratio, totals
 
 
@@ -37,14 +38,24 @@ def outcome_of_cause(cause: Event | None) -> Outcome:
     return "refused" if cause in (Event.FILTER_REFUSED, Event.FILTER_FAILED) else "stopped"
 
 
-def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0) -> TrialResult:
-    """Judge a flight by the exact distances of its measured path to the map.
+def judge(
+    mission: Mission,
+    rows: FloatArray,
+    cause: Event | None,
+    jobs: int = 0,
+    joined: Sequence[tuple[float, Artifact]] = (),
+) -> TrialResult:
+    """Judge a flight by the exact distances of its measured path to the map, and by its plans.
+
+    The path must pass all via points in their order, and each part of it must stay in the tube of the plan
+    that was flown then.
 
     Args:
         mission: that was flown.
         rows: `FlightRecorder.rows`, shape (n, 13) with n >= 1.
         cause: first event that ended the flight.
         jobs: number of threads, 0 for all cores.
+        joined: plans that the vehicle joined in flight, with their times, see `ControlLoop.joined`.
     """
     position, velocity = np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:7]
     radius, dt = mission.vehicle.body.radius_m, 1 / mission.config.rate_hz
@@ -56,7 +67,13 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
     flags = rows[flying, 8].astype(np.int64)
     infeasible = ((flags & 1) != 0) | (rows[flying, 7] == FilterStatus.REFUSED)
     path = path_metrics(position, dt)
-    followed = mission.along.result(position[flying], rows[flying, 0]) if flying.any() else None
+    followed = None
+    if flying.any():
+        first = np.searchsorted(rows[flying, 0], [time_s for time_s, _ in joined], side="right")
+        later = [_tube(mission, plan, jobs) for _, plan in joined]
+        followed = mission.along.result(
+            position[flying], rows[flying, 0], list(zip(first.tolist(), later, strict=True))
+        )
     speed = np.linalg.norm(velocity, axis=1)
     margin = rows[flying, 9]
     margin = margin[np.isfinite(margin)]
@@ -93,8 +110,16 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
     )
 
 
+def _tube(mission: Mission, plan: Artifact, jobs: int) -> PlanJudge:
+    obstacles = [each for _, each in mission.obstacles]
+    return PlanJudge(plan, obstacles, mission.vehicle.body.radius_m, mission.along.tolerance_m, jobs)
+
+
 def summary_of(
-    trial: TrialResult, supervision: Supervision, taken: Sequence[tuple[float, Taken]]
+    trial: TrialResult,
+    supervision: Supervision,
+    taken: Sequence[tuple[float, Taken]],
+    new_plans: int = 0,
 ) -> dict[str, Any]:
     """Summary of a flight, with the keys of `simulate`.
 
@@ -102,6 +127,7 @@ def summary_of(
         trial: verdict on the flight.
         supervision: last state of the supervisor.
         taken: steps of the supervisor with their times [s].
+        new_plans: number of plans that were joined in flight.
     """
     cause = supervision.cause
     return {
@@ -110,6 +136,7 @@ def summary_of(
         "min_scene_clearance_m": trial.scene_clearance_m,
         "mean_path_ratio": mean_path_ratio([trial]),
         "ended_by": cause.value if cause is not None else "nothing",
+        **({"new_plans": new_plans} if new_plans else {}),
         "holds": sum(each.step.state is State.HOLD and each.state is not State.HOLD for _, each in taken),
         "max_tracking_error_m": trial.max_tracking_error_m,
         **totals([trial], ("steps", "filtered_steps", "infeasible_steps", "fallback_steps")),
@@ -144,25 +171,28 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
     }
 
 
-def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
+def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Guarantee:
     """Statement of what a flight shows; a real flight proves nothing about other flights.
 
     Args:
         mission: that was flown.
         trial: verdict on the flight.
+        new_plans: number of plans that were joined in flight.
     """
     name = mission.config.filter
     who = "without a filter" if name == "none" else f"behind the filter {name!r}"
     touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
     proven, how = mission.is_clear
+    later = f" Plans made in flight, each proven before it was flown: {new_plans}." if new_plans else ""
     return Guarantee(
-        statement=f"A real flight {who}, with a geofence. The plan before the flight: {how}. According to "
-        f"the positions that the vehicle measured, sampled at {exact(mission.config.rate_hz)} Hz and joined "
-        f"by straight lines, it {touched}. Motion that the vehicle did not measure is not covered, nor are "
-        "obstacles that the map does not contain.",
+        statement=f"A real flight {who}, with a geofence. The plan before the flight: {how}.{later} "
+        "According to the positions that the vehicle measured, sampled at "
+        f"{exact(mission.config.rate_hz)} Hz and joined by straight lines, it {touched}. Motion that the "
+        "vehicle did not measure is not covered, nor are obstacles that the map does not contain.",
         claims={
             "proven_by_filter": False,
-            "plan_certified": proven,
+            "plan_certified": proven and mission.along.is_proven,
+            **({"new_plans": new_plans} if new_plans else {}),
             "map_clear": not trial.collision,
             "continuous_time": False,
             "positions": "as measured by the vehicle",

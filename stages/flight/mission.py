@@ -64,6 +64,7 @@ class Mission:
         config: complete configuration, see `resolve_fly`.
         plan, vehicle: as given.
         cover, scene: the map; at least one of them.
+        within: seen space to stay in, beside a cover, if it is given.
         hulls: of the cover, and the boxes of unseen space where the flight must stay in seen space; None
             without a cover.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
@@ -73,8 +74,10 @@ class Mission:
         obstacles: all obstacles of the map by name, for checks and verdict, world frame.
         inflation_m: distance that filters among ellipsoids add to radius and margin [m].
         hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
+        sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
-        is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
+        is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words;
+            true also for a plan that is flown although it is not proven.
         along: compares the flight with the plan.
         notes: warnings for the summary.
     """
@@ -84,6 +87,7 @@ class Mission:
     vehicle: Vehicle
     cover: Artifact | None
     scene: Artifact | None
+    within: Artifact | None
     hulls: Hulls | None
     is_splat: bool
     curve: _core.ReferenceCurve
@@ -91,6 +95,7 @@ class Mission:
     obstacles: Obstacles
     inflation_m: float
     hull_keep_m: float
+    sees_hulls: bool
     fence: _core.Fence
     is_clear: tuple[bool, str]
     along: PlanJudge
@@ -228,6 +233,14 @@ def make_mission(
             raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
     if not is_splat and config.fence_map and cover is None:
         raise UsageError("--fence-map needs a cover")
+    is_unproven = not plan.manifest.is_proven  # type: ignore[attr-defined]
+    if is_unproven and not config.allow_blocked:
+        raise UsageError(
+            "the plan says that it is not proven to be clear of the map; plan without --straight, or fly it "
+            "behind the filter alone with --allow-blocked"
+        )
+    if is_unproven and config.filter == "none":
+        raise UsageError("a plan that is not proven to be clear of the map is flown behind a filter only")
     radius = vehicle.body.radius_m
     obstacles: Obstacles = []
     proofs: list[tuple[bool, str]] = []
@@ -286,6 +299,7 @@ def make_mission(
         vehicle=vehicle,
         cover=cover,
         scene=scene,
+        within=within,
         hulls=hulls,
         is_splat=is_splat,
         curve=curve,
@@ -293,11 +307,20 @@ def make_mission(
         obstacles=obstacles,
         inflation_m=inflation,
         hull_keep_m=hull_keep,
+        sees_hulls=sees_hulls,
         fence=fence(box=(low, high), cover=keep_out),
-        is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
+        is_clear=_clearness(proofs, is_unproven=is_unproven),
         along=along,
         notes=notes,
     )
+
+
+def _clearness(proofs: list[tuple[bool, str]], *, is_unproven: bool) -> tuple[bool, str]:
+    """Whether a plan may be flown by its proofs, and these in words."""
+    words = "; ".join(words for _, words in proofs)
+    if is_unproven:
+        return True, f"{words}; flown behind the filter alone (--allow-blocked)"
+    return all(holds for holds, _ in proofs), words
 
 
 def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, str]:

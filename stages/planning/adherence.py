@@ -45,7 +45,8 @@ class PlanJudge:
     The tube of a plan is the union of balls about its points. The radius of a ball is the distance of its
     centre to the map less the vehicle's radius, at most 5 m, where the vehicle is proven clear of the map; it
     is at least the distance r that the plan keeps. A filter that keeps psi >= r, which beside the corner of a
-    box is r only at a distance of sqrt(3) r, leads the vehicle at most (sqrt(3) - 1) r aside.
+    box is r only at a distance of sqrt(3) r, leads the vehicle at most (sqrt(3) - 1) r aside. A plan that is
+    not proven has no tube: its filter leads the vehicle aside where the plan is blocked.
 
     Args:
         plan: an `alula/plan`.
@@ -55,6 +56,8 @@ class PlanJudge:
         jobs: threads, 0 for all processors.
 
     Attributes:
+        is_proven: the plan says that it is proven to keep its distance.
+        via: where the plan passes waypoints and gates, shape (V, 3) [m].
         passes: waypoints and gates of all laps, in their order.
         allowed_m: distance within which each of them counts as passed [m].
         waits: how the time along the plan waits for the vehicle.
@@ -69,6 +72,7 @@ class PlanJudge:
         jobs: int = 0,
     ) -> None:
         self.passes = passes_of(plan)
+        self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
         self.allowed_m = [allowed_m(each, radius_m, via_tolerance_m) for each in self.passes]
         self.tolerance_m = via_tolerance_m
         curve = curve_of(plan)
@@ -81,10 +85,18 @@ class PlanJudge:
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
         nearest = np.min([np.full(count, cap), *distance], axis=0)
         self.width = np.maximum(nearest - radius_m, plan.manifest.radius_m)  # type: ignore[attr-defined]
+        self.is_proven = bool(plan.manifest.is_proven)  # type: ignore[attr-defined]
+        if not self.is_proven:
+            self.width[:] = math.inf
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
-    def result(self, path: FloatArray, time_s: FloatArray | None = None) -> PlanResult:
+    def result(
+        self,
+        path: FloatArray,
+        time_s: FloatArray | None = None,
+        later: Sequence[tuple[int, PlanJudge]] = (),
+    ) -> PlanResult:
         """Compare a path with the plan.
 
         Waypoints and gates are passed in their order, see `passed_of`.
@@ -92,13 +104,20 @@ class PlanJudge:
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
             time_s: of its points, shape (T,) [s]; without it the time at waypoints is not judged.
+            later: plans through the rest of the via points that replace this one, each from a point of the
+                path on, in their order.
         """
         found, closest = passed_of(self.passes, self.allowed_m, path, time_s)
         return PlanResult(
             via_tolerance_m=self.tolerance_m,
             closest_m=closest,
             missed=[number for number, one in enumerate(found, 1) if not one.passed],
-            outside_m=self._outside(path),
+            outside_m=max(
+                judge._outside(path[first:end])
+                for (first, judge), end in zip(
+                    [(0, self), *later], [*(first for first, _ in later), len(path)], strict=True
+                )
+            ),
             passes=found,
         )
 
@@ -106,6 +125,8 @@ class PlanJudge:
         """Largest distance of a point of the path from the tube, from below; 0 within it [m]."""
         from scipy.spatial import cKDTree
 
+        if len(path) == 0:
+            return 0.0
         length = np.concatenate([[0.0], np.linalg.norm(np.diff(path, axis=0), axis=1).cumsum()])
         step = max(_SPACING_M, length[-1] / _MOST_SAMPLES)
         points = path[
@@ -203,6 +224,8 @@ def require_room(
     Raises:
         UsageError: the plan is too near, with the option of `plan` that mends it.
     """
+    if not plan.is_proven:
+        return ["the plan is not proven: only the filter keeps the vehicle from the map"]
     if filter_name == "none":
         return []
     notes = []

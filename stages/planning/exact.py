@@ -12,7 +12,7 @@ from alula.schemas.arrays import FloatArray
 Vector = tuple[Fraction, Fraction, Fraction]
 Points = list[Vector]  # control points of one piece
 _DEGREE = 7
-_HALVINGS = 6
+_HALVINGS = 14  # the peak of a straight plan is then proven within 1e-7 of a limit
 
 
 def control_points(coefficient: FloatArray, duration: Fraction) -> Points:

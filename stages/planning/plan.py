@@ -46,6 +46,7 @@ from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
+from alula.stages.planning.straight import straight_plan
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
 from alula.stages.planning.zones import Zone, split_at
@@ -81,6 +82,7 @@ def plan(
     image: bytes | None = None,
     within: Artifact | None = None,
     mission: Mission | None = None,
+    space: PlanSpace | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
     jobs: int = 0,
@@ -102,6 +104,8 @@ def plan(
         within: an `alula/seen` to stay in; what was not seen is an obstacle like the others.
         mission: what to pass on the way; if None, what the configuration has. Its start and goal are those of
             the configuration.
+        space: the obstacles of the maps, where they have been made before; cover, scene and image are then
+            not used.
         vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
         jobs: threads; the result does not depend on it.
@@ -111,7 +115,8 @@ def plan(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
             is damaged.
         InputError: a map is not metric, or the maps do not fit each other.
-        InfeasibleError: a point is too close to an obstacle, there is no path, or no curve from this motion.
+        InfeasibleError: a point is too close to an obstacle, there is no path, no curve from this motion, or
+            no proof of a straight plan that needs one.
         UsageError: the lattice would be too large, the level of the ellipsoids is invalid, or an option does
             not apply to the vehicle.
     """
@@ -120,12 +125,17 @@ def plan(
     if mission is None:
         mission = mission_of(config)
     passages = passages_of(mission, config)
-    limits = motion_limits(config, vehicle, turns=is_turning(mission))
-    space = plan_space(config, cover, scene, image, within, jobs=jobs)
+    limits = motion_limits(config, vehicle, turns=is_turning(mission) and not config.straight)
+    if space is None:
+        space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
         points = [(each.name, each.point) for each in passages if not each.is_gate]
         ends = [(name, point) for name, point in (("start", config.start), ("goal", config.goal)) if point]
         require_seen(within, [*ends[:1], *points, *ends[1:]])
+    if config.straight:
+        if mission.passes or mission.zones:
+            raise UsageError("--straight leads from --start to --goal, without a mission")
+        return straight_plan(config, space, limits, vehicle.name, jobs=jobs)
     path = find_polyline(config, space, passages, jobs=jobs, progress=progress)
     if within is not None:
         names = ["start", *(each.name for each in passages), "goal"]

@@ -69,6 +69,16 @@ class LogWriter:
         """
         self._writer.add_metadata(name, dict(texts))
 
+    def attach(self, name: str, time_ns: int, data: bytes) -> None:
+        """Add a file.
+
+        Args:
+            name: of the file.
+            time_ns: log time: nanoseconds since 1970-01-01 UTC.
+            data: its bytes.
+        """
+        self._writer.add_attachment(time_ns, time_ns, name, "application/octet-stream", data)
+
     def close(self) -> None:
         """Close the log without a record."""
         self._writer.finish()

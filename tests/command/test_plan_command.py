@@ -57,6 +57,29 @@ def test_a_plan_is_written_with_its_provenance(cover, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["status"] == "unchanged"
 
 
+def test_a_straight_plan_through_an_obstacle_is_written_only_where_this_is_insisted_on(
+    cover, tmp_path, capsys
+):
+    output = tmp_path / "s.plan.npz"
+    words = ["--start", "-1 0.5 0.5", "--goal", "2 0.5 0.5", "--straight"]
+    assert plan(cover, output, *words) == 5
+    assert "leads through an obstacle" in capsys.readouterr().err
+    assert not output.exists()
+    assert plan(cover, output, *words, "--allow-blocked") == 0
+    assert not read_artifact(output, PLAN).manifest.is_proven
+    assert run(["verify", str(output), "--map", str(cover), "-q"]) == 4
+    capsys.readouterr()
+    log = tmp_path / "s.run.mcap"  # judged as a pair: it has no tube to leave
+    assert (
+        run(["simulate", str(output), "--map", str(cover), "-o", str(log), "--filter", "none", "--json"]) == 0
+    )
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert (summary["reached"], summary["collisions"], summary["off_plan"]) == (1, 1, 0)
+    clear = tmp_path / "c.plan.npz"
+    assert plan(cover, clear, "--start", "-1 2 0.5", "--goal", "2 2 0.5", "--straight") == 0
+    assert run(["verify", str(clear), "--map", str(cover), "-q"]) == 0
+
+
 def test_via_points_and_threads(cover, tmp_path):
     words = ["--start", "-1 -1 -1", "--goal", "-1 -1 2", "--via", "0.5 0.5 1.5", "--via", "2 2 2"]
     one, four = tmp_path / "one.plan.npz", tmp_path / "four.plan.npz"

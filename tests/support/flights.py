@@ -47,7 +47,15 @@ def mission(
 
 
 def loop_of(
-    made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False, recorder=None, watchdog=None
+    made,
+    vehicle,
+    *,
+    interrupts=lambda: 0,
+    dry_run=False,
+    by_hand=False,
+    recorder=None,
+    watchdog=None,
+    replanner=None,
 ):
     """The loop for a mission over a fake vehicle."""
     safety = make_safety(made)
@@ -63,6 +71,7 @@ def loop_of(
         recorder or Kept(),
         make_options(made.config, dry_run=dry_run),
         watchdog=watchdog,
+        replanner=replanner,
         interrupts=interrupts,
         clock=vehicle.clock,
         sleep=vehicle.clock.sleep,

@@ -16,10 +16,11 @@ from functools import partial
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
 from alula.schemas.errors import LinkError
 from alula.stages.durations import Durations
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.commanders.protocol import Commander
+from alula.stages.flight.commanders.protocol import Commander, Decision
 from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.crash_watch import CrashWatch
@@ -50,6 +51,7 @@ from alula.stages.flight.recorder.samples import (
     level_of,
     tick_sample,
 )
+from alula.stages.flight.replan.replanner import Replanner
 from alula.stages.flight.watchdog.watchdog import Watchdog
 from alula.stages.planning.adherence import FINISHED_M, FINISHED_M_S
 
@@ -128,6 +130,7 @@ class ControlLoop:
         recorder: receives samples and messages.
         options: see `LoopOptions`.
         watchdog: takes the vehicle over when this loop ends or stalls; `run` closes it. None for none.
+        replanner: makes new plans where the filter holds the vehicle up; `run` closes it. None for none.
         interrupts: returns how often the operator has interrupted the program.
         clock: returns monotonic time [s].
         sleep: waits for a time [s].
@@ -145,12 +148,14 @@ class ControlLoop:
         options: LoopOptions,
         *,
         watchdog: Watchdog | None = None,
+        replanner: Replanner | None = None,
         interrupts: Callable[[], int] = lambda: 0,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.link, self.commander, self.guard, self.plan, self.checks = link, commander, guard, plan, checks
         self.recorder, self.options, self._watchdog = recorder, options, watchdog
+        self._replanner = replanner
         self.supervision = Supervision()
         self.counters = Counters()
         self.taken: list[tuple[float, Taken]] = []
@@ -198,6 +203,12 @@ class ControlLoop:
         detail = self._cause_detail or late  # the vehicle may give its reason after the change of its mode
         return f"{cause.value} ({detail})" if detail else cause.value
 
+    @property
+    def joined(self) -> list[tuple[float, Artifact]]:
+        """Plans that the vehicle joined in flight, with the times since the start of the flight [s]."""
+        found = [] if self._replanner is None else self._replanner.joined
+        return [(each.time_s - self._begin_s, each.plan) for each in found]
+
     def run(self) -> None:
         """Fly until the supervisor is done.
 
@@ -216,6 +227,8 @@ class ControlLoop:
             gc.enable()
             if self._watchdog is not None:
                 self._watchdog.close()
+            if self._replanner is not None:
+                self._replanner.close()
 
     def _loop(self) -> None:
         period, counters = 1 / self.options.rate_hz, self.counters
@@ -526,7 +539,33 @@ class ControlLoop:
         if self._hold_row is None:
             self.plan.advance(period, decision.error_m)
             self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
+            sample = filter_sample(decision, guarded, self.plan, filter_s)
+            self._replan(state, decision, now_s)
+            return sample
         return filter_sample(decision, guarded, self.plan, filter_s)
+
+    def _replan(self, state: VehicleState, decision: Decision, now_s: float) -> None:
+        """Continue along a new plan, if there is one; no failure of it changes the flight."""
+        replanner = self._replanner
+        if replanner is None or self._has_arrived:
+            return
+        try:
+            found = replanner.tick(
+                now_s,
+                1 / self.options.rate_hz,
+                state,
+                self.plan,
+                decision,
+                self.checks.position,
+                partial(self.say, now_s),
+            )
+        except Exception as error:  # noqa: BLE001  the flight goes on along the plan that it has
+            self._replanner = None
+            replanner.close()
+            self.say(now_s, ERROR, f"no more new plans: {type(error).__name__}: {error}")
+            return
+        if found is not None:
+            self.plan, self._rested_s = found, 0.0
 
     def _arrive(self, speed_m_s: float, error_m: float, period_s: float) -> None:
         """Detect that the vehicle is at the end of the plan, or as near to it as the filter allows."""

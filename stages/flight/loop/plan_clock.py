@@ -90,6 +90,19 @@ class PlanClock:
         """
         self._clock.pause(heading_rad)
 
+    def enter(self, time_s: float, rate: float, heading_rad: float) -> None:
+        """Begin at a time along the plan; via points at or before it are left out.
+
+        Args:
+            time_s: from 0 on [s].
+            rate: of this time, from 0 to 1.
+            heading_rad: heading of the vehicle now, see `heading_of` [rad].
+
+        Raises:
+            ValueError: a value is not a number or out of range.
+        """
+        self._clock.enter(time_s, rate, heading_rad)
+
     def advance(self, dt_s: float, error_m: float) -> None:
         """Advance by a time step.
 

@@ -44,6 +44,14 @@ _COLUMNS = 13
 _VIEW_HZ = 25.0  # rate of samples for a live view
 
 
+class FileSample(msgspec.Struct, array_like=True):
+    """A file for the log."""
+
+    time_s: float
+    name: str
+    data: bytes
+
+
 class FlightRecorder:
     """`Recorder` of the loop that passes samples and messages to a writer process.
 
@@ -158,6 +166,18 @@ class FlightRecorder:
         """See `Recorder`."""
         self._put(b"l", time_s, LineSample(time_s, level, words[:_WORDS]))
 
+    def attach(self, name: str, time_s: float, data: bytes, timeout_s: float = 30.0) -> None:
+        """Add a file to the log, after the flight: this waits for the writer.
+
+        Args:
+            name: of the file.
+            time_s: log time [s].
+            data: its bytes.
+            timeout_s: maximum time to wait [s].
+        """
+        with suppress(OSError):  # then `finish` reports that the log is not complete
+            self._pipe.put(b"a" + self._encode(FileSample(time_s, name, data)), timeout_s)
+
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
         """Let the writer complete the log and end.
 
@@ -237,9 +257,11 @@ class _Writer:
         self.head, self.echo, self.moves = head, echo, moves
         self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
         self.channels: FlightChannels | None = None
+        self.start_ns = 0
 
     def begin(self, start_ns: int) -> None:
         """Write what is known before the flight."""
+        self.start_ns = start_ns
         facts = msgspec.structs.asdict(self.head)
         del facts["map_message"], facts["cloud"], facts["plan"]
         texts = {
@@ -274,6 +296,9 @@ class _Writer:
             self._send(self.channels.line(line))
             if self.echo:
                 self._say(f"{line.time_s:7.2f} s  {one_line(line.words)}\n")
+        elif kind == b"a":
+            file = msgspec.msgpack.decode(body, type=FileSample)
+            self.log.attach(file.name, self.start_ns + nanoseconds(file.time_s), file.data)
         return True
 
     def _send(self, found: Iterable[Sent]) -> None:

@@ -393,6 +393,7 @@ void bind_clock(nb::module_& m) {
           },
           "curve"_a, "options"_a = PlanClockOptions{})
       .def("pause", &PlanClock::pause, "heading_rad"_a)
+      .def("enter", &PlanClock::enter, "time_s"_a, "rate"_a, "heading_rad"_a)
       .def("advance", &PlanClock::advance, "dt_s"_a, "error_m"_a)
       .def(
           "target", [](const PlanClock& self) { return Rows(1).add(self.target()).array({1, 18}); },

@@ -45,6 +45,16 @@ void PlanClock::pause(double heading) {
   turn_ = std::remainder(heading - curve_->at(curve_->start() + time_).yaw, 2 * std::numbers::pi);
 }
 
+void PlanClock::enter(double time, double rate, double heading) {
+  if (!(time >= 0 && rate >= 0 && rate <= 1 && std::isfinite(heading)))
+    throw std::invalid_argument("a plan is entered at a time from 0 on, at a rate from 0 to 1");
+  reset();
+  time_ = std::min(time, curve_->duration());
+  while (next_ < options_.via_s.size() && options_.via_s[next_] <= time_) ++next_;
+  pause(heading);
+  rate_ = rate;
+}
+
 void PlanClock::advance(double dt_s, double error_m) {
   const PlanClockOptions& o = options_;
   double passed_m = kPassed * (next_ < o.own_via_m.size() ? o.own_via_m[next_] : o.via_m);

@@ -32,6 +32,9 @@ class PlanClock {
   void reset();
   // Stop; the flight continues from here, and turns from this heading to the plan's.
   void pause(double heading);
+  // Begin at a time [s] with a rate of the time; via points at or before it are left out. The flight turns from this
+  // heading to the plan's.
+  void enter(double time, double rate, double heading);
   void advance(double dt_s, double error_m);
 
   ReferencePoint target() const;

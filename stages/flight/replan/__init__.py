@@ -1,0 +1,1 @@
+"""New plans in flight, for a vehicle that its filter holds up."""

@@ -1,0 +1,127 @@
+"""New plans of a real flight, from its mission."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from alula.schemas.artifact import Artifact
+from alula.stages.filtering.registry import filter_kind
+from alula.stages.flight.mission import Mission
+from alula.stages.flight.replan.process import Planner, PlannerProcess
+from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
+from alula.stages.flight.replan.task import KeptMap, ReplanFacts
+from alula.stages.planning.passes import passes_of
+from alula.stages.planning.plan_samples import sample_plan
+
+_FENCE_ROOM_M = (
+    0.25  # that plans keep from the fence beyond radius and reserve, for the fence to let them pass
+)
+_STEP_S = 0.02  # of the plan, whose lowest point is looked for
+_FOOT = 1.5  # of radius and margin: the last part of a way home, as in the checks before the flight
+
+
+def replan_facts(mission: Mission) -> ReplanFacts | None:
+    """What all new plans of a flight have in common; None if no new plans are to be made.
+
+    Plans keep to what the vehicle's autopilot follows where it is flown by velocities or accelerations. They
+    keep from each map what the filter keeps from it; a map that it does not see counts with radius and
+    margin. Without a margin there is no room to join a plan. New plans pass points and have one heading: a
+    mission with gates, rests, zones or a heading that turns has none.
+
+    Args:
+        mission: of the flight.
+    """
+    config, radius = mission.config, mission.vehicle.body.radius_m
+    if config.replan_after_s == 0 or config.filter == "none" or _has_more(mission.plan):
+        return None
+    assert config.fence is not None
+    assert config.speed_m_s is not None
+    keep = radius + config.margin_m
+    maps = []
+    if mission.cover is not None:
+        maps.append(KeptMap(role="cover", keep_m=mission.hull_keep_m if mission.sees_hulls else keep))
+    if mission.scene is not None:
+        inflated = keep + mission.inflation_m if mission.is_splat else keep
+        maps.append(KeptMap(role="scene", keep_m=inflated, sigma=config.sigma))
+    if mission.within is not None:
+        maps.append(KeptMap(role="within", keep_m=mission.hull_keep_m))
+    join = min(each.keep_m for each in maps) - radius
+    if join <= 0:
+        return None
+    manifest = mission.plan.manifest
+    speed = manifest.speed_m_s  # type: ignore[attr-defined]
+    x, y, z = mission.goal.tolist()
+    yaw = repr(float(mission.plan["coefficient"][0, 3, 0]))
+    return ReplanFacts(
+        parameters={"speed_m_s": speed, **manifest.parameters, "yaw": yaw} | _interface(mission),
+        goal=(x, y, z),
+        maps=tuple(maps),
+        fence=config.fence,
+        lowest_m=float(sample_plan(mission.plan, _STEP_S).position_world[:, 2].min()),
+        fence_room_m=radius + config.fence_reserve_m + _FENCE_ROOM_M,
+        join_m=join,
+        foot_m=_FOOT * keep,
+        speed_m_s=config.speed_m_s,
+    )
+
+
+def _has_more(plan: Artifact) -> bool:
+    """Whether a plan has more than via points and one heading."""
+    yaw = np.asarray(plan["coefficient"])[:, 3]
+    turns = bool(yaw[:, 1:].any() or (yaw[:, 0] != yaw[0, 0]).any())
+    zones = plan.manifest.zones  # type: ignore[attr-defined]
+    return turns or bool(zones) or any(each.kind == "gate" or each.hold_s > 0 for each in passes_of(plan))
+
+
+def _interface(mission: Mission) -> dict[str, str]:
+    """What the vehicle is commanded by, as a parameter of `plan`; none of its own for body rates."""
+    if not mission.is_splat:
+        return {"interface": "velocity"}
+    kind = filter_kind(mission.config.filter)
+    return {"interface": "acceleration"} if kind == "acceleration" else {}
+
+
+def maps_of(mission: Mission) -> dict[str, Artifact]:
+    """Maps of a flight by role.
+
+    Args:
+        mission: of the flight.
+    """
+    maps = {"cover": mission.cover, "scene": mission.scene, "within": mission.within}
+    return {role: each for role, each in maps.items() if each is not None}
+
+
+def make_planner(mission: Mission, paths: Mapping[str, Path]) -> PlannerProcess | None:
+    """Start the process that makes new plans; None if no new plans are to be made.
+
+    Args:
+        mission: of the flight.
+        paths: files of the maps by role.
+
+    Raises:
+        InputError: the process does not run.
+    """
+    facts = replan_facts(mission)
+    return None if facts is None else PlannerProcess(facts, mission.vehicle, maps_of(mission), paths)
+
+
+def make_replanner(mission: Mission, planner: Planner) -> Replanner:
+    """Decide when new plans are asked for, and join them.
+
+    Args:
+        mission: of the flight, for which there are `replan_facts`.
+        planner: makes the plans.
+    """
+    facts, config = replan_facts(mission), mission.config
+    assert facts is not None
+    options = ReplanOptions(
+        after_s=config.replan_after_s,
+        most=config.replans,
+        join_m=facts.join_m,
+        margin_m=config.margin_m,
+        via_tolerance_m=mission.along.tolerance_m,
+    )
+    return Replanner(planner, mission.along.via, options)
