@@ -12,6 +12,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.flight.replan.of_mission import replan_facts
 from alula.stages.planning.plan import plan
 from alula.stages.sim_vehicle.common.quaternions import to_euler
 from support.flights import PILLAR, mission
@@ -89,6 +90,8 @@ def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_pla
     )
     course = plan(config, box_cover(PILLAR))
     made = mission("polytope-cbf", cover=box_cover(PILLAR), plan=course)
+    assert replan_facts(around(1.0)) is not None
+    assert replan_facts(made) is None  # a new plan passes points, not gates
     large = msgspec.structs.replace(
         FASTBRIDGE, body=msgspec.structs.replace(FASTBRIDGE.body, radius_m=0.41), name="large"
     )
