@@ -34,7 +34,7 @@ PACKAGES = {
     "yaml": "pyyaml",
     "zstandard": "zstandard",
     "matplotlib": "matplotlib",
-    "k3d": "k3d",
+    "viser": "viser",
     "cvxpy": "cvxpy-base",
     "clarabel": "clarabel",
     "pymavlink": "pymavlink",
@@ -43,7 +43,6 @@ PACKAGES = {
 }
 # Module that only some commands need: its distribution, the extra that provides it, and its purpose.
 EXTRAS = {
-    "viser": ("viser", "live", "only for fly --live"),
     "cflib": ("cflib", "crazyflie", "only to fly a Crazyflie"),
     "foxglove": ("foxglove-sdk", "foxglove", "only for fly --foxglove"),
     "rosbags": ("rosbags", "ros2", "only for export --ros2"),

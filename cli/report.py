@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   alula report room.run.mcap --cover room.cover.npz -o report.html
+  alula report with.run.mcap without.run.mcap -o comparison.html
+  alula report room.run.mcap --cover room.cover.npz -o report.pdf
   alula report a.run.mcap b.run.mcap --cover c.cover.npz --paper polymerge -o table.html
 """
 
@@ -32,7 +36,7 @@ Examples:
 @click.option("--plan", type=options.input_path(), help="Plan that was flown (.plan.npz).")
 @click.option("--certificate", type=options.input_path(), help="Certificate that `verify` wrote (.json).")
 @options.from_config(ReportConfig)
-@options.output(".html")
+@options.output(".html .md .csv .json .tex .pdf .png")
 def command(
     runs: tuple[Path, ...],
     cover: Path | None,
@@ -42,21 +46,22 @@ def command(
     config: ReportConfig,
     common: Common,
 ) -> None:
-    """Turn runs into tables, figures and one HTML page.
+    """Turn runs into a verdict, pictures, figures and tables.
 
-    Two more files are written beside the page: a .md file with the same tables and a .csv file with one row
-    per trial.
+    The page opens with a verdict in words, a picture and four numbers of each run. Playback, guarantees and
+    figures follow; tables, parameters and provenance are folded. It loads nothing from elsewhere.
+
+    Several runs are compared: each with the first, trial by trial where they have the same starts and goals,
+    with 95 % intervals of the differences.
+
+    Beside a page two more files are written: a .md file with the same tables and a .csv file with one row per
+    trial. All formats have the same contents and the same numbers.
     """
     from alula.cli.runner import run
     from alula.schemas.errors import UsageError
-    from alula.schemas.provenance import parameters_of, read_provenance
+    from alula.schemas.provenance import read_provenance
+    from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION
     from alula.schemas.run import record_path
-    from alula.stages.reporting.figures import all_figures
-    from alula.stages.reporting.headline import headline
-    from alula.stages.reporting.page import comment, page
-    from alula.stages.reporting.table import to_markdown
-    from alula.stages.reporting.tables import all_tables, to_csv
-    from alula.stages.reporting.view3d import view
 
     named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
     inputs: dict[str, Path] = {}
@@ -67,40 +72,115 @@ def command(
     inputs |= {role: path for role, path in named.items() if path is not None}
     if not inputs:
         raise UsageError("report needs a run, or one of --cover, --scene, --plan")
-    if common.output.suffix not in (".html", ".htm"):
-        raise UsageError(f"{common.output}: the output must end in .html")
-    markdown, table = common.output.with_suffix(".md"), common.output.with_suffix(".csv")
-    _check_beside(markdown, table, inputs, common)
+    parameters = config.parameters(common.output)
+    form = str(parameters["format"])
+    beside = [common.output.with_suffix(suffix) for suffix in (".md", ".csv") if form == "html"]
+    for path in beside:
+        _check_ours(path, inputs, common)
+    if form == "csv" and common.output.exists() and _is_ours(common.output):
+        common = dataclasses.replace(common, force=True)  # a table of trials has no room for provenance
 
-    def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, str], dict[str, Any]]:
+    def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, bytes], dict[str, Any]]:
         material = _read(config.title, runs, inputs, provenance)
-        tables = all_tables(material, config.table, config.paper)
-        progress(1, 3)
-        figures = all_figures(material)
-        progress(2, 3)
-        shown = view(material)
-        summary = headline(material)
-        line = provenance.line(summary)
-        html = page(material, tables, figures, shown, line)
-        progress(3, 3)
-        texts = {
-            common.output: html,
-            table: to_csv(material),
-            markdown: to_markdown(config.title, summary, tables, comment(line)),
-        }
-        return texts, summary
+        files, summary = _files(material, config, form, common.output, provenance, progress)
+        for path in files:
+            if path != common.output and path not in beside:  # figures, which are known only now
+                _check_ours(path, inputs, common)
+        return files, summary
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
-        texts, summary = build(provenance, progress)
-        return lambda: _write_all(texts), summary
+        files, summary = build(provenance, progress)
+        return lambda: _write_all(files), summary
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
-    run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
-    if not common.dry_run and not (markdown.exists() and table.exists()):  # deleted beside an unchanged page
+    run(common, REPORT_SCHEMA, REPORT_VERSION, parameters, inputs, make)
+    if form == "tex" and not common.dry_run:
+        beside = _figures_of(common.output)
+    if not common.dry_run and not all(path.exists() for path in beside):  # deleted beside an unchanged output
         recorded = read_provenance(common.output)
         assert recorded is not None
-        texts, _ = build(recorded, lambda done, total: None)
-        _write_all({path: texts[path] for path in (table, markdown) if not path.exists()})
+        files, _ = build(recorded, lambda done, total: None)
+        _write_all({path: files[path] for path in beside if not path.exists()})
+
+
+def _files(
+    material: Material,
+    config: ReportConfig,
+    form: str,
+    output: Path,
+    provenance: Provenance,
+    progress: Progress,
+) -> tuple[dict[Path, bytes], dict[str, Any]]:
+    """Contents of the files of a report, the output first, and the facts to print."""
+    from alula.stages.reporting.content import content_of, draw, to_json, to_report_markdown
+    from alula.stages.reporting.page import comment, report_page
+    from alula.stages.reporting.tables import to_csv
+
+    everything = {"listed": None} if form == "json" else {}
+    content = content_of(material, config.table, config.paper, **everything)
+    summary = dict(content.facts)
+    line = provenance.line(summary)
+    plain = _ascii(line)
+    progress(1, 3)
+
+    def markdown() -> bytes:
+        return to_report_markdown(content, comment(line)).encode()
+
+    if form == "html":
+        from alula.stages.viewing.report import view
+
+        shown = view(material)
+        progress(2, 3)
+        page = report_page(material, content, draw(material), shown, line)
+        files = {
+            output: page.encode(),
+            output.with_suffix(".csv"): to_csv(material).encode(),
+            output.with_suffix(".md"): markdown(),
+        }
+    elif form == "md":
+        files = {output: markdown()}
+    elif form == "csv":
+        files = {output: to_csv(material).encode()}
+    elif form == "json":
+        files = {output: to_json(content, draw(material), provenance).encode()}
+    else:
+        files = _on_paper(material, content, form, output, plain)
+    progress(3, 3)
+    return files, summary
+
+
+def _on_paper(material: Material, content: Any, form: str, output: Path, line: str) -> dict[Path, bytes]:
+    from alula.stages.reporting.latex import to_tex
+    from alula.stages.reporting.paper import column_figures, to_pdf, to_png
+
+    if form == "pdf":
+        return {output: to_pdf(material, content, line)}
+    if form == "png":
+        return {output: to_png(material, content, line)}
+    drawn = column_figures(material, line)
+    stem = re.sub(r"[^A-Za-z0-9.+-]", "-", output.stem)  # what LaTeX takes in the name of a file
+    places = [output.with_name(f"{stem}-{figure.name}.pdf") for figure, _ in drawn]
+    shown = [(figure, place.name) for (figure, _), place in zip(drawn, places, strict=True)]
+    figures = {place: data for (_, data), place in zip(drawn, places, strict=True)}
+    return {output: to_tex(content, shown, line).encode()} | figures
+
+
+def _figures_of(output: Path) -> list[Path]:
+    """Files of the figures that a document of LaTeX shows."""
+    found = re.findall(r"\\includegraphics\[[^\]]*\]\{([^}]*)\}", output.read_text(encoding="utf-8"))
+    return [output.with_name(name) for name in found]
+
+
+def _ascii(line: str) -> str:
+    """Escape what is not ASCII in text that is JSON, for files whose metadata has no other letters."""
+    return "".join(
+        mark if ord(mark) < 128 else "".join(f"\\u{unit:04x}" for unit in _utf16(mark)) for mark in line
+    )
+
+
+def _utf16(mark: str) -> list[int]:
+    raw = mark.encode("utf-16-be", "surrogatepass")
+    return [int.from_bytes(raw[at : at + 2], "big") for at in range(0, len(raw), 2)]
 
 
 def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:
@@ -147,33 +227,35 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
     )
 
 
-def _write_all(texts: dict[Path, str]) -> None:
+def _write_all(files: Mapping[Path, bytes]) -> None:
     """Write files so that all or none appear; the first appears last because it is the Make target."""
     from alula.schemas.atomic import atomic_outputs
 
-    if not texts:
+    if not files:
         return
-    with atomic_outputs(*texts) as files:
-        for file, text in zip(files, texts.values(), strict=True):
-            file.write(text.encode())
+    with atomic_outputs(*files) as opened:
+        for file, data in zip(opened, files.values(), strict=True):
+            file.write(data)
 
 
-def _check_beside(markdown: Path, table: Path, inputs: dict[str, Path], common: Common) -> None:
-    """Refuse to replace a file beside the page that alula did not write."""
+def _check_ours(path: Path, inputs: dict[str, Path], common: Common) -> None:
+    """Refuse to replace a file beside the output that alula did not write."""
     from alula.cli.runner import check_output
     from alula.schemas.errors import UsageError
+
+    check_output(path, inputs)
+    if path.exists() and not common.force and not _is_ours(path):
+        raise UsageError(f"{path}: exists, but it is not a file of alula's; -f replaces it")
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file is a report or its table of trials."""
     from alula.schemas.provenance import read_provenance
+    from alula.schemas.report import REPORT_SCHEMA
     from alula.stages.reporting.tables import CSV_COLUMNS
 
-    for path in (markdown, table):
-        check_output(path, inputs)
-        if not path.exists() or common.force:
-            continue
-        if path == markdown:
-            recorded = read_provenance(path)
-            ours = recorded is not None and recorded.schema == "alula/report"
-        else:
-            with path.open(encoding="utf-8", errors="replace") as file:
-                ours = file.readline().strip() == ",".join(CSV_COLUMNS)
-        if not ours:
-            raise UsageError(f"{path}: exists, but it is not a file of alula's; -f replaces it")
+    if path.suffix == ".csv":
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return file.readline().strip() == ",".join(CSV_COLUMNS)
+    recorded = read_provenance(path)
+    return recorded is not None and recorded.schema == REPORT_SCHEMA

@@ -1,12 +1,11 @@
-"""Contents of a run's log: its channels, states and safety margins of each flight over time."""
+"""Contents of a run's log: its channels, and states, margins, commands and moving obstacles over time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,6 +13,17 @@ from numpy.typing import NDArray
 
 from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
+from alula.schemas.flight_samples import (
+    Bodies,
+    Commands,
+    Loose,
+    Moving,
+    Quaternion,
+    attitudes,
+    commands_of,
+    measured,
+    moving,
+)
 from alula.schemas.mcap_log import entries, messages
 from alula.schemas.run import open_log
 
@@ -22,8 +32,7 @@ STATE_TOPIC = "/state"
 SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
-
-_LARGEST = 1e12  # [s], [m], [m/s]; larger values are no measurements, and no figure can show them
+OBSTACLES_TOPIC = "/obstacles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +51,10 @@ class Flight:
         regulation: regulation function lambda of a geofence, NaN where unknown, shape (m,); None elsewhere.
         fence_distance_m: minimum true distance to the fence since the answer before, less the radius, NaN
             where unknown, shape (m,) [m]; None elsewhere.
+        quat_world_body_wxyz: attitudes, body to world, shape (n, 4); None of a vehicle without one.
+        moving: obstacles that moved; None without any.
+        commands: nominal and filtered inputs; None of filters whose inputs are not logged as vectors.
+        each_status: status of each filter of a list of several, by name, as `status`.
     """
 
     time_s: NDArray[np.float64]
@@ -53,6 +66,10 @@ class Flight:
     status: tuple[str, ...]
     regulation: NDArray[np.float64] | None = None
     fence_distance_m: NDArray[np.float64] | None = None
+    quat_world_body_wxyz: NDArray[np.float64] | None = None
+    moving: Moving | None = None
+    commands: Commands | None = None
+    each_status: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +120,7 @@ class _State(msgspec.Struct, gc=False):
     time_s: float
     position_m: _Vector
     velocity_m_s: _Vector
+    attitude: Quaternion | None = None
 
 
 class _Safety(msgspec.Struct, gc=False):
@@ -115,6 +133,15 @@ class _Safety(msgspec.Struct, gc=False):
     moving_clearance_m: float | None = None
     status_name: str = ""
     regulation: float | None = msgspec.field(default=None, name="lambda")
+    u_nom_m_s: Loose | None = None
+    u_safe_m_s: Loose | None = None
+    a_nom_m_s2: Loose | None = None
+    a_safe_m_s2: Loose | None = None
+
+
+class _Status(msgspec.Struct, gc=False):
+    trial: int
+    status_name: str = ""
 
 
 class _Supervisor(msgspec.Struct, gc=False):
@@ -159,9 +186,8 @@ def read_flights(log: Path) -> Flights:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
     """
-    topics = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC)
     with open_log(log) as file:
-        return flights_of(messages(file, topics))
+        return flights_of(messages(file))
 
 
 def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
@@ -174,7 +200,10 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
         ValueError: a time, position, velocity or margin is too large to be a measurement.
     """
     states: dict[int, list[_State]] = {}
+    bodies: dict[int, dict[int, Bodies]] = {}  # by trial and number of the state
+    last = None
     safety: dict[int, list[_Safety]] = {}
+    each: dict[int, dict[str, list[_Status]]] = {}
     supervised: list[_Supervisor] = []
     lines: list[_Line] = []
     hulls, start = None, _Stamp(0, 0)
@@ -182,21 +211,33 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     decode_safety = json_decoder(_Safety).decode
     decode_supervisor = json_decoder(_Supervisor).decode
     decode_line = json_decoder(_Line).decode
+    decode_bodies = json_decoder(Bodies).decode
+    decode_status = json_decoder(_Status).decode
     for topic, data in found:
         if topic == STATE_TOPIC:
             state = decode_state(data)
             states.setdefault(state.trial, []).append(state)
+            last = state.trial
+        elif topic == OBSTACLES_TOPIC:
+            if last is not None:
+                bodies.setdefault(last, {})[len(states[last]) - 1] = decode_bodies(data)
         elif topic == MAP_TOPIC:
             shown = json_decoder(_Map).decode(data)
             hulls, start = _hull_count(shown), _start(shown)
         elif topic == SAFETY_TOPIC:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
+        elif topic.startswith(f"{SAFETY_TOPIC}/"):
+            own = decode_status(data)
+            each.setdefault(own.trial, {}).setdefault(topic[len(SAFETY_TOPIC) + 1 :], []).append(own)
         elif topic == SUPERVISOR_TOPIC:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
             lines.append(decode_line(data))
-    flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
+    flights = {
+        trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}), each.get(trial, {}))
+        for trial in sorted(states)
+    }
     return Flights(flights, hulls, _course(supervised, lines, start) if supervised else None)
 
 
@@ -227,22 +268,36 @@ def _hull_count(message: _Map) -> int | None:
     return None
 
 
-def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
-    states.sort(key=lambda state: state.time_s)
+def _flight(
+    states: list[_State],
+    safety: list[_Safety],
+    bodies: dict[int, Bodies],
+    each: dict[str, list[_Status]],
+) -> Flight:
+    order = sorted(range(len(states)), key=lambda i: states[i].time_s)
+    states = [states[i] for i in order]
     safety.sort(key=lambda answer: answer.time_s)
     position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
     velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
-    square = np.square(_measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
+    square = np.square(measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
     return Flight(
-        time_s=_measured("time", [state.time_s for state in states]),
-        position_world=_measured("position", position).reshape(-1, 3),
+        time_s=measured("time", [state.time_s for state in states]),
+        position_world=measured("position", position).reshape(-1, 3),
         speed_m_s=np.sqrt(square),
-        margin_time_s=_measured("time", [answer.time_s for answer in safety]),
-        margin=_measured("margin", [_margin(answer) for answer in safety]),
+        margin_time_s=measured("time", [answer.time_s for answer in safety]),
+        margin=measured("margin", [_margin(answer) for answer in safety]),
         margin_unit=_unit(safety[0]) if safety else "m",
         status=tuple(answer.status_name for answer in safety),
         regulation=_known([a.regulation for a in safety]),
         fence_distance_m=_known([_fence_distance(a) for a in safety]),
+        quat_world_body_wxyz=attitudes(states),
+        moving=moving([bodies.get(i) for i in order]) if bodies else None,
+        commands=commands_of(safety),
+        each_status={
+            name: tuple(one.status_name for one in own)  # in the order of the answers
+            for name, own in each.items()
+            if len(own) == len(safety)
+        },
     )
 
 
@@ -254,7 +309,7 @@ def _fence_distance(answer: _Safety) -> float | None:
 
 def _known(values: list[float | None]) -> NDArray[np.float64] | None:
     """Convert to an array, None to NaN; None where all are."""
-    return None if all(value is None for value in values) else _measured("distance", values)
+    return None if all(value is None for value in values) else measured("distance", values)
 
 
 def _margin(answer: _Safety) -> float | None:
@@ -266,14 +321,6 @@ def _margin(answer: _Safety) -> float | None:
 
 def _unit(answer: _Safety) -> str:
     return "m" if answer.moving_clearance_m is not None else answer.margin_unit or "m"
-
-
-def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:
-    """Convert to an array, None to NaN; raise ValueError for values that are too large."""
-    found = np.array(values, np.float64)
-    if (np.abs(found) > _LARGEST).any():
-        raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is too large to be measured")
-    return found
 
 
 def count_messages(log: Path) -> tuple[dict[str, int], bool]:

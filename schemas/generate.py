@@ -46,6 +46,7 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.kinds import KINDS
     from alula.schemas.manifest import VERSION
     from alula.schemas.mission import MISSION_SCHEMA, Mission
+    from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
     from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
@@ -54,6 +55,7 @@ def documents() -> dict[str, bytes]:
     types: list[tuple[str, str, type[Any]]] = [
         *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
         (RUN_SCHEMA, RUN_VERSION, RunRecord),
+        (REPORT_SCHEMA, REPORT_VERSION, Report),
         (SCENARIO_SCHEMA, VERSION, Scenario),
         (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),
         (f"{SCENARIO_SCHEMA}-encounters", VERSION, Encounters),

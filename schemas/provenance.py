@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
 _MANIFEST_LIMIT = 2**26
+_MOST_PDF = 2**28
 _MOST_JSON = 2**30  # [B], read at once
 _MOST_MAP = 2**28  # [B]
 _NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # errors of skipping through arbitrary bytes
@@ -155,6 +157,10 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     except (OSError, InputError):
         return None
     raw = head + rest
+    if head.startswith(b"%PDF"):
+        return _of_pdf(path)
+    if head == b"\x89PNG\r\n\x1a\n":
+        return _of_png(raw)
     if path.suffix == ".json" or head.startswith(b"{"):
         return _of_json(path)
     return _of_text(raw)
@@ -167,6 +173,24 @@ def _of_text(raw: bytes) -> Provenance | None:
     line = raw[mark + len(MARK) :].splitlines()[0]
     end = line.rfind(b"}") + 1
     return _decode(line[:end])
+
+
+def _of_png(raw: bytes) -> Provenance | None:
+    """Read from the text chunk of a PNG: its length, its kind, its contents."""
+    mark = raw.find(MARK.encode())
+    chunk = raw.rfind(b"tEXt", 0, max(mark, 0))
+    if mark < 0 or chunk < 4:
+        return None
+    return _of_text(raw[mark : chunk + 4 + int.from_bytes(raw[chunk - 4 : chunk], "big")])
+
+
+def _of_pdf(path: Path) -> Provenance | None:
+    """Read from the keywords of a PDF, near its end; its strings escape backslashes and brackets."""
+    if path.stat().st_size > _MOST_PDF:
+        return None
+    raw = path.read_bytes()
+    mark = raw.rfind(MARK.encode())
+    return None if mark < 0 else _of_text(re.sub(rb"\\(.)", rb"\1", raw[mark:]))
 
 
 def _of_artifact(path: Path, verify: bool) -> Provenance | None:

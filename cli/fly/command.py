@@ -56,7 +56,7 @@ Examples:
     is_flag=False,
     flag_value=8080,
     metavar="[PORT]",
-    help="Show the flight in a browser, at this port of this machine only (8080); requires alula[live].",
+    help="Show the flight in a browser, at this port of this machine only (8080).",
 )
 @click.option(
     "--foxglove",
@@ -116,10 +116,7 @@ def command(
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.mission import make_mission
     from alula.stages.flight.recorder.foxglove_server import require_foxglove
-    from alula.stages.flight.recorder.live_view import require_viser
 
-    if live is not None:
-        require_viser()
     if foxglove is not None:
         require_foxglove()
     start_ns = None if start_time is None else start_time_ns(start_time)

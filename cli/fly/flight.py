@@ -55,7 +55,7 @@ def fly(
         live: port of the live view; None for none.
         foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
-        paths: files of the maps by role, for new plans in flight; None for none.
+        paths: files of plan and maps by role, for new plans in flight and for the live view; None for none.
 
     Raises:
         CheckError: a check failed, or the plan was not finished.
@@ -92,7 +92,7 @@ def fly(
         plan=points.tolist(),
         **head_facts(mission),
     )
-    views = _open_views(live, foxglove, mission, head, common)
+    views = _open_views(live, foxglove, mission, head, paths or {}, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
@@ -158,7 +158,12 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
 
 
 def _open_views(
-    live: int | None, foxglove: int | None, mission: Mission, head: FlightHead, common: Common
+    live: int | None,
+    foxglove: int | None,
+    mission: Mission,
+    head: FlightHead,
+    paths: Mapping[str, Path],
+    common: Common,
 ) -> list[FlightPipe]:
     """Start the live view and the server for Foxglove, each if it has a port."""
     from alula.stages.flight.recorder.foxglove_server import open_foxglove
@@ -166,7 +171,7 @@ def _open_views(
     views = []
     try:
         if live is not None:
-            views.append(_open_view(live, mission, head, common))
+            views.append(_open_view(live, mission, head, paths, common))
         if foxglove is not None:
             server, address = open_foxglove(foxglove, head)
             views.append(server)
@@ -179,8 +184,10 @@ def _open_views(
     return views
 
 
-def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
-    """Start the live view with the map, the plan and the names in the log's head."""
+def _open_view(
+    port: int, mission: Mission, head: FlightHead, paths: Mapping[str, Path], common: Common
+) -> FlightPipe:
+    """Start the live view with the map, the plan and the names in the log's head, and the splat's file."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
 
     facts = ViewHead(
@@ -190,6 +197,10 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
         radius_m=mission.vehicle.body.radius_m,
         map_message=head.map_message,
         plan=head.plan,
+        rotors_m=[] if mission.vehicle.rotors is None else list(mission.vehicle.rotors.positions_m),
+        files=[str(paths[role]) for role in ("scene", "plan") if role in paths],
+        fence=None if mission.config.fence is None else list(mission.config.fence),
+        stale_s=mission.config.stale_s,
     )
     view, address = open_view(port, facts)
     if not common.quiet:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
@@ -27,7 +26,6 @@ from alula.stages.reporting.material import (
 from alula.stages.reporting.tables import voxel_count
 from alula.stages.verdict import path_ratio
 
-_ROUTINE = ("", "ok", "filtered", "passed", "blended")  # statuses of a filter in normal operation
 _GAP_S = 0.2
 _PLAN_SAMPLES = 400
 _DRAWN_PATHS = 300  # per run; failures first
@@ -87,30 +85,6 @@ class Spell:
 
     def __str__(self) -> str:
         return f"{self.state} {self.begin_s:.2f} to {self.end_s:.2f} s"
-
-
-@dataclass(frozen=True, slots=True)
-class WorstFlight:
-    """Margin over time of the logged flight with the minimum clearance.
-
-    `margin_unit` is "m", or names what else the margin measures. `trouble` marks the margins where the filter
-    had to do more than change the input; `statuses` are its statuses there. `spells` are the states of a real
-    flight's supervisor. `logged` is the number of logged flights where one that was not logged came closer,
-    else None.
-    """
-
-    label: str
-    trial: int
-    clearance_m: float
-    margin_time_s: FloatArray
-    margin: FloatArray
-    margin_unit: str
-    speed_time_s: FloatArray
-    speed_m_s: FloatArray
-    trouble: NDArray[np.bool_]
-    statuses: tuple[str, ...]
-    spells: tuple[Spell, ...] = ()
-    logged: int | None = None
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
@@ -267,40 +241,6 @@ def spells(course: Course | None) -> tuple[Spell, ...]:
     if course is not None and found:
         found[-1] = Spell(found[-1].state, found[-1].begin_s, max(found[-1].begin_s, course.end_s))
     return tuple(spell for spell in found if spell.end_s > spell.begin_s)
-
-
-def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
-    """Find the logged flight with the minimum clearance, or with the minimum margin where none is known."""
-    candidates: list[tuple[float, int, int, Run, TrialResult]] = []
-    others: list[float] = []
-    for position, run in enumerate(runs):
-        for trial in run.record.trials:
-            flight = run.flights.get(trial.index)
-            clearance = encounter_clearance(run, trial) if trial.obstacles else clearance_of(trial)
-            if flight is None or not np.isfinite(flight.margin).any():
-                others += [] if clearance is None else [clearance]
-                continue
-            minimum = float(np.nanmin(flight.margin)) if clearance is None else clearance
-            candidates.append((minimum, position, trial.index, run, trial))
-    if not candidates:
-        return None
-    minimum, _, index, run, _ = min(candidates, key=lambda c: c[:3])
-    flight = run.flights[index]
-    trouble = [status.lower() not in _ROUTINE for status in flight.status]
-    return WorstFlight(
-        run.label,
-        index,
-        minimum,
-        flight.margin_time_s,
-        flight.margin,
-        flight.margin_unit,
-        flight.time_s,
-        flight.speed_m_s,
-        np.array(trouble, np.bool_),
-        tuple(sorted({s.lower() for s, bad in zip(flight.status, trouble, strict=True) if bad})),
-        spells(run.course),
-        len(candidates) if min(others, default=minimum) < minimum else None,
-    )
 
 
 def encounter_clearance(run: Run, trial: TrialResult) -> float | None:

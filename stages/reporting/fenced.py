@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,47 +108,3 @@ def fence_shape(run: Run) -> FenceShape | None:
     faces = fence_faces(table.get("box_m"), table.get("faces") or ())
     paths = [flight.position_world for flight in run.flights.values()]
     return FenceShape(*fence_shell(faces, paths)) if len(faces) else None
-
-
-@dataclass(frozen=True, slots=True)
-class ClosestFlight:
-    """The logged flight of a run with the minimum distance to its fence.
-
-    `distance_m` is the true distance, negative outside; `regulation` is the filter's lambda, NaN where it had
-    none; `status` is the filter's status. `is_closest` is False where a flight without samples came closer.
-    """
-
-    label: str
-    trial: TrialResult
-    time_s: FloatArray
-    distance_m: FloatArray
-    regulation: FloatArray
-    status: tuple[str, ...]
-    speed_time_s: FloatArray
-    speed_m_s: FloatArray
-    is_closest: bool
-
-
-def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
-    """Closest flight of each run in a fence that has logged flights."""
-    found = []
-    for run in filter(is_fenced, runs):
-        shown = [trial for trial in run.record.trials if trial.index in run.flights]
-        if not shown:
-            continue
-        trial = min(shown, key=_distance_and_index)
-        flight = run.flights[trial.index]
-        distance = flight.margin if flight.fence_distance_m is None else flight.fence_distance_m
-        regulation = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
-        found.append(
-            ClosestFlight(
-                run.label, trial, flight.margin_time_s, distance, regulation, flight.status,
-                flight.time_s, flight.speed_m_s,
-                trial == min(run.record.trials, key=_distance_and_index),
-            )
-        )  # fmt: skip
-    return found
-
-
-def _distance_and_index(trial: TrialResult) -> tuple[float, int]:
-    return fence_distance(trial), trial.index

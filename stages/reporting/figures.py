@@ -1,8 +1,7 @@
 """The figures of a report, drawn as SVG text from the arrays of `curves` and `fenced`.
 
-Maps from above, flights in a geofence (from the side, and the closest one), distributions over trials, the
-closest flight of the others, and the curve of compression. One function draws one figure; together they are
-long, but nothing else is in here.
+Maps from above, flights in a geofence from the side, distributions over trials, and the curve of compression.
+One function draws one figure.
 """
 
 from __future__ import annotations
@@ -10,43 +9,22 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.run import PLAN_OUTCOMES
 from alula.stages.reporting import curves
-from alula.stages.reporting.curves import Spell, paths_of
-from alula.stages.reporting.fenced import ClosestFlight, closest_flights, fence_shape, is_fenced
+from alula.stages.reporting.curves import paths_of
+from alula.stages.reporting.fenced import fence_shape, is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material, Run
+from alula.stages.reporting.palette import AXIS, DASHES, GRID, INK, RUN_COLORS, run_color
+from alula.stages.reporting.palette import COLORS as COLORS
 from alula.stages.reporting.table import text
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
-COLORS = {
-    "reached": "#0072b2",
-    "passed": "#009e73",
-    "held": "#0072b2",
-    "inside": "#0072b2",
-    "stuck": "#e69f00",
-    "timeout": "#8c6bb1",
-    "refused": "#7f7f7f",
-    "stopped": "#cc79a7",
-    "missed-via": "#e69f00",
-    "off-plan": "#8c6bb1",
-    "outside": "#d7301f",
-    "collision": "#d7301f",
-    NOT_JUDGED: "#d55e00",
-    "planned": "#222222",
-}
-_SPELLS = {"fly": "#009e73", "hold": "#e69f00", "hand-over": "#d7301f", "abort": "#d7301f"}
-_DASHES = (
-    dict.fromkeys(COLORS, "-")
-    | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
-    | dict.fromkeys(PLAN_OUTCOMES, ":")
-)
-_RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _STYLE = {
     "svg.hashsalt": "alula",
     "svg.fonttype": "none",
@@ -55,18 +33,26 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
-    "grid.color": "#e6e8eb",
-    "axes.edgecolor": "#8a9099",
+    "grid.color": GRID,
+    "axes.edgecolor": AXIS,
+    "axes.facecolor": "none",
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "text.color": INK,
+    "text.parse_math": False,  # names of runs may have dollar signs
+    "xtick.color": AXIS,
+    "xtick.labelcolor": INK,
+    "ytick.color": AXIS,
+    "ytick.labelcolor": INK,
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
 _VECTOR_FOOTPRINTS = 1500  # more footprints are drawn as an image inside the figure
 _MAX_FENCED_RUNS = 4
-_SHADES = {"backup": "#e69f00", "no-pilot": "#8c6bb1", "hand-over": "#d7301f", "refused": "#7f7f7f"}
-_MODES = {"backup": "backup alone", "no-pilot": "no pilot", "hand-over": "handed over", "refused": "refused"}
 _MAX_MAPS = 4
 _FEW_PATHS = 40  # more paths are drawn thinner
-_NAMED_FRACTION = 0.08  # of a flight's time; shorter states have no room for their names
 _DOTTED = 40  # distributions of more values are drawn without dots
 
 
@@ -92,37 +78,90 @@ def all_figures(material: Material) -> list[Figure]:
         found.append(_clearance_figure(clearances, all(map(is_fenced, material.runs))))
     if ratios := curves.path_ratios(many):
         found.append(_ratio_figure(ratios))
-    if (worst := curves.worst_flight([run for run in material.runs if not is_fenced(run)])) is not None:
-        found.append(_worst_figure(worst))
     if (curve := curves.compression(material.cover)) is not None:
         found.append(_compression_figure(curve))
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """Place of a drawing on paper.
+
+    Attributes:
+        size: width and height of the sheet [inch].
+        box: left, bottom, width and height of the drawing on it, as fractions of the sheet.
+        font_size: of the drawing [pt].
+    """
+
+    size: tuple[float, float]
+    box: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    font_size: float = 8.0
+
+
+_Place = Callable[[float, float], Sheet]
+_ON_PAPER: ContextVar[tuple[_Place, list[Any]] | None] = ContextVar("on_paper", default=None)
+
+
+@contextmanager
+def on_paper(place: _Place) -> Iterator[list[Any]]:
+    """Let figures be drawn on sheets, for files without a style sheet: opaque, in their own size.
+
+    Args:
+        place: from width and height of a drawing on the page [inch] to its sheet.
+
+    Yields:
+        The figures of matplotlib, in the order in which they are drawn.
+    """
+    drawn: list[Any] = []
+    token = _ON_PAPER.set((place, drawn))
+    try:
+        yield drawn
+    finally:
+        _ON_PAPER.reset(token)
+
+
 @contextmanager
 def drawing(
-    width: float, height: float, rows: int = 1, columns: int = 1
+    width: float,
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    heights: Sequence[float] | None = None,
 ) -> Iterator[tuple[Any, Callable[[], str]]]:
     """Yield the axes of a new figure and a function that renders it as SVG; equal data gives equal text.
+
+    Within `on_paper` the figure is kept for its sheet, and the text is empty.
 
     Args:
         width: of the figure [inch].
         height: of the figure [inch].
         rows: number of axes below each other, with a common x axis.
         columns: number of axes side by side, with a common y axis.
+        heights: of the rows, relative to each other; by default all equal.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
 
+    paper = _ON_PAPER.get()
     with mpl.rc_context():
         mpl.rcdefaults()  # ignore the user's style
         mpl.rcParams.update(_STYLE)
-        figure = Canvas(figsize=(width, height), layout="constrained")
+        if paper is None:
+            figure = Canvas(figsize=(width, height), layout="constrained")
+        else:
+            sheet = paper[0](width, height)
+            mpl.rcParams.update({"font.size": sheet.font_size, "figure.facecolor": "white"})
+            figure = Canvas(figsize=sheet.size, layout="constrained")
+            engine: Any = figure.get_layout_engine()
+            engine.set(rect=sheet.box)
+            paper[1].append(figure)
         FigureCanvasSVG(figure)
-        axes = figure.subplots(rows, columns, sharex=rows > 1, sharey=columns > 1)
+        axes = figure.subplots(rows, columns, sharex=rows > 1, sharey=columns > 1, height_ratios=heights)
 
         def render() -> str:
+            if paper is not None:
+                return ""
             out = io.StringIO()
             figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
             return out.getvalue()
@@ -149,7 +188,7 @@ def outline(axes: Any, corners: FloatArray) -> None:
     """Draw the outline of a fence from its projected corners, shape (V, 2) [m]."""
     if len(corners):
         line = curves.footprint(corners)
-        axes.plot(*np.vstack([line, line[:1]]).T, color="#1c2430", linewidth=1.8, zorder=2)
+        axes.plot(*np.vstack([line, line[:1]]).T, color=INK, linewidth=1.8, zorder=2)
 
 
 def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
@@ -185,7 +224,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
                     [p[:, :2] for p in paths],
                     colors=COLORS[outcome],
                     linewidths=(1.4 if few else 0.9) * (1.6 if outcome in ("collision", "planned") else 1),
-                    linestyles=_DASHES[outcome],
+                    linestyles=DASHES[outcome],
                     label=f"{outcome} ({len(paths)})",
                     zorder=3,
                 )
@@ -202,7 +241,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         if shown.paths:
-            axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize=10)
+            axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize="small")
         svg = render()
     counts = ", ".join(
         f"{sum(p.outcome == o for p in shown.paths)} {o}"
@@ -226,13 +265,13 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
 
 def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
     for number, one in enumerate(shown):
-        color = _RUN_COLORS[number % len(_RUN_COLORS)]
+        color = run_color(number)
         axes.step(one.value, one.fraction, where="post", color=color, linewidth=2, label=one.label)
         if len(one.value) <= _DOTTED:
             axes.plot(one.value, one.fraction, ".", color=color, markersize=5)
     axes.set(ylim=(0, 1.03), ylabel="fraction of trials")
     if len(shown) > 1:
-        axes.legend(fontsize=10)
+        axes.legend(fontsize="small")
 
 
 def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
@@ -270,60 +309,11 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
     return Figure("path-ratio", "Path length over straight line", alt, svg)
 
 
-def _worst_figure(worst: curves.WorstFlight) -> Figure:
-    with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
-        top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(*curves.broken(worst.margin_time_s, worst.margin), color=_RUN_COLORS[0], linewidth=1.6)
-        if worst.trouble.any():
-            top.plot(
-                worst.margin_time_s[worst.trouble],
-                worst.margin[worst.trouble],
-                ".",
-                color=COLORS["stuck"],
-                label=", ".join(worst.statuses),
-            )
-            top.legend(fontsize=10)
-        top.set(ylabel="margin [m]" if worst.margin_unit == "m" else f"margin\n{worst.margin_unit}")
-        bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
-        bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
-        _shade_states(top, bottom, worst.spells)
-        svg = render()
-    unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
-    alt = (
-        f"Margin that the filter reported{unit} and speed over time, {worst.label}, trial {worst.trial}, "
-        f"minimum clearance {text(worst.clearance_m)} m. In {int(worst.trouble.sum())} of "
-        f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
-        f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
-    )
-    if worst.spells:
-        alt += f" States of the supervisor: {', '.join(map(str, worst.spells))}."
-    which = "The closest flight" if worst.logged is None else f"The closest of {worst.logged} logged flights"
-    return Figure("worst", f"{which}: {worst.label}, trial {worst.trial}", alt, svg)
-
-
-def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
-    """Shade the supervisor's states behind the curves of a real flight; name the longer ones above."""
-    if not spells:
-        return
-    begin, end = spells[0].begin_s, spells[-1].end_s
-    for spell in spells:
-        color = _SPELLS.get(spell.state)
-        for axes in (top, bottom):
-            axes.axvline(spell.begin_s, color="#c3cad2", linewidth=0.8, zorder=0)
-            if color is not None:
-                axes.axvspan(spell.begin_s, spell.end_s, color=color, alpha=0.1, linewidth=0, zorder=0)
-        if spell.end_s - spell.begin_s > _NAMED_FRACTION * (end - begin) or spell.state in _SPELLS:
-            middle = 0.5 * (spell.begin_s + spell.end_s)
-            where = top.get_xaxis_transform()
-            top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color="#5b6673")
-    top.set_xlim(begin, end)
-
-
 def _compression_figure(curve: curves.Compression) -> Figure:
     shown = ((curve.growth, "sum of hulls / voxels"), (curve.planes, "half-planes"))
     with drawing(6.2, 4.6, rows=2) as (axes, render):
         for place, (values, label) in enumerate(shown):
-            axes[place].plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
+            axes[place].plot(curve.hulls, values, ".-", color=RUN_COLORS[place], linewidth=1.6)
             axes[place].set(xscale="log", ylabel=label)
         axes[1].set(xlabel="hulls")
         ticks = [c * 10**p for p in range(8) for c in (1, 2, 5)]
@@ -342,12 +332,9 @@ def _compression_figure(curve: curves.Compression) -> Figure:
 
 
 def fence_figures(material: Material) -> list[Figure]:
-    """Draw a view from the side and the closest flight for each run in a fence."""
-    found = []
+    """Draw a view from the side for each run in a fence."""
     fenced = [run for run in material.runs if is_fenced(run) and run.flights][:_MAX_FENCED_RUNS]
-    for number, (run, closest) in enumerate(zip(fenced, closest_flights(fenced), strict=True), 1):
-        found += [_side_figure(run, f"side-{number}"), _closest_figure(closest, f"fence-{number}")]
-    return found
+    return [_side_figure(run, f"side-{number}") for number, run in enumerate(fenced, 1)]
 
 
 def _side_figure(run: Run, name: str) -> Figure:
@@ -380,49 +367,3 @@ def _side_figure(run: Run, name: str) -> Figure:
         "crosses ends."
     )
     return Figure(name, f"From the side: {run.label}", alt, svg, wide=True)
-
-
-def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
-    with drawing(9.5, 6.0, rows=3) as ((top, middle, bottom), render):
-        top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(closest.time_s, closest.distance_m, color="#0072b2", linewidth=1.6)
-        top.set(ylabel="distance to\nthe fence [m]")
-        middle.plot(closest.time_s, closest.regulation, color="#222222", linewidth=1.4)
-        middle.set(ylabel="regulation\nfunction λ", ylim=(-0.04, 1.04))
-        bottom.plot(closest.speed_time_s, 3.6 * closest.speed_m_s, color="#009e73", linewidth=1.6)
-        bottom.set(xlabel="time [s]", ylabel="speed [km/h]", ylim=(0, None))
-        shaded = _shade_modes((top, middle, bottom), closest)
-        if shaded:
-            top.legend(fontsize=10, ncols=len(shaded), loc="upper right")
-        svg = render()
-    minimum = closest.trial.map_clearance_m
-    spent = ", ".join(
-        f"{_MODES.get(word, word)} in {100 * closest.status.count(word) / len(closest.status):.0f} %"
-        for word in dict.fromkeys(closest.status)
-    )
-    alt = (
-        f"True distance to the fence, regulation function λ and speed over time, {closest.label}, trial "
-        f"{closest.trial.index}: minimum distance {text(minimum)} m, top speed "
-        f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Logged ticks by status: {spent}."
-    )
-    which = "The closest flight" if closest.is_closest else "The closest logged flight"
-    return Figure(name, f"{which}: {closest.label}, trial {closest.trial.index}", alt, svg, wide=True)
-
-
-def _shade_modes(axes: tuple[Any, ...], closest: ClosestFlight) -> list[str]:
-    """Shade the times in which the filter did not pass or blend the command; return these statuses."""
-    status = np.array(closest.status)
-    edges = np.append(closest.time_s, closest.time_s[-1:])
-    begins = np.flatnonzero(np.append(True, status[1:] != status[:-1])) if len(status) else np.empty(0, int)
-    ends = np.append(begins[1:], len(status))
-    named: list[str] = []
-    for begin, end in zip(begins, ends, strict=True):
-        word = str(status[begin])
-        if word not in _SHADES:
-            continue
-        for at, one in enumerate(axes):
-            label = _MODES[word] if at == 0 and word not in named else None
-            one.axvspan(edges[begin], edges[end], color=_SHADES[word], alpha=0.25, linewidth=0, label=label)
-        if word not in named:
-            named.append(word)
-    return named

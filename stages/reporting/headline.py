@@ -1,44 +1,19 @@
-"""The headline of a report: the cards at the top of the page and the facts that the command prints.
-
-All verdicts on a run that the report states in words are written here.
-"""
+"""The facts of a report in plain values, as the command prints them, and the count of successes in a run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.run import TrialResult
 from alula.stages.filtering.registry import NO_FILTER
-from alula.stages.reporting.fenced import fence_figures, is_fenced
-from alula.stages.reporting.material import (
-    NOT_JUDGED,
-    Material,
-    Run,
-    clearance_of,
-    coverage,
-    is_composed,
-    outcome_of,
-    proof,
-)
+from alula.stages.reporting.material import Material, Run, clearance_of, coverage, is_composed, outcome_of
 from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
     gaussian_count,
-    success_interval,
     voxel_count,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """A headline number; `good` is None when it is neither good nor bad."""
-
-    label: str
-    value: str
-    detail: str = ""
-    good: bool | None = None
 
 
 def headline(material: Material) -> dict[str, Any]:
@@ -92,7 +67,8 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
         trials = [trial for _, trial in flown]
         collided = "" if kind == 2 else f", {text(sum(trial.collision for trial in trials))} collided"
         shown = "no filter" if name == NO_FILTER else name
-        found.append(f"{shown}{labels}: {_verdict(trials, waits=kind == 1)}{collided}")
+        good, word = _successes(trials, waits=kind == 1)
+        found.append(f"{shown}{labels}: {text(good)} of {text(len(trials))} {word}{collided}")
     return found
 
 
@@ -112,102 +88,30 @@ def _waits(run: Run) -> bool:
     return any(trial.obstacles is not None for trial in run.record.trials)
 
 
-def _verdict(trials: Sequence[TrialResult], *, waits: bool) -> str:
+def successes(run: Run) -> tuple[int, str]:
+    """Count the successful flights of a run, and say what success is."""
+    return _successes(run.record.trials, waits=_waits(run))
+
+
+def successful(run: Run) -> set[int]:
+    """Numbers of the trials that `successes` counts."""
+    _, word = successes(run)
+    if word in ("touched nothing", "stayed in the fence"):
+        return {trial.index for trial in run.record.trials if not trial.collision}
+    ends = ("held", "passed") if word == "flew to the end" else ("reached",)
+    return {trial.index for trial in run.record.trials if outcome_of(trial) in ends}
+
+
+def _successes(trials: Sequence[TrialResult], *, waits: bool) -> tuple[int, str]:
     """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
     if waits:
-        good, word = sum(not trial.collision for trial in trials), "touched nothing"
-    elif any(trial.fence is not None for trial in trials):
-        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
-    elif any(map(is_composed, trials)):
-        ends = [outcome_of(trial) for trial in trials]
-        stays = "reached" not in ends and ("held" in ends or "passed" in ends)
-        good, word = ends.count("reached"), "reached the goal"
-        if stays:
-            good, word = ends.count("held") + ends.count("passed"), "flew to the end"
-    else:
-        good, word = sum(outcome_of(trial) == "reached" for trial in trials), "reached the goal"
-    return f"{text(good)} of {text(len(trials))} {word}"
-
-
-def _verdict_and_interval(run: Run) -> str:
-    """The verdict on a run with the 95 % interval of its success rate."""
-    verdict, interval = _verdict(run.record.trials, waits=_waits(run)), success_interval(run)
-    if verdict.endswith("goal"):
-        verdict += " without a collision"
-    return verdict + (f"; 95 %: {text(interval[0])} to {text(interval[1])}" if interval else "")
-
-
-def cards(material: Material) -> list[tuple[str, list[Card]]]:
-    """Make the headline cards in groups: the map, then each run."""
-    groups: list[tuple[str, list[Card]]] = []
-    if material.cover is not None or material.certificate is not None:
-        groups.append(("Map", _map_cards(material)))
-    for run in material.runs:
-        title = run.label if len(material.runs) > 1 else "Flights"
-        baseline = " (baseline: no filter)" if run.record.filter == NO_FILTER else ""
-        groups.append((title + baseline, _run_cards(run)))
-    return groups
-
-
-def _map_cards(material: Material) -> list[Card]:
-    covered = coverage(material.certificate)
-    is_good = covered if isinstance(covered, bool) else None
-    found = [Card("obstacles covered", text(covered), proof(material.certificate), is_good)]
-    if material.cover is not None:
-        value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
-        found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))
-    return found
-
-
-def _run_cards(run: Run) -> list[Card]:
-    if is_fenced(run):
-        return _fence_cards(run)
-    summary, trials = run.record.summary, run.record.trials
-    if run.course is not None and not trials:  # nothing to count
-        return [Card("verdict", NOT_JUDGED, "; ".join(summary.get("notes", ())), False)]
-    rate, collisions = summary.get("success_rate"), summary.get("collisions")
-    found = []
-    if (ended := summary.get("ended_by")) is not None:  # a real flight
-        holds = summary.get("holds", 0)
-        detail = "no holds" if holds == 0 else f"{text(holds)} hold{'s' if holds != 1 else ''}"
-        found.append(Card("ended by", str(ended), detail, ended == "plan finished"))
-    found += [
-        Card("success rate", text(rate), _verdict_and_interval(run)),
-        Card(
-            "collisions",
-            text(collisions),
-            "computed after the flight from the continuous path",
-            collisions == 0,
-        ),
-    ]
-    for key, what in (("map", "hulls"), ("scene", "splats")):
-        minimum = summary.get(f"min_{key}_clearance_m")
-        if minimum is not None:
-            found.append(Card(f"minimum clearance to {what}", f"{text(minimum)} m", "", minimum >= 0))
-    found.append(
-        Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
-    )
-    return found
-
-
-def _fence_cards(run: Run) -> list[Card]:
-    summary, figures = run.record.summary, fence_figures(run)
-    minimum, left = float(figures["min_distance_m"]), int(figures["violations"])
-    ticks = sum(trial.steps for trial in run.record.trials)
-    passed = figures["passed"] / ticks if ticks else None
-    worst = f"trial {summary['worst_trial']}"
-    found = [
-        Card("left the fence", text(left), _verdict_and_interval(run), left == 0),
-        Card("minimum distance to the fence", f"{text(minimum)} m", worst, minimum >= 0),
-        Card("top speed", f"{text(figures['max_speed_km_h'])} km/h"),
-        Card(
-            "interventions", text(figures["interventions"]), f"in {text(figures['engaged_trials'])} flights"
-        ),
-        Card("passed unchanged", text(passed), "fraction of ticks with the pilot's command bit for bit"),
-    ]
-    if (collisions := summary.get("collisions")) != left:  # with what is no part of the fence
-        found.append(Card("collisions", text(collisions), "with all parts of the world", collisions == 0))
-    return found
+        return sum(not trial.collision for trial in trials), "touched nothing"
+    if any(trial.fence is not None for trial in trials):
+        return sum(not trial.collision for trial in trials), "stayed in the fence"
+    ends = [outcome_of(trial) for trial in trials]
+    if any(map(is_composed, trials)) and "reached" not in ends and ("held" in ends or "passed" in ends):
+        return ends.count("held") + ends.count("passed"), "flew to the end"
+    return ends.count("reached"), "reached the goal"
 
 
 def chain(material: Material) -> list[tuple[str, str]]:

@@ -1,93 +1,43 @@
-"""One self-contained HTML page from tables, figures and a 3D view."""
+"""One self-contained HTML page: verdict, picture and numbers; playback; guarantees; figures; folded tables.
+
+Every number that the page rounds stands beside its value with all digits, in the element's `value` (`<data>`)
+or, in tables, its `data-value`.
+"""
 
 from __future__ import annotations
 
-import base64
+import json
+import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from alula.stages.reporting.brief import Brief, Number, Subject, brief
+from alula.stages.reporting.content import Content
+from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
-from alula.stages.reporting.headline import Card, cards, chain
+from alula.stages.reporting.flight_figures import NAME as FLIGHT
+from alula.stages.reporting.headline import chain
 from alula.stages.reporting.material import Material
-from alula.stages.reporting.table import Table, text
+from alula.stages.reporting.palette import run_color, themed
+from alula.stages.reporting.still import NAME as STILL
+from alula.stages.reporting.style import STYLE, SWITCH
+from alula.stages.reporting.table import Table, folded, text
 from alula.stages.reporting.view3d import View
 
-_FOLDED_ROWS = 15  # longer tables are collapsed
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
+_OPEN_ROWS = 15  # longer tables are folded on pages without a verdict, too; shorter ones are their subject
+_NUMBERS = 4  # of a run on the first screen
+_RUNS_AS_COLUMNS = 3  # more runs are rows
 
-# The policy blocks every fetch, also those of k3d's page; its code and workers are inside the page.
+# The policy blocks every fetch, also those of the 3D view, whose code and workers are inside the page.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
-    "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"
+    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
 )
-_STYLE = """
-:root { --ink: #1c2430; --soft: #5b6673; --line: #e2e6ea; --back: #f6f7f9; --accent: #0072b2; }
-* { box-sizing: border-box; }
-body {
-  margin: 0; background: var(--back); color: var(--ink);
-  font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", "DejaVu Sans", sans-serif;
-}
-main { max-width: 1160px; margin: 0 auto; padding: 28px 24px 60px; }
-h1 { font-size: 28px; line-height: 1.2; margin: 0 0 4px; overflow-wrap: anywhere; }
-h2 { font-size: 19px; margin: 38px 0 12px; }
-h3 { font-size: 15px; margin: 20px 0 8px; color: var(--soft); font-weight: 600; overflow-wrap: anywhere; }
-p { margin: 6px 0; }
-.soft, figcaption { color: var(--soft); font-size: 13.5px; }
-.panel, .card, figure { background: #fff; border: 1px solid var(--line); border-radius: 8px; }
-.chain { display: flex; flex-wrap: wrap; gap: 0 6px; padding: 14px 18px; margin-top: 20px; }
-.chain div { padding: 2px 8px; }
-.chain b { display: block; font-size: 21px; font-variant-numeric: tabular-nums; }
-.chain span { color: var(--soft); font-size: 13px; }
-.chain i { align-self: center; color: #9aa4af; font-style: normal; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(205px, 1fr)); gap: 12px; }
-.card { padding: 13px 16px; border-left: 4px solid #c3cad2; }
-.card b { display: block; font-size: 24px; line-height: 1.25; font-variant-numeric: tabular-nums; }
-.card span { font-weight: 600; font-size: 13.5px; }
-.card small { color: var(--soft); display: block; font-size: 12.5px; }
-.good { border-left-color: #2a9d5c; }
-.bad { border-left-color: #d7301f; }
-.bad b { color: #b3200f; }
-.figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
-figure { margin: 0; padding: 14px; }
-figure img { width: 100%; height: auto; }
-figure h3 { margin: 0 0 6px; color: var(--ink); }
-figure.wide { grid-column: 1 / -1; text-align: center; }
-figure.wide img { max-width: 960px; }
-figure.wide h3, figure.wide figcaption { text-align: left; }
-iframe {
-  display: block; width: 100%; height: 640px; background: #fafbfc;
-  border: 1px solid var(--line); border-radius: 8px;
-}
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
-.narrow { width: fit-content; max-width: 100%; }
-th, td {
-  text-align: left; padding: 6px 12px; vertical-align: top;
-  border-bottom: 1px solid var(--line); overflow-wrap: break-word;
-}
-thead th { color: var(--soft); font-weight: 600; border-bottom-width: 2px; }
-tbody th { font-weight: 500; }
-tbody tr:last-child > * { border-bottom: 0; }
-tbody tr:hover { background: #f8fafb; }
-.dense table { font-size: 12.5px; }
-.dense th, .dense td { padding: 5px 6px; }
-.dense tbody th, .dense tbody td { white-space: nowrap; }
-.number { text-align: right; font-variant-numeric: tabular-nums; }
-td.number { white-space: nowrap; }
-summary { cursor: pointer; padding: 10px 12px; color: var(--accent); font-weight: 600; font-size: 14px; }
-@media (max-width: 800px) {
-  .figures { grid-template-columns: 1fr; }
-  iframe { height: 420px; }
-}
-@media print {
-  body { background: #fff; }
-  iframe, summary { display: none; }
-  figure, .card, tr { break-inside: avoid; }
-}
-"""
 
 
 def page(
@@ -97,43 +47,77 @@ def page(
     view: View | None,
     provenance_line: str = "",
     facts: Mapping[str, str] | None = None,
+    *,
+    picture: Figure | None = None,
+    flights: Sequence[Figure] = (),
+    differences: Sequence[Table] = (),
 ) -> str:
     """Write the page; it loads nothing from elsewhere, and every name in it is escaped.
 
     Args:
         material: what the report is about.
-        tables: in reading order.
+        tables: in reading order; all are folded.
         figures: in reading order.
         view: the 3D view, shown in a sandboxed frame.
         provenance_line: put into the head, where `read_provenance` finds it.
-        facts: summary lines by subject.
+        facts: summary lines by subject, of a page about no run and no map.
+        picture: still picture of the first screen.
+        flights: figures of single flights over time, shown beside the 3D view.
+        differences: tables that compare runs, shown above the guarantees.
 
     Returns:
         The HTML text.
     """
-    head = [
+    found = brief(material)
+    parts = [
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8">',
         f"<!-- {comment(provenance_line)} -->" if provenance_line else "",
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(material.title)}</title>",
-        f"<style>{_STYLE}</style></head><body><main>",
-        f"<h1>{escape(material.title)}</h1>",
-        f'<p class="soft">{escape(_subtitle(material))}</p>',
-        _chain(material),
+        f"<style>{STYLE}</style></head><body><main>",
+        _header(material),
+        _hero(found, picture),
+        _in_short(facts or {}),
+        *[_difference(table, is_open=len(differences) == 1) for table in differences],
+        _playback(view, flights),
+        _apart(material, found),
+        _guarantees(found),
     ]
-    body = [_cards(title, group) for title, group in cards(material)]
-    body += [_in_short(facts or {}), _guarantees(material)]
     if figures:
-        body += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
-    if view is not None:
-        body.append(_view(view))
-    body += [_table(table) for table in tables]
-    return (
-        "\n".join(part for part in [*head, *body, _provenance(material), "</main></body></html>"] if part)
-        + "\n"
-    )
+        parts += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
+    if tables:
+        parts += [
+            "<h2>Tables</h2>",
+            *[
+                _table(table, is_open=not found.subjects and len(table.rows) <= _OPEN_ROWS)
+                for table in tables
+            ],
+        ]
+    parts += [_provenance(material), "</main></body></html>"]
+    return "\n".join(part for part in parts if part) + "\n"
+
+
+def report_page(
+    material: Material, content: Content, figures: Sequence[Figure], view: View | None, line: str
+) -> str:
+    """Write the page of a report.
+
+    Args:
+        material: what it is about.
+        content: what it says.
+        figures: from `draw`.
+        view: the 3D view.
+        line: of provenance.
+    """
+    picture = next((figure for figure in figures if figure.name == STILL), None)
+    flights = [figure for figure in figures if figure.name.startswith(FLIGHT)]
+    others = [figure for figure in figures if figure is not picture and figure not in flights]
+    return page(
+        material, content.tables, others, view, line,
+        picture=picture, flights=flights, differences=content.differences,
+    )  # fmt: skip
 
 
 def comment(line: str) -> str:
@@ -141,19 +125,161 @@ def comment(line: str) -> str:
     return line.replace("--", "-\\u002d").replace(">", "\\u003e").replace("<", "\\u003c")
 
 
+def _header(material: Material) -> str:
+    return (
+        f'<header><h1>{escape(material.title)}</h1><p class="soft">{escape(_subtitle(material))}</p>'
+        f'<label class="switch"><input type="checkbox" id="{SWITCH}">dark / light</label></header>'
+    )
+
+
 def _subtitle(material: Material) -> str:
     trials = sum(len(run.record.trials) for run in material.runs)
     parts = []
     if material.runs:
-        filters = ", ".join(dict.fromkeys(run.record.filter for run in material.runs))
-        vehicles = ", ".join(dict.fromkeys(run.record.vehicle for run in material.runs))
-        parts.append(
-            f"{text(trials)} trials in {len(material.runs)} {'run' if len(material.runs) == 1 else 'runs'}"
-        )
-        parts += [f"filter {filters}", f"vehicle {vehicles}"]
+        unjudged = sum(not run.record.trials for run in material.runs)
+        counts = [f"{text(trials)} {'flight' if trials == 1 else 'flights'}"] if trials else []
+        counts += [f"{unjudged} not judged"] if unjudged else []
+        runs = f" in {len(material.runs)} runs" if len(material.runs) > 1 else ""
+        parts.append(f"{', '.join(counts)}{runs}")
+        filters = dict.fromkeys(run.record.filter for run in material.runs)
+        parts.append(f"filter {', '.join(filters)}")
+        if len(vehicles := list(dict.fromkeys(run.record.vehicle for run in material.runs))) == 1:
+            parts.append(vehicles[0])
     if material.cover is not None:
         parts.append(f"voxels of {text(material.cover.manifest.voxel_size_m)} m")  # type: ignore[attr-defined]
     return " · ".join(parts)
+
+
+def _hero(found: Brief, picture: Figure | None) -> str:
+    """The first screen: verdict and numbers beside the picture."""
+    runs = found.of_kind("run")
+    if not found.subjects:
+        return ""
+    said = [f'<p class="verdict {found.tone}">{escape(found.verdict)}</p>' if found.verdict else ""]
+    if len(runs) > 1:
+        said.append(_board(runs))
+    else:
+        said.append(_numbers(found.subjects[0]))
+    still = ""
+    if picture is not None:
+        still = f"<figure>{_svg(picture)}<figcaption>{escape(picture.alt)}</figcaption></figure>"
+    alone = "" if still else " alone"
+    return f'<section class="hero{alone}"><div class="say">{"".join(said)}</div>{still}</section>'
+
+
+def _numbers(subject: Subject) -> str:
+    items = "".join(
+        f"<div><dt>{escape(number.label)}</dt>"
+        f'<dd class="big {_tone(number)}">{_data(number, subject)}</dd>'
+        + (f'<dd class="more">{escape(number.detail)}</dd>' if number.detail else "")
+        + "</div>"
+        for number in subject.numbers
+    )
+    return f'<dl class="numbers">{items}</dl>' if items else ""
+
+
+def _tone(number: Number) -> str:
+    return "" if number.good is None else "good mark" if number.good else "bad mark"
+
+
+def _data(number: Number, subject: Subject) -> str:
+    """The number as it is read, with the value that it stands for."""
+    return (
+        f'<data value="{escape(_exact(number.value))}" data-of="{escape(subject.title)}" '
+        f'data-key="{number.key}">{escape(number.shown)}</data>'
+    )
+
+
+def _exact(value: Any) -> str:
+    """JSON of a value; of a float that is not finite nothing."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return ""
+    if isinstance(value, np.generic):
+        return _exact(value.item())
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _board(runs: Sequence[Subject]) -> str:
+    """Runs side by side, each in its colour, with the same numbers: a column for each, or many as rows."""
+    keys: dict[str, str] = {}
+    for subject in runs:
+        for number in subject.numbers:
+            keys.setdefault(number.key, number.label)
+    if len(keys) > _NUMBERS:
+        keys = {key: label for key, label in keys.items() if sum(_has(s, key) for s in runs) > 1}
+    names = [
+        f"{_dot(place)}{escape(subject.title)}<span>{escape(subject.words.split(' · ')[0])}</span>"
+        for place, subject in enumerate(runs)
+    ]
+    if len(runs) <= _RUNS_AS_COLUMNS:
+        heads = ["", *names]
+        rows = [[escape(label), *(_cell(subject, key) for subject in runs)] for key, label in keys.items()]
+    else:
+        heads = ["", *map(escape, keys.values())]
+        rows = [
+            [name, *(_cell(subject, key) for key in keys)] for name, subject in zip(names, runs, strict=True)
+        ]
+    head = "".join(f'<th scope="col">{words}</th>' for words in heads)
+    body = "".join(f'<tr><th scope="row">{row[0]}</th>{"".join(row[1:])}</tr>' for row in rows)
+    many = "" if len(runs) <= _RUNS_AS_COLUMNS else " many"
+    return (
+        f'<div class="scroll"><table class="board{many}"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _cell(subject: Subject, key: str) -> str:
+    for number in subject.numbers:
+        if number.key == key:
+            return f'<td class="{_tone(number)}"><b>{_data(number, subject)}</b></td>'
+    return "<td>–</td>"
+
+
+def _has(subject: Subject, key: str) -> bool:
+    return any(number.key == key for number in subject.numbers)
+
+
+def _dot(place: int) -> str:
+    return f'<i class="dot" style="background: var(--c{run_color(place)[1:]})"></i>'
+
+
+def _playback(view: View | None, flights: Sequence[Figure]) -> str:
+    parts = []
+    if view is not None:
+        parts.append(_view(view))
+    elif flights:
+        parts.append("<h2>The flight over time</h2>")
+    parts += [_figure(figure, name="flight") for figure in flights]
+    return "".join(parts)
+
+
+def _view(view: View) -> str:
+    note = (
+        f"{view.note} Drag to turn, scroll to zoom. The view needs WebGL; the picture above shows the same "
+        "from one side."
+    )
+    return (
+        '<h2>Look around</h2><iframe title="3D view of scene, map and flights" '
+        f'sandbox="allow-scripts" loading="lazy" srcdoc="{escape(view.html)}"></iframe>'
+        f'<p class="soft">{escape(note.strip())}</p>'
+    )
+
+
+def _apart(material: Material, found: Brief) -> str:
+    """Sections on the map and the plan, where the first screen does not show their numbers."""
+    parts = []
+    shown = found.subjects[:1] if not found.of_kind("run") else ()
+    for subject in (*found.of_kind("map"), *found.of_kind("plan")):
+        numbers = "" if subject in shown else _numbers(subject)
+        links = _chain(material) if subject.kind == "map" else ""
+        if numbers:
+            verdict = f"<p>{escape(subject.verdict)}</p>"
+            parts.append(
+                f'<h2>{escape(subject.title)}</h2><div class="panel apart">{verdict}{numbers}</div>{links}'
+            )
+        elif links:
+            parts.append(f"<h2>{escape(subject.title)}</h2>{links}")
+    return "".join(parts)
 
 
 def _chain(material: Material) -> str:
@@ -163,26 +289,15 @@ def _chain(material: Material) -> str:
     return f'<div class="panel chain">{"<i>→</i>".join(links)}</div>' if links else ""
 
 
-def _cards(title: str, group: Sequence[Card]) -> str:
-    tone = {None: "", True: " good", False: " bad"}
-    items = "".join(
-        f'<div class="card{tone[card.good]}"><span>{escape(card.label)}</span><b>{escape(card.value)}</b>'
-        f"<small>{escape(card.detail)}</small></div>"
-        for card in group
-    )
-    return f'<h3>{escape(title)}</h3><div class="cards">{items}</div>'
-
-
-def _guarantees(material: Material) -> str:
-    statements = []
-    if material.cover is not None and material.cover.manifest.guarantee is not None:
-        statements.append(("The map", material.cover.manifest.guarantee.statement))
-    if material.certificate is not None and (left_out := material.certificate.get("left_out")):
-        statements.append(("Outside the proof", f"{left_out}."))
-    for run in material.runs:
-        statements.append((run.label, run.record.guarantee.statement))
-    lines = _lines((subject, statement) for subject, statement in statements if statement)
-    return f"<h2>Guarantees</h2>{lines}" if lines else ""
+def _guarantees(found: Brief) -> str:
+    items = [f'<li class="yes">{escape(line)}</li>' for line in found.proofs]
+    items += [f'<li class="no">{escape(line)}</li>' for line in found.limits]
+    if not (items or found.statements):
+        return ""
+    plain = f'<ul class="panel promise">{"".join(items)}</ul>' if items else ""
+    exact = _lines(found.statements)
+    folded = f"<details><summary>The exact statements</summary>{exact}</details>" if exact else ""
+    return f"<h2>What is guaranteed, and what is not</h2>{plain}{folded}"
 
 
 def _in_short(facts: Mapping[str, str]) -> str:
@@ -191,60 +306,81 @@ def _in_short(facts: Mapping[str, str]) -> str:
 
 
 def _lines(statements: Iterable[tuple[str, str]]) -> str:
-    return "".join(f"<p><b>{escape(subject)}:</b> {escape(line)}</p>" for subject, line in statements)
+    return "".join(f"<p><b>{escape(subject)}:</b> {escape(line)}</p>" for subject, line in statements if line)
 
 
-def _figure(figure: Figure) -> str:
-    data = base64.b64encode(figure.svg.encode()).decode()
-    wide = ' class="wide"' if figure.wide else ""
+def _figure(figure: Figure, *, name: str = "") -> str:
+    names = " ".join(word for word in ("wide" if figure.wide else "", name) if word)
+    kind = f' class="{names}"' if names else ""
     return (
-        f'<figure{wide}><h3>{escape(figure.title)}</h3><img src="data:image/svg+xml;base64,{data}" '
-        f'alt="{escape(figure.alt)}"><figcaption>{escape(figure.alt)}</figcaption></figure>'
+        f'<figure id="{escape(figure.name)}"{kind}><h3>{escape(figure.title)}</h3>'
+        f"{_svg(figure)}<figcaption>{escape(figure.alt)}</figcaption></figure>"
     )
 
 
-def _view(view: View) -> str:
-    note = (
-        f"{view.note} Drag to turn, scroll to zoom; the panel on the right hides parts. "
-        "The view needs WebGL; the maps show the same from above."
-    )
+_SIZE = re.compile(r' (?:width|height)="[^"]*"')
+_IDS = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+_STYLE_SHEET = re.compile(r"<style[^>]*>.*?</style>", re.DOTALL)
+_ABOUT = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
+
+
+def _svg(figure: Figure) -> str:
+    """An SVG as part of the page: in the page's colours, as wide as its place, with ids of its own."""
+    whole = figure.svg[figure.svg.index("<svg") :]
+    whole = _ABOUT.sub("", _STYLE_SHEET.sub("", whole, count=1), count=1)
+    head, rest = whole.split(">", 1)
+    head = _SIZE.sub("", head)
+    label = f' role="img" aria-label="{escape(figure.alt)}"'
+    own = _IDS.sub(lambda found: f"{found[1]}{figure.name}-", themed(rest))
+    return f'<div class="svg">{head}{label}>{own}</div>'
+
+
+def _difference(table: Table, *, is_open: bool) -> str:
+    """A comparison of two runs: in words, and as a table, which is folded where there are several."""
+    said = "".join(f"<li>{escape(line)}</li>" for line in difference_words(table))
+    said = f'<ul class="panel said">{said}</ul>' if said else ""
+    note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
+    rows = _rows(folded(table))
+    if is_open:
+        shown = f'<div class="panel scroll">{rows}</div>{note}'
+    else:
+        shown = f'<details><summary>All differences</summary><div class="scroll">{rows}</div>{note}</details>'
+    return f'<section id="{escape(table.name)}"><h2>{escape(table.title)}</h2>{said}{shown}</section>'
+
+
+def _table(table: Table, *, is_open: bool) -> str:
+    note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
+    width = " narrow" if len(table.columns) <= 4 else " dense" if len(table.columns) > _DENSE_COLUMNS else ""
+    count = f"{len(table.rows):,} {'row' if len(table.rows) == 1 else 'rows'}"
+    unfolded = " open" if is_open else ""
     return (
-        '<h2>In three dimensions</h2><iframe title="3D view of hulls, Gaussians and paths" '
-        f'sandbox="allow-scripts" loading="lazy" srcdoc="{escape(view.html)}"></iframe>'
-        f'<p class="soft">{escape(note.strip())}</p>'
+        f'<details id="{escape(table.name)}"{unfolded}><summary>{escape(table.title)} '
+        f'<span>{count}</span></summary><div class="scroll{width}">{_rows(table)}</div>{note}</details>'
     )
 
 
-def _table(table: Table) -> str:
+def _rows(table: Table) -> str:
     numeric = [
         all(_is_number(row[column]) or row[column] is None for row in table.rows)
         for column in range(len(table.columns))
     ]
 
-    def cell(tag: str, column: int, word: str, extra: str = "") -> str:
+    def cell(tag: str, column: int, value: Any, extra: str = "") -> str:
         name = ' class="number"' if numeric[column] else ""
-        return f"<{tag}{name}{extra}>{escape(word)}</{tag}>"
+        exact = f' data-value="{escape(_exact(value))}"' if _is_number(value) else ""
+        return f"<{tag}{name}{extra}{exact}>{escape(text(value))}</{tag}>"
 
     head = "".join(cell("th", i, name, ' scope="col"') for i, name in enumerate(table.columns))
     rows = "".join(
         "<tr>"
         + "".join(
-            cell("th" if i == 0 else "td", i, text(value), ' scope="row"' if i == 0 else "")
+            cell("th" if i == 0 else "td", i, value, ' scope="row"' if i == 0 else "")
             for i, value in enumerate(row)
         )
         + "</tr>"
         for row in table.rows
     )
-    inner = f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody>"
-    whole = f'<div class="scroll"><table>{inner}</table></div>'
-    if len(table.rows) > _FOLDED_ROWS and table.name != "runs":
-        whole = f"<details><summary>{len(table.rows)} rows</summary>{whole}</details>"
-    note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
-    title = f"<h2>{escape(table.title)}</h2>"
-    width = " narrow" if len(table.columns) <= 4 else " dense" if len(table.columns) > _DENSE_COLUMNS else ""
-    return (
-        f'<section id="{escape(table.name)}">{title}<div class="panel{width}">{whole}</div>{note}</section>'
-    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def _is_number(value: Any) -> bool:
@@ -264,4 +400,4 @@ def _provenance(material: Material) -> str:
             producer = artifact.manifest.producer
             lines.append(f"{name}: {producer.name} {producer.version} ({producer.commit})")
     items = "".join(f"<p>{escape(line)}</p>" for line in lines)
-    return f'<h2>Written by</h2><div class="soft">{items}</div>' if items else ""
+    return f"<details><summary>Written by</summary>{items}</details>" if items else ""

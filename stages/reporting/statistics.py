@@ -13,7 +13,7 @@ only one, its interval has no width, although the next value may differ. Two rem
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,6 +144,70 @@ def difference_estimate(
     if len(a) != len(b):
         raise InputError(f"paired values need equal lengths, not {len(a)} and {len(b)}")
     return mean_estimate(a - b, bounds=bounds, seed=seed)
+
+
+def two_sample_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Estimate | None:
+    """Difference of the means of two samples that are not paired, each resampled on its own.
+
+    Args:
+        ours: shape (n,).
+        theirs: its mean is subtracted, shape (m,).
+        seed: of the resampling.
+
+    Returns:
+        The difference; `n` counts both samples. None where one of them is empty.
+
+    Source: Efron and Tibshirani 1993, chapter 8 (two-sample problem) and 13 (percentile intervals).
+
+    Raises:
+        InputError: a value is not finite.
+    """
+    a, b = _finite(ours), _finite(theirs)
+    if len(a) == 0 or len(b) == 0:
+        return None
+    means = a[_resampled(len(a), seed)].mean(axis=1) - b[_resampled(len(b), seed + 1)].mean(axis=1)
+    return _estimate(float(a.mean() - b.mean()), means, len(a) + len(b))
+
+
+def rate_difference(ours: Sequence[bool], theirs: Sequence[bool]) -> Estimate | None:
+    """Difference of two rates of samples that are not paired, with its 95 % interval.
+
+    Args:
+        ours: shape (n,).
+        theirs: its rate is subtracted, shape (m,).
+
+    Returns:
+        The difference of the fractions; None where a sample is empty.
+
+    Source: Newcombe 1998, method 10, from the Wilson intervals of both rates.
+    """
+    n, m = len(ours), len(theirs)
+    if n == 0 or m == 0:
+        return None
+    p, q = sum(ours) / n, sum(theirs) / m
+    (p_low, p_high), (q_low, q_high) = wilson_interval(sum(ours), n), wilson_interval(sum(theirs), m)
+    low = p - q - math.hypot(p - p_low, q_high - q)
+    high = p - q + math.hypot(p_high - p, q - q_low)
+    return Estimate(p - q, low, high, n + m)
+
+
+def sign_test(higher: int, lower: int) -> float:
+    """Probability that fair coins split at least as unevenly: the exact two-sided sign test.
+
+    Of two outcomes of pairs it is McNemar's exact test. Equal pairs do not count.
+
+    Args:
+        higher: pairs in which the one is higher.
+        lower: pairs in which it is lower.
+
+    Source: Dixon and Mood 1946; Lehmann and Romano 2005, section 3.8.
+    """
+    n, few = higher + lower, min(higher, lower)
+    term = tail = 1
+    for k in range(few):
+        term = term * (n - k) // (k + 1)
+        tail += term
+    return min(1.0, tail / (1 << max(n - 1, 0)))  # a quotient of integers, so that no power overflows
 
 
 def _estimate(

@@ -108,21 +108,29 @@ def csv_cell(value: Any) -> str:
 
 def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], first_line: str) -> str:
     """Write the facts, then the tables, as Markdown; `first_line` goes into a comment at the top."""
-    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
+    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {markdown_cell(title)}"]
     if facts:
-        items = [f"- {key.replace('_', ' ')}: {_cell(text(value))}" for key, value in facts.items()]
+        items = [f"- {key.replace('_', ' ')}: {markdown_cell(text(value))}" for key, value in facts.items()]
         parts.append("\n".join(["## In short", "", *items]))
-    for table in tables:
-        head = "| " + " | ".join(_cell(name) for name in table.columns) + " |"
-        rule = "|" + " --- |" * len(table.columns)
-        rows = ["| " + " | ".join(_cell(text(value)) for value in row) + " |" for row in table.rows]
-        parts.append("\n".join([f"## {_cell(table.title)}", "", head, rule, *rows]))
-        if table.note:
-            parts.append(table.note)
+    parts += [markdown_table(table) for table in tables]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _cell(word: str) -> str:
+def markdown_table(table: Table, *, before: str = "") -> str:
+    """Write a table as Markdown, with its title above and its note below.
+
+    Args:
+        table: with raw values.
+        before: paragraph between title and table.
+    """
+    head = "| " + " | ".join(markdown_cell(name) for name in table.columns) + " |"
+    rule = "|" + " --- |" * len(table.columns)
+    rows = ["| " + " | ".join(markdown_cell(text(value)) for value in row) + " |" for row in table.rows]
+    parts = [f"## {markdown_cell(table.title)}", before, "\n".join([head, rule, *rows]), table.note]
+    return "\n\n".join(part for part in parts if part)
+
+
+def markdown_cell(word: str) -> str:
     """Escape text so that it stays one cell: no line breaks, no markup of Markdown or HTML."""
     for mark in "\\|`*_<>[]":
         word = word.replace(mark, f"\\{mark}" if mark not in "<>" else {"<": "&lt;", ">": "&gt;"}[mark])

@@ -38,16 +38,23 @@ BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
 _ENDS = {"collision": "collided"}
 _RARE = ("stopped", "held", *PLAN_OUTCOMES)  # shown only where they occur
 _LEVELS = {3: "warning", 4: "error", 5: "fatal"}  # of `foxglove.Log`  # of `foxglove.Log`
-_LISTED_TRIALS = 500  # per run; the CSV lists all
+LISTED_TRIALS = 500  # per run; the CSV lists all
 
 
-def all_tables(material: Material, names: Sequence[str] = (), paper: str | None = None) -> list[Table]:
+def all_tables(
+    material: Material,
+    names: Sequence[str] = (),
+    paper: str | None = None,
+    *,
+    listed: int | None = LISTED_TRIALS,
+) -> list[Table]:
     """Make the tables of a report, in reading order.
 
     Args:
         material: what the report is about.
         names: tables to keep; all when empty.
         paper: paper whose published values are added.
+        listed: number of trials that are listed of each run; None for all.
 
     Raises:
         UsageError: no table has one of the names.
@@ -68,7 +75,7 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
         )
     many = len(material.runs) > 1
     for n, run in enumerate(material.runs, 1):
-        tables.append(trials_table(run, f"trials-{n}" if many else "trials"))
+        tables.append(trials_table(run, f"trials-{n}" if many else "trials", listed))
     tables += [*course_tables(material.runs), inputs_table(material)]
     known = [table.name for table in tables]
     if missing := [name for name in names if name not in known]:
@@ -236,8 +243,8 @@ def course_tables(runs: Sequence[Run]) -> list[Table]:
     return found
 
 
-def trials_table(run: Run, name: str) -> Table:
-    """List the trials of a run, one row per trial."""
+def trials_table(run: Run, name: str, listed: int | None = LISTED_TRIALS) -> Table:
+    """List the trials of a run, one row per trial, all where `listed` is None."""
     columns: dict[str, Callable[[TrialResult], Any]] = {
         "trial": lambda t: t.index,
         "outcome": lambda t: t.outcome,
@@ -267,7 +274,7 @@ def trials_table(run: Run, name: str) -> Table:
             "maximum jerk [m/s³]": lambda t: t.max_jerk_m_s3,
             "minimum γ": lambda t: t.min_gamma,
         }
-    rows = tuple(tuple(get(trial) for get in columns.values()) for trial in trials[:_LISTED_TRIALS])
+    rows = tuple(tuple(get(trial) for get in columns.values()) for trial in trials[:listed])
     note = (
         f"The first {len(rows)} of {len(trials)} trials; the CSV file next to the report lists all."
         if len(rows) < len(trials)

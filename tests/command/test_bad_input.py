@@ -139,6 +139,11 @@ CASES = {
         out="out.html",
         wrong_kind={"tiny.run.mcap": "tiny.cover.npz", "tiny.cover.npz": "tiny.plan.npz"},
     ),
+    "view": Case(
+        "view tiny.ply tiny.cover.npz tiny.voxels.npz tiny.plan.npz tiny.run.mcap -o OUT",
+        {"tiny.ply": PLY, "tiny.cover.npz": FLOATS, "tiny.plan.npz": FLOATS, "tiny.run.mcap": LOG},
+        out="out.html",
+    ),
     "export": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": FLOATS}, out="out.glb"),
     "export a map": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": FLOATS}, out="out.map.bin"),
     "export a map in C": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": NPZ}, out="out.map.h"),

@@ -62,7 +62,7 @@ def test_something_missing_fails_and_is_named(monkeypatch, capsys):
         Check("numpy", "ok", "2"),
         Check("open3d", "missing", "0.18", "apt-get install libgl1"),
         Check("git", "optional", ""),
-        Check("k3d", "missing", "", "pip install k3d"),
+        Check("viser", "missing", "", "pip install viser"),
     ]
     monkeypatch.setattr(doctor, "examine", lambda: checks)
     assert run(["doctor"]) == 4
@@ -95,7 +95,10 @@ def test_shared_libraries_are_named_by_their_packages():
 
 def test_what_only_some_commands_need_is_optional_and_named(monkeypatch):
     monkeypatch.setattr(doctor, "_package", lambda module, name: Check(module, "missing", "", "pip install"))
-    found = doctor._extra("viser")
-    assert (found.status, found.note) == ("optional", "only for fly --live: pip install 'alula[live]'")
+    found = doctor._extra("cflib")
+    assert (found.status, found.note) == (
+        "optional",
+        "only to fly a Crazyflie: pip install 'alula[crazyflie]'",
+    )
     monkeypatch.setattr(doctor, "_package", lambda module, name: Check(module, "ok", "1.1"))
     assert doctor._extra("cflib") == Check("cflib", "ok", "1.1")

@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.cli.main import run
 from alula.schemas.errors import UsageError
 from alula.schemas.run import read_run
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
@@ -25,10 +24,6 @@ from support.flight_logs import head_of, sample
 from support.flights import BALL, mission
 
 SIM = "sim:?start=0.5,1.5,0"
-
-
-def needs_viser():
-    pytest.importorskip("viser", reason="viser is needed: pip install 'alula[live]'")
 
 
 def free_port():
@@ -93,7 +88,6 @@ def test_a_flight_offers_a_view_some_25_ticks_a_second(tmp_path):
 
 
 def test_it_is_seen_on_loopback_only_and_ends_with_the_pipe():
-    needs_viser()
     made, port = mission("cone-backup", scene=BALL, is_clear=True), free_port()
     pipe, address = open_view(port, view_head(made))
     assert address == f"http://127.0.0.1:{port}"
@@ -109,18 +103,7 @@ def test_it_is_seen_on_loopback_only_and_ends_with_the_pipe():
     assert pipe.close(10.0)
 
 
-def test_without_viser_one_line_says_so_before_anything_else(pipeline, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    words = ["fly", str(pipeline / "tiny.plan.npz"), "--map", str(pipeline / "tiny.cover.npz")]
-    assert run([*words, "--link", SIM, "-o", str(tmp_path / "f.run.mcap"), "--live"]) == 2
-    assert capsys.readouterr().err == (
-        "alula: --live needs viser, which is not installed: pip install 'alula[live]'\n"
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_killed_view_does_not_disturb_the_flight(pipeline, tmp_path):
-    needs_viser()
     log, port = tmp_path / "f.run.mcap", free_port()
     command = [sys.executable, "-P", "-m", "alula.cli", "fly", str(pipeline / "tiny.plan.npz")]
     command += ["--map", str(pipeline / "tiny.cover.npz"), "--link", SIM, "-o", str(log), "--live", str(port)]

@@ -16,7 +16,7 @@ MAY_IMPORT = {
     "stages": {"stages", "schemas", "_core"},
     "schemas": {"schemas", "__version__", "_core.commit"},
 }
-HEAVY = ("numpy", "scipy", "open3d", "pycolmap", "cvxpy", "trimesh", "matplotlib", "k3d", "mcap", "rich")
+HEAVY = ("numpy", "scipy", "open3d", "pycolmap", "cvxpy", "trimesh", "matplotlib", "viser", "mcap", "rich")
 
 
 def imported_parts(path: Path) -> set[str]:

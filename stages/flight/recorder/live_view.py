@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import sys
+import threading
 import time
 from collections import deque
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from alula.schemas.arrays import FloatArray
-from alula.schemas.errors import UsageError
+from alula.schemas.errors import AlulaError
 from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.recorder.channels import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 from alula.stages.flight.recorder.served import HOST, NICE, open_served
+from alula.stages.viewing.compose import Shown, content_of, fence_parts
+from alula.stages.viewing.content import Body, Content, Lines, Part, segments_of
+from alula.stages.viewing.corridor import PLAN_COLOR
+from alula.stages.viewing.draw import Vehicle, draw, draw_part
+from alula.stages.viewing.files import read_files
+from alula.stages.viewing.logged_map import map_of
+from alula.stages.viewing.shapes import balls
 
 _POSE_S = 0.05  # between updates of the pose
 _TEXT_S = 0.2  # between updates of the text
 _PATH_S = 0.5  # between updates of the path
 _PATH_POINTS = 3000
 _LINES = 8  # number of messages shown
-_PLAN, _MAP, _VEHICLE = (40, 110, 220), (140, 153, 173), (250, 210, 40)
+_SILENT_S = 1.0  # without a message, after which the view says so
+_LAST_S = 0.5  # for the last words to reach the browsers
+_GAUSSIANS = 60_000
+_NOT_SHOWN = "not shown: "
 _COLOURS = {
     FilterStatus.OK: (40, 160, 70),
     FilterStatus.FILTERED: (235, 150, 20),
@@ -44,6 +55,10 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
         radius_m: radius of the vehicle [m].
         map_message: the map as `foxglove.SceneUpdate`.
         plan: points of the plan, world frame [m].
+        rotors_m: places of the rotors, body frame [m].
+        files: scene and plan, to show the splat and the corridor.
+        fence: box of the fence, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; None without one.
+        stale_s: age from which a position is shown as stale [s].
     """
 
     name: str
@@ -52,16 +67,10 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
     radius_m: float
     map_message: dict[str, Any]
     plan: list[tuple[float, float, float]]
-
-
-def require_viser() -> None:
-    """Check that viser is installed.
-
-    Raises:
-        UsageError: viser is not installed.
-    """
-    if importlib.util.find_spec("viser") is None:
-        raise UsageError("--live needs viser, which is not installed: pip install 'alula[live]'")
+    rotors_m: list[tuple[float, float]] = []
+    files: list[str] = []
+    fence: list[float] | None = None
+    stale_s: float = 0.15
 
 
 def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
@@ -75,13 +84,38 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
         The pipe to the process, and the address for the browser.
 
     Raises:
-        UsageError: viser is not installed, or the port is taken.
+        UsageError: the port is taken.
         OutputError: the process does not start.
     """
-    require_viser()
     code = "from alula.stages.flight.recorder.live_view import main; main()"
     pipe, found = open_served("--live", port, code, msgspec.msgpack.encode(head))
     return pipe, f"http://{HOST}:{found}"
+
+
+def _content(head: ViewHead) -> Content:
+    """Everything that is known before the flight: splat, hulls or ellipsoids, fence, plan and corridor."""
+    shown = Shown(title=head.name)
+    notes: tuple[str, ...] = ()
+    try:
+        shown = read_files([Path(file) for file in head.files], head.name)
+    except AlulaError as error:  # the flight has its own copy; only the picture lacks something
+        notes = (f"{_NOT_SHOWN}{one_line(str(error))}",)
+    points = np.array(head.plan)
+    content = content_of(
+        Shown(
+            title=head.name,
+            scenes=shown.scenes,
+            plans=shown.plans,
+            maps={"map": map_of(head.map_message)},
+            around=points,
+        ),
+        most_gaussians=_GAUSSIANS,
+    )
+    own: list[Part] = fence_parts(head.fence, points)
+    if not shown.plans:
+        curve = Lines(name="Plan/curve", segments=segments_of(points), color=PLAN_COLOR, width_px=3.0)
+        own += [curve, balls("Plan/goal", points[-1:], max(0.03, 0.5 * head.radius_m), PLAN_COLOR)]
+    return replace(content, parts=(*content.parts, *own), notes=(*content.notes, *notes))
 
 
 class _View:
@@ -89,109 +123,117 @@ class _View:
 
     def __init__(self, server: Any, head: ViewHead) -> None:
         self.server, self.head = server, head
+        self.lock = threading.Lock()
         self.lines: deque[str] = deque(maxlen=_LINES)
         self.points: list[tuple[float, float, float]] = []
         self.colours: list[tuple[int, int, int]] = []
         self.pose_s = self.text_s = self.path_s = -np.inf
-        self.state = "idle"
+        self.heard_s = time.monotonic()
+        self.state, self.ending = "idle", ""
+        self.sample: TickSample | None = None
         server.gui.configure_theme(show_share_button=False, show_logo=False)
-        scene = server.scene
-        scene.set_up_direction("+z")
-        self._map(head.map_message)
-        plan = np.array(head.plan)
-        scene.add_line_segments("/plan", _segments(plan), _PLAN, thickness=0.02)
-        scene.add_icosphere("/goal", 0.06, color=_PLAN, position=plan[-1])
-        self.vehicle = scene.add_frame(
-            "/vehicle", axes_length=2 * head.radius_m, axes_radius=0.1 * head.radius_m, position=plan[0]
-        )
-        scene.add_icosphere("/vehicle/body", head.radius_m, color=_VEHICLE)
+        content = _content(head)
+        draw(server, content)
+        self.lines.extend(note for note in content.notes if note.startswith(_NOT_SHOWN))
+        rotors = np.array([(x, y, 0.0) for x, y in head.rotors_m]).reshape(-1, 3)
+        self.vehicle = Vehicle(server.scene, "Vehicle", Body(radius_m=head.radius_m, rotors_m=rotors))
+        self.vehicle.move(np.array(head.plan[0]), np.array((1.0, 0.0, 0.0, 0.0)))
         # HTML, not Markdown: viser renders either as it is, and only HTML has one simple rule of escaping.
-        self.text = server.gui.add_html(self._head() + "<p>waiting</p>")
-        centre, size = plan.mean(axis=0), max(2.0, float(np.ptp(plan, axis=0).max()))
-        server.initial_camera.position = centre + size * np.array((-0.5, -1.0, 1.0))
-        server.initial_camera.look_at = centre
-
-    def _map(self, message: dict[str, Any]) -> None:
-        """Show hulls as one mesh and ellipsoids as scaled spheres."""
-        (entity,) = message["entities"]
-        if triangles := entity.get("triangles"):
-            points = [np.array([[p["x"], p["y"], p["z"]] for p in hull["points"]]) for hull in triangles]
-            first = np.cumsum([0, *(len(part) for part in points[:-1])])
-            faces = [
-                np.array(hull["indices"], np.int32).reshape(-1, 3) + start
-                for hull, start in zip(triangles, first, strict=True)
-            ]
-            self.server.scene.add_mesh_simple(
-                "/map", np.vstack(points), np.vstack(faces), color=_MAP, opacity=0.35, flat_shading=True
-            )
-        if spheres := entity.get("spheres"):
-            from trimesh.creation import icosphere
-
-            ball = icosphere(subdivisions=1, radius=0.5)
-            turn, where = ([sphere["pose"][key] for sphere in spheres] for key in ("orientation", "position"))
-            self.server.scene.add_batched_meshes_simple(
-                "/map",
-                np.asarray(ball.vertices, np.float32),
-                np.asarray(ball.faces, np.uint32),
-                batched_wxyzs=np.array([[q["w"], q["x"], q["y"], q["z"]] for q in turn]),
-                batched_positions=np.array([[p["x"], p["y"], p["z"]] for p in where]),
-                batched_scales=np.array([[s["size"][axis] for axis in "xyz"] for s in spheres]),
-                batched_colors=np.array(
-                    [[round(255 * s["color"][c]) for c in "rgb"] for s in spheres], np.uint8
-                ),
-                opacity=0.6,
-            )
+        self.text = server.gui.add_html(self._head() + "<p>waiting for the flight</p>")
 
     def take(self, message: bytes) -> None:
         """Process a message of the flight."""
         kind, body = message[:1], message[1:]
-        if kind == b"t":
-            self._tick(msgspec.msgpack.decode(body, type=TickSample))
-        elif kind == b"s":
-            self.state = msgspec.msgpack.decode(body, type=StepSample).state
-        elif kind == b"l":
-            line = msgspec.msgpack.decode(body, type=LineSample)
-            self.lines.append(f"{line.time_s:.1f} s  {line.words}")
+        with self.lock:
+            self.heard_s = time.monotonic()
+            if kind == b"t":
+                self._tick(msgspec.msgpack.decode(body, type=TickSample))
+            elif kind == b"s":
+                step = msgspec.msgpack.decode(body, type=StepSample)
+                self.state = step.state
+                self.ending = step.words or step.event
+                self._say()
+            elif kind == b"l":
+                line = msgspec.msgpack.decode(body, type=LineSample)
+                self.lines.append(f"{line.time_s:.1f} s  {line.words}")
+                self._say()
+
+    def watch(self) -> None:
+        """Say so when no message has come for some time."""
+        with self.lock:
+            if time.monotonic() - self.heard_s > _SILENT_S:
+                self._say()
+
+    def end(self) -> None:
+        """Show the last state of a flight that has ended."""
+        with self.lock:
+            sample = self.sample
+            if sample is not None and sample.position is not None and sample.attitude_wxyz is not None:
+                self.vehicle.move(np.array(sample.position), np.array(sample.attitude_wxyz))
+            self._path(np.inf)
+            is_armed = sample is not None and sample.armed
+            last = "the vehicle last reported that it is armed" if is_armed else "the vehicle is disarmed"
+            where = self.ending or self.state
+            self.text.content = self._page(f"The flight has ended: {where}; {last}. This view is closed.")
 
     def _tick(self, sample: TickSample) -> None:
         now = time.monotonic()
+        self.sample = sample
         if sample.position is not None and sample.attitude_wxyz is not None and now - self.pose_s > _POSE_S:
             self.pose_s = now
-            self.vehicle.position, self.vehicle.wxyz = sample.position, sample.attitude_wxyz
+            self.vehicle.move(np.array(sample.position), np.array(sample.attitude_wxyz))
             if sample.armed:
                 status = None if sample.filter is None else FilterStatus(sample.filter.status)
                 self.points.append(sample.position)
                 self.colours.append((90, 90, 90) if status is None else _COLOURS.get(status, _OTHER))
-        if now - self.path_s > _PATH_S and len(self.points) > 1:
-            self.path_s = now
-            if len(self.points) > _PATH_POINTS:
-                self.points, self.colours = self.points[::2], self.colours[::2]
-            colours = np.repeat(np.array(self.colours[1:], np.uint8)[:, None, :], 2, axis=1)
-            self.server.scene.add_line_segments(
-                "/path", _segments(np.array(self.points)), colours, thickness=0.025
-            )
+        self._path(now)
         if now - self.text_s > _TEXT_S:
-            self.text_s = now
-            self.text.content = self._words(sample)
+            self._say()
 
-    def _words(self, sample: TickSample) -> str:
+    def _path(self, now: float) -> None:
+        if now - self.path_s <= _PATH_S or len(self.points) < 2:
+            return
+        self.path_s = now
+        if len(self.points) > _PATH_POINTS:
+            self.points, self.colours = self.points[::2], self.colours[::2]
+        colours = np.repeat(np.array(self.colours[1:], np.uint8)[:, None, :], 2, axis=1)
+        path = Lines(
+            name="Flown path", segments=segments_of(np.array(self.points)), color=colours, width_px=4.0
+        )
+        draw_part(self.server.scene, path)
+
+    def _say(self) -> None:
+        """Write the text for the last sample."""
+        now = time.monotonic()
+        self.text_s = now
+        silent_s = now - self.heard_s
+        words = f"NO DATA from the flight for {silent_s:.0f} s" if silent_s > _SILENT_S else ""
+        self.text.content = self._page(words)
+
+    def _page(self, words: str) -> str:
+        line = f"<p><b>{html_text(words)}</b></p>" if words else ""
+        if self.sample is None:
+            cells = f"<tr><td>state</td><td>{html_text(self.state)}</td></tr>"
+        else:
+            cells = "".join(
+                f"<tr><td>{html_text(name)}</td><td>{html_text(value)}</td></tr>"
+                for name, value in self._rows(self.sample)
+            )
+        lines = "".join(f"<li>{html_text(line)}</li>" for line in reversed(self.lines))
+        return f"{self._head()}{line}<table>{cells}</table><ul>{lines}</ul>"
+
+    def _rows(self, sample: TickSample) -> list[tuple[str, str]]:
         rows = [
             ("time", f"{sample.time_s:.1f} s"),
             ("state", self.state),
-            ("mode", f"{sample.mode}{', armed' if sample.armed else ''}"),
+            ("mode", f"{sample.mode}, {'armed' if sample.armed else 'disarmed'}"),
             ("battery", _percent(sample.battery_share)),
-            ("age of the position", "none" if sample.age_s is None else f"{1e3 * sample.age_s:.0f} ms"),
+            ("age of the position", _age(sample.age_s, self.head.stale_s)),
             ("tick, late", f"{1e3 * sample.tick_s:.2f}, {1e3 * sample.late_s:.2f} ms"),
         ]
         if sample.velocity is not None:
             rows.append(("speed", f"{float(np.linalg.norm(sample.velocity)):.2f} m/s"))
-        if sample.filter is not None:
-            rows += _filter_rows(sample.filter)
-        cells = "".join(
-            f"<tr><td>{html_text(name)}</td><td>{html_text(value)}</td></tr>" for name, value in rows
-        )
-        lines = "".join(f"<li>{html_text(line)}</li>" for line in reversed(self.lines))
-        return f"{self._head()}<table>{cells}</table><ul>{lines}</ul>"
+        return rows if sample.filter is None else rows + _filter_rows(sample.filter)
 
     def _head(self) -> str:
         return f"<p><b>{html_text(self.head.name)}</b> behind {html_text(self.head.filter)}</p>"
@@ -210,13 +252,15 @@ def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
     ]
 
 
+def _age(age_s: float | None, stale_s: float) -> str:
+    """Age of a position in words; one that is too old to fly by is called stale."""
+    if age_s is None:
+        return "no position"
+    return f"{1e3 * age_s:.0f} ms{', STALE' if age_s > stale_s else ''}"
+
+
 def _percent(fraction: float | None) -> str:
     return "not reported" if fraction is None else f"{fraction:.0%}"
-
-
-def _segments(points: FloatArray) -> FloatArray:
-    """A path of N points as segments, shape (N - 1, 2, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def main() -> None:
@@ -237,9 +281,19 @@ def main() -> None:
     view = _View(server, head)
     os.write(out, f"{server.get_port()}\n".encode())
     os.close(out)
+    threading.Thread(target=_watch, args=(view,), daemon=True).start()
     while message := next_message(source):
         view.take(message)
+    view.end()
+    server.flush()
+    time.sleep(_LAST_S)
     os._exit(0)  # the server's threads do not end by themselves
+
+
+def _watch(view: _View) -> None:
+    while True:
+        time.sleep(_SILENT_S / 2)
+        view.watch()
 
 
 def _viser() -> Any:

@@ -72,3 +72,53 @@ def test_words_of_the_vehicle_and_names_are_shown_as_text(words, monkeypatch):
     shown = "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in words)
     assert first.text.count(shown) == 2
     assert later.text.count(shown) == 5  # name, filter, state, mode, message
+
+
+def view_of(**fields):
+    server = MagicMock()
+    server.gui.add_html.return_value = SimpleNamespace(content="")
+    plan = [(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)]
+    head = ViewHead(
+        name="n", filter="f", vehicle="v", radius_m=0.1, map_message={"entities": [{}]}, plan=plan, **fields
+    )
+    return _View(server, head), server
+
+
+def tick(**fields):
+    return b"t" + msgspec.msgpack.encode(msgspec.structs.replace(sample(3), **fields))
+
+
+def test_the_last_words_say_how_the_flight_ended_however_lately_it_was_told():
+    view, _ = view_of()
+    view.take(tick(mode="LAND", armed=True))
+    view.take(b"s" + msgspec.msgpack.encode(StepSample(9.0, "done", "disarmed", "a", "disarmed: it is over")))
+    view.take(tick(mode="LAND", armed=False))  # too soon after the text before to be written at once
+    assert "The flight has ended" not in view.text.content
+    view.end()
+    text = Page(view.text.content).text
+    assert "The flight has ended: disarmed: it is over; the vehicle is disarmed." in text
+    assert "LAND, disarmed" in text
+    view.take(tick(armed=True))
+    view.end()
+    assert "last reported that it is armed" in Page(view.text.content).text
+
+
+def test_stale_positions_and_silence_are_called_so(monkeypatch):
+    view, _ = view_of(stale_s=0.2)
+    monkeypatch.setattr("alula.stages.flight.recorder.live_view._TEXT_S", -1.0)
+    view.take(tick(age_s=0.1))
+    assert "STALE" not in view.text.content
+    view.take(tick(age_s=0.3))
+    assert "300 ms, STALE" in Page(view.text.content).text
+    view.watch()
+    assert "NO DATA" not in view.text.content
+    view.heard_s -= 7.0
+    view.watch()
+    assert "NO DATA from the flight for 7 s" in Page(view.text.content).text
+
+
+def test_scene_plan_and_fence_stand_before_the_flight_and_a_missing_file_is_named(tmp_path):
+    view, server = view_of(files=[str(tmp_path / "gone.scene.npz")], fence=[-1, -1, 0, 2, 2, 3])
+    names = {call.args[0] for call in server.scene.add_line_segments.call_args_list}
+    assert {"/Plan/curve", "/Fence/edges"} <= names
+    assert any("not shown" in line for line in view.lines)

@@ -12,7 +12,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
-from alula.stages.reporting.view3d import corridor_mesh
+from alula.stages.viewing.corridor import corridor_mesh
 from support.covers import box_distance, boxes_cover
 
 BOXES = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]

@@ -12,10 +12,14 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import Guarantee, producer
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
+from alula.stages.reporting.brief import brief
+from alula.stages.reporting.content import draw
 from alula.stages.reporting.curves import flight_maps
-from alula.stages.reporting.fenced import closest_flights, fence_rows, fence_shape, is_fenced
+from alula.stages.reporting.fenced import fence_rows, fence_shape, is_fenced
 from alula.stages.reporting.figures import all_figures, window
-from alula.stages.reporting.headline import cards, headline
+from alula.stages.reporting.flight_curves import worst_flights
+from alula.stages.reporting.flight_figures import flight_figures
+from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material, Run, outcome_of
 from alula.stages.reporting.tables import all_tables, runs_table, to_csv, trials_table
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
@@ -83,10 +87,10 @@ def test_a_fence_that_was_left_is_no_collision_but_outside():
     assert is_fenced(run)
     assert [outcome_of(t) for t in run.record.trials] == ["inside", "outside", "inside"]
     assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
-    ((title, found),) = cards(Material("t", runs=(run,)))
-    assert title == "Flights"
-    assert (found[0].label, found[0].value, found[0].good) == ("left the fence", "1", False)
-    assert (found[1].value, found[1].good) == ("-1 m", False)
+    (found,) = brief(Material("t", runs=(run,))).subjects
+    assert found.verdict == "1 of 3 flights left the fence."
+    assert (found.numbers[0].shown, found.numbers[0].good) == ("2 of 3", False)
+    assert (found.numbers[1].value, found.numbers[1].shown) == (-1.0, "1.0 m outside")
 
 
 def test_a_fence_that_was_left_by_the_combined_loop_is_a_collision():
@@ -94,10 +98,9 @@ def test_a_fence_that_was_left_by_the_combined_loop_is_a_collision():
     assert is_fenced(run)
     assert [outcome_of(t) for t in run.record.trials] == ["held", "collision", "held"]
     assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
-    assert cards(Material("t", runs=(run,))) == cards(Material("t", runs=(run_of([1.0, -1.0, 2.0]),)))
-    record = msgspec.structs.replace(run.record, summary=run.record.summary | {"collisions": 2})
-    ((_, found),) = cards(Material("t", runs=(Run("r", record, run.flights),)))
-    assert (found[-1].label, found[-1].value, found[-1].good) == ("collisions", "2", False)
+    (new,), (old,) = (brief(Material("t", runs=(one,))).subjects for one in (run, run_of([1.0, -1.0, 2.0])))
+    assert [n.value for n in new.numbers] == [n.value for n in old.numbers]
+    assert new.verdict == old.verdict
 
 
 def test_a_log_tells_the_distance_beside_the_margin_of_the_filter():
@@ -106,9 +109,10 @@ def test_a_log_tells_the_distance_beside_the_margin_of_the_filter():
         with_margin, margin=np.zeros(5), margin_unit="of h", fence_distance_m=with_margin.margin
     )
     run = run_of([1.0, -1.0], flights={1: told}, version=2)
-    (closest,) = closest_flights([run])
-    assert closest.distance_m.min() == pytest.approx(-1)
-    assert closest.is_closest
+    (closest,) = worst_flights(Material("t", runs=(run,)))
+    (distance,) = closest.clearances
+    assert (distance.name, distance.value.min()) == ("fence", pytest.approx(-1))
+    assert closest.logged is None
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -134,28 +138,30 @@ def test_tables_have_the_rows_of_a_fence_and_no_others(version):
 
 
 def test_the_closest_of_the_logged_flights_is_drawn():
-    (closest,) = closest_flights([run_of([1.0, -1.0, -2.0])])  # the last one was not logged
-    assert closest.trial.index == 1
-    assert closest.distance_m.min() == pytest.approx(-1)
-    assert not closest.is_closest
-    titles = [f.title for f in all_figures(Material("x", runs=(run_of([1.0, -1.0, -2.0]),)))]
-    assert "The closest logged flight: r, trial 1" in titles
-    assert closest_flights([run_of([1.0, -1.0])])[0].is_closest
-    assert closest_flights([run_of([1.0], flights={})]) == []
+    material = Material("x", runs=(run_of([1.0, -1.0, -2.0]),))  # the last one was not logged
+    (closest,) = worst_flights(material)
+    assert (closest.trial, closest.logged) == (1, 2)
+    assert closest.clearances[0].value.min() == pytest.approx(-1)
+    assert closest.worst_s == pytest.approx(1.0)
+    assert [figure.title for figure in flight_figures(material)] == [
+        "The closest of 2 logged flights: r, trial 1"
+    ]
+    assert worst_flights(Material("x", runs=(run_of([1.0, -1.0]),)))[0].logged is None
+    assert worst_flights(Material("x", runs=(run_of([1.0], flights={}),))) == []
 
 
 @pytest.mark.every(2)
 @pytest.mark.parametrize("version", [2, 1])
 def test_figures_show_fence_flight_and_modes(version):
     material = Material("t", runs=(run_of([1.0, -1.0, 2.0], version=version),))
-    figures = {figure.name: figure for figure in all_figures(material)}
-    assert figures.keys() == {"map-1", "side-1", "fence-1", "clearance"}
-    assert "backup alone in 40 %" in figures["fence-1"].alt
-    assert "backup alone" in figures["fence-1"].svg
-    assert "λ" in figures["fence-1"].svg
+    figures = {figure.name: figure for figure in draw(material)}
+    assert figures.keys() == {"still", "flight-1", "map-1", "side-1", "clearance"}
+    assert "backup alone in 40 %" in figures["flight-1"].alt
+    assert "backup alone" in figures["flight-1"].svg
+    assert "λ" in figures["flight-1"].svg
     assert "Below 0 is outside" in figures["clearance"].alt
     assert "dark lines are the outline" in figures["map-1"].alt
-    again = {figure.name: figure for figure in all_figures(material)}
+    again = {figure.name: figure for figure in draw(material)}
     assert again == figures
     (shown,) = flight_maps(material)
     assert {tuple(corner) for corner in shown.fence.tolist()} == {(-10, -10), (10, -10), (10, 10), (-10, 10)}
@@ -178,7 +184,7 @@ def test_other_runs_beside_keep_their_words():
     )
     assert "Below 0 is a collision" in next(f.alt for f in all_figures(both) if f.name == "clearance")
     names = [figure.name for figure in all_figures(both)]
-    assert names == ["map-1", "map-2", "side-1", "fence-1", "clearance", "path-ratio", "worst"]
+    assert names == ["map-1", "map-2", "side-1", "clearance", "path-ratio"]
 
 
 POINTS = st.lists(st.tuples(st.floats(-500, 500), st.floats(-500, 500)), min_size=1, max_size=8)

@@ -9,9 +9,11 @@ from alula.cli.main import run
 from alula.schemas.cut_run import read_logged
 from alula.schemas.flights import Course, Line, Step, flights_of
 from alula.stages.flight.recorder.log import FlightRecorder
+from alula.stages.reporting.brief import brief
+from alula.stages.reporting.content import draw
 from alula.stages.reporting.curves import broken, paths_of, spells
-from alula.stages.reporting.figures import all_figures
-from alula.stages.reporting.headline import cards, headline
+from alula.stages.reporting.flight_curves import worst_flights
+from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
 from alula.stages.reporting.tables import all_tables, course_rows, course_tables
 from support.fabricate import make_record, make_trial
@@ -99,12 +101,13 @@ def test_a_real_flight_is_reported_with_states_end_and_verdict(flown):
     assert (rows["ended by"], rows["holds"]) == ("plan finished", 0)
     assert rows["minimum clearance to the hulls [m]"] > 0
     assert headline(material)["ended_by"] == "plan finished"
-    ((_, group),) = cards(material)
-    assert (group[0].label, group[0].value, group[0].good) == ("ended by", "plan finished", True)
-    figures = {figure.name: figure for figure in all_figures(material)}
-    assert figures.keys() == {"map-1", "worst"}  # a single flight is no distribution
-    assert "take-off" in figures["worst"].svg
-    assert "States of the supervisor: checks 0.00 to" in figures["worst"].alt
+    shown = brief(material)
+    assert (shown.verdict, shown.tone) == ("The flight reached the goal and touched nothing.", "good")
+    assert [number.key for number in shown.subjects[0].numbers][-1] == "max_tracking_error_m"
+    figures = {figure.name: figure for figure in draw(material)}
+    assert figures.keys() == {"still", "flight-1", "map-1"}  # a single flight is no distribution
+    assert "take-off" in figures["flight-1"].svg
+    assert "States of the supervisor: checks 0.00 to" in figures["flight-1"].alt
 
 
 def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
@@ -116,9 +119,12 @@ def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
     (path,) = paths_of(found)
     assert path.outcome == NOT_JUDGED
     assert len(path.position_world) > 50
-    ((_, (card,)),) = cards(Material("t", (found,)))
-    assert (card.value, card.good) == (NOT_JUDGED, False)
-    assert "the log of this flight was cut" in card.detail
+    shown = brief(Material("t", (found,)))
+    assert shown.tone == "bad"
+    assert shown.verdict.startswith("Not judged: the log of this flight was cut")
+    assert shown.subjects[0].numbers == ()
+    (drawn,) = worst_flights(Material("t", (found,)))
+    assert (drawn.outcome, drawn.closest_m) == (None, None)
     assert run(["report", str(log), "-o", str(tmp_path / "cut.html"), "-q"]) == 0
     page = (tmp_path / "cut.html").read_text()
     assert "1 not judged" in page

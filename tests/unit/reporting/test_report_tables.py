@@ -13,7 +13,9 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import ObstacleResult
 from alula.stages.reporting import curves
-from alula.stages.reporting.headline import cards, chain, headline
+from alula.stages.reporting.brief import brief
+from alula.stages.reporting.flight_curves import closest_flight, worst_flights
+from alula.stages.reporting.headline import chain, headline
 from alula.stages.reporting.material import Material, Run, coverage, is_covered, proof
 from alula.stages.reporting.table import text, to_markdown
 from alula.stages.reporting.tables import (
@@ -24,7 +26,7 @@ from alula.stages.reporting.tables import (
     runs_table,
     to_csv,
 )
-from support.fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
+from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 TRIALS = [
     make_trial(0, clearance=0.25),
@@ -68,13 +70,18 @@ def test_the_table_of_runs_repeats_the_summaries():
     assert "minimum clearance to the splats [m]" not in [row[0] for row in table.rows]  # there are none
 
 
+def numbers_of(material, place=0):
+    return {number.key: number for number in brief(material).subjects[place].numbers}
+
+
 def test_a_collision_is_shown_as_bad_and_none_as_good():
-    groups = dict(cards(Material("t", runs=(run_of(),))))
-    tone = {card.label: (card.value, card.good) for card in groups["Flights"]}
-    assert tone["collisions"] == ("1", False)
-    assert tone["minimum clearance to hulls"] == ("-0.03125 m", False)
-    groups = dict(cards(Material("t", runs=(run_of(trials=TRIALS[:1]),))))
-    assert {c.label: c.good for c in groups["Flights"]}["collisions"] is True
+    found = numbers_of(Material("t", runs=(run_of(),)))
+    assert (found["collisions"].value, found["collisions"].shown, found["collisions"].good) == (1, "1", False)
+    deep = found["min_clearance_m"]
+    assert (deep.value, deep.shown, deep.good) == (-0.03125, "3.1 cm deep", False)
+    assert brief(Material("t", runs=(run_of(),))).tone == "bad"
+    found = numbers_of(Material("t", runs=(run_of(trials=TRIALS[:1]),)))
+    assert found["collisions"].good is True
 
 
 def test_compression_counts_what_is_stored():
@@ -98,10 +105,8 @@ def test_voxels_are_counted_from_the_members_when_the_summary_does_not_say():
 
 
 def test_only_a_certificate_says_that_a_map_is_covered():
-    groups = dict(cards(Material("t", cover=COVER)))
-    assert [(c.value, c.good) for c in groups["Map"] if c.label == "obstacles covered"] == [
-        ("not verified", None)
-    ]
+    covered = numbers_of(Material("t", cover=COVER))["covered"]
+    assert (covered.value, covered.shown, covered.good) == ("not verified", "not checked", None)
     assert is_covered({"covered": False}) is False
     assert is_covered({"covered": "yes"}) is None
     ellipsoids = {"covered": True, "checks": [{"name": "every ellipsoid lies in the voxels", "ok": True}]}
@@ -190,9 +195,8 @@ def test_flights_past_moving_obstacles_need_not_reach_a_goal():
     ]
     facts = headline(Material("t", runs=(run_of("m", passed),)))
     assert facts["flights"] == "polytope-cbf: 2 of 3 touched nothing, 1 collided"
-    groups = dict(cards(Material("t", runs=(run_of("m", passed),))))
-    (success,) = (card for card in groups["Flights"] if card.label == "success rate")
-    assert success.detail.startswith("2 of 3 touched nothing")
+    success = numbers_of(Material("t", runs=(run_of("m", passed),)))["successes"]
+    assert (success.value, success.shown, success.label) == (2, "2 of 3", "touched nothing")
     both = headline(Material("t", runs=(run_of("a"), run_of("m", passed))))
     assert both["flights"] == (
         "polytope-cbf: 1 of 4 reached the goal, 1 collided; polytope-cbf: 2 of 3 touched nothing, 1 collided"
@@ -278,12 +282,12 @@ def test_distributions_are_sorted_and_end_at_one():
     assert ratios.value.tolist() == [4.4 / 4.0]  # the only one that reached its goal unharmed
 
 
-def test_the_worst_flight_is_the_closest_one():
-    worst = curves.worst_flight([run_of("a", TRIALS[:2]), run_of("b")])
-    assert (worst.label, worst.trial, worst.clearance_m) == ("b", 2, -0.03125)
-    assert worst.trouble.sum() == 1
-    assert worst.statuses == ("recovering",)
-    assert curves.worst_flight([Run("a", make_record(TRIALS))]) is None
+def test_the_flight_that_is_drawn_is_the_closest_of_each_run():
+    first, second = worst_flights(Material("t", (run_of("a", TRIALS[:2]), run_of("b"))))
+    assert (first.run, first.trial, first.closest_m) == ("a", 1, 0.125)
+    assert (second.run, second.trial, second.closest_m) == ("b", 2, -0.03125)
+    assert second.filters[0].status.count("recovering") == 1
+    assert worst_flights(Material("t", (Run("a", make_record(TRIALS)),))) == []
 
 
 def test_the_worst_encounter_is_known_from_the_run_and_not_from_its_samples():
@@ -304,10 +308,9 @@ def test_the_worst_encounter_is_known_from_the_run_and_not_from_its_samples():
         record, provenance=made, trials=[met(0, 1.9), met(1, 1.143), met(2, 1.1)]
     )
     run = Run("a", record, {0: flight(margin=0.95), 1: flight(margin=0.89)})
-    worst = curves.worst_flight([run])
-    assert (worst.trial, worst.clearance_m) == (1, pytest.approx(0.343))
-    assert worst.logged == 2  # the third one came closer and was not logged
-    assert curves.worst_flight([Run("a", record, {2: flight()})]).logged is None
+    # the third one came closer and was not logged
+    assert closest_flight(run) == (1, pytest.approx(0.343), 2)
+    assert closest_flight(Run("a", record, {2: flight()}))[2] is None
 
 
 def test_the_map_shows_the_hulls_at_the_heights_that_were_flown():
@@ -376,37 +379,3 @@ def test_thinning_keeps_the_ends():
     assert len(thin) == 600
     assert (thin[0] == points[0]).all()
     assert (thin[-1] == points[-1]).all()
-
-
-def test_the_merged_mesh_leaves_out_the_smallest_hulls_when_there_are_too_many():
-    from alula.stages.compression.facets import mesh
-    from alula.stages.reporting.view3d import merged, sample
-
-    small = exact_hull([(40, 0, 0), (41, 0, 0), (40, 1, 0), (40, 0, 1)])
-    meshes = mesh(make_cover([small, box((0, 0, 0), (10, 10, 10))]))
-    solid, shown = merged(meshes)
-    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (2, 16, 12)
-    solid, shown = merged(meshes, maximum=12)
-    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (1, 12, 8)
-    assert solid.points_voxel.max() == 10
-    assert solid.triangles.max() == 7
-    scene = make_scene(50)
-    points, colors = sample(scene, maximum=7)
-    assert len(points) == len(colors) == 7
-    assert colors[0] == int.from_bytes(bytes(scene["color"][0]), "big")
-
-
-def test_what_lies_above_the_flights_is_hidden_at_first():
-    from alula.stages.compression.facets import mesh
-    from alula.stages.reporting import view3d
-
-    solid, _ = view3d.merged(mesh(make_cover([box((0, 0, 0), (9, 9, 9)), box((0, 0, 60), (9, 9, 61))])))
-    low, high = view3d._hull_objects(solid, 0.05, top=2.9)
-    assert (low.visible, high.visible) == (True, False)
-    assert (low.vertices[:, 2].max(), high.vertices[:, 2].min()) == pytest.approx((0.45, 3.0))
-    assert len(low.indices.reshape(-1, 3)) == len(high.indices.reshape(-1, 3)) == 12
-    (only,) = view3d._hull_objects(solid, 0.05, top=np.inf)
-    assert only.visible
-    points = np.array([[0, 0, 0], [1, 1, 3]], np.float32)
-    clouds = view3d._cloud_objects(points, np.array([1, 2], np.uint32), top=2.0)
-    assert [cloud.visible for cloud in clouds] == [True, False]

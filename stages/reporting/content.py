@@ -1,0 +1,177 @@
+"""The contents of a report, made once for all formats, and written as JSON and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from alula.schemas.provenance import Provenance
+from alula.schemas.report import (
+    REPORT_SCHEMA,
+    REPORT_VERSION,
+    Report,
+    ReportFigure,
+    ReportNumber,
+    ReportStatement,
+    ReportSubject,
+    ReportTable,
+)
+from alula.stages.reporting.brief import Brief, brief
+from alula.stages.reporting.differences import difference_tables, difference_words
+from alula.stages.reporting.figures import Figure, all_figures
+from alula.stages.reporting.flight_figures import flight_figures
+from alula.stages.reporting.headline import headline
+from alula.stages.reporting.material import Material
+from alula.stages.reporting.still import still
+from alula.stages.reporting.table import Table, folded, markdown_cell, markdown_table, text
+from alula.stages.reporting.tables import LISTED_TRIALS, all_tables
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a report says, whatever its format.
+
+    Attributes:
+        brief: the first screen.
+        facts: plain values, as the command prints them.
+        tables: in reading order.
+        differences: tables that compare runs.
+    """
+
+    brief: Brief
+    facts: Mapping[str, Any]
+    tables: tuple[Table, ...]
+    differences: tuple[Table, ...]
+
+    @property
+    def comparison(self) -> list[str]:
+        """The differences in words."""
+        return [line for table in self.differences for line in difference_words(table)]
+
+
+def content_of(
+    material: Material,
+    names: Sequence[str] = (),
+    paper: str | None = None,
+    *,
+    listed: int | None = LISTED_TRIALS,
+) -> Content:
+    """Gather what a report says.
+
+    Args:
+        material: what the report is about.
+        names: tables to keep; all when empty.
+        paper: paper whose published values are added.
+        listed: number of trials that are listed of each run; None for all.
+
+    Raises:
+        UsageError: no table has one of the names.
+    """
+    tables = tuple(all_tables(material, names, paper, listed=listed))
+    return Content(brief(material), headline(material), tables, tuple(difference_tables(material)))
+
+
+def draw(material: Material) -> list[Figure]:
+    """Draw all figures, in reading order: the still picture, single flights, and the others."""
+    picture = still(material)
+    return [*([picture] if picture is not None else []), *flight_figures(material), *all_figures(material)]
+
+
+def to_json(content: Content, figures: Sequence[Figure], provenance: Provenance) -> str:
+    """Write the contents as JSON, with all digits.
+
+    Args:
+        content: what the report says.
+        figures: described in words.
+        provenance: of the report.
+    """
+    found = content.brief
+    record = Report(
+        schema=REPORT_SCHEMA,
+        version=REPORT_VERSION,
+        provenance=msgspec.structs.replace(provenance, summary=dict(content.facts)),
+        title=found.title,
+        verdict=found.verdict,
+        tone=found.tone,
+        subjects=[
+            ReportSubject(
+                kind=subject.kind,
+                title=subject.title,
+                words=subject.words,
+                verdict=subject.verdict,
+                tone=subject.tone,
+                numbers=[
+                    ReportNumber(
+                        key=number.key,
+                        label=number.label,
+                        value=_plain(number.value),
+                        shown=number.shown,
+                        detail=number.detail,
+                        good=number.good,
+                    )
+                    for number in subject.numbers
+                ],
+            )
+            for subject in found.subjects
+        ],
+        comparison=content.comparison,
+        differences=[_record(table) for table in content.differences],
+        guaranteed=list(found.proofs),
+        not_guaranteed=list(found.limits),
+        statements=[ReportStatement(subject=name, statement=words) for name, words in found.statements],
+        tables=[_record(table) for table in content.tables],
+        figures=[ReportFigure(name=one.name, title=one.title, description=one.alt) for one in figures],
+    )
+    return msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n"
+
+
+def _record(table: Table) -> ReportTable:
+    return ReportTable(
+        name=table.name,
+        title=table.title,
+        columns=list(table.columns),
+        rows=[[_plain(value) for value in row] for row in table.rows],
+        note=table.note,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """A value of JSON; None for a number that is not finite."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def to_report_markdown(content: Content, first_line: str) -> str:
+    """Write the contents as Markdown; `first_line` goes into a comment at the top."""
+    found = content.brief
+    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {markdown_cell(found.title)}"]
+    parts.append(f"**{markdown_cell(found.verdict)}**" if found.verdict else "")
+    if content.facts:
+        items = [
+            f"- {k.replace('_', ' ')}: {markdown_cell(text(value))}" for k, value in content.facts.items()
+        ]
+        parts.append("\n".join(["## In short", "", *items]))
+    for subject in found.subjects:
+        rows = tuple((number.label, number.shown, number.detail) for number in subject.numbers)
+        if rows:
+            parts.append(markdown_table(Table("", subject.title, ("", "", ""), rows)))
+    for table in content.differences:
+        words = "\n".join(f"- {markdown_cell(line)}" for line in difference_words(table))
+        parts.append(markdown_table(folded(table), before=words))
+    lines = [f"- {markdown_cell(line)}" for line in found.proofs]
+    lines += [f"- Not covered: {markdown_cell(line)}" for line in found.limits]
+    lines += [f"- {markdown_cell(name)}: {markdown_cell(words)}" for name, words in found.statements]
+    if lines:
+        parts.append("\n".join(["## What is guaranteed, and what is not", "", *lines]))
+    parts += [markdown_table(table) for table in content.tables]
+    return "\n\n".join(part for part in parts if part) + "\n"

@@ -1,0 +1,64 @@
+"""What a report says is guaranteed, in plain words, and the exact statements behind it."""
+
+from __future__ import annotations
+
+from alula.stages.filtering.registry import NO_FILTER
+from alula.stages.reporting.fenced import is_fenced
+from alula.stages.reporting.material import NOT_JUDGED, Material, coverage
+from alula.stages.reporting.table import text
+
+
+def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What is proven or was checked, and what is not covered, in plain words; equal lines once."""
+    proofs, limits = [], []
+    covered = coverage(material.certificate)
+    if covered is True:
+        level = material.certificate.get("level") if material.certificate is not None else None
+        sigma = level.get("sigma") if isinstance(level, dict) else None
+        known = isinstance(sigma, int | float)
+        size = f" up to {text(sigma)} standard deviation{'' if sigma == 1 else 's'}" if known else ""
+        proofs.append(f"Proven: every Gaussian of the scan{size} lies inside the map.")
+    elif covered == "voxels only":
+        proofs.append("Proven: every voxel of the scan lies inside the map. The scan itself was not checked.")
+    elif covered is False:
+        limits.append("The map leaves out obstacles that the scan shows.")
+    elif material.cover is not None:
+        limits.append("This report has no certificate of alula verify that the map covers the scan.")
+    for run in material.runs:
+        claims = run.record.guarantee.claims
+        if claims.get("plan_certified") is True:
+            proofs.append("Proven before take-off: the plan keeps the vehicle clear of the map.")
+        if claims.get("proven_by_filter") is True:
+            proofs.append(
+                f"Proven beforehand: {run.record.filter} lets the vehicle touch nothing of the map, under "
+                "the conditions of its statement below."
+            )
+        elif claims.get("every_step_certified") is True:
+            proofs.append(f"Proven at each step of {run.label}: a safe manoeuvre remained.")
+        elif run.record.trials and run.record.filter != NO_FILTER:
+            limits.append(f"No proof beforehand says that {run.record.filter} keeps these flights clear.")
+        if run.record.trials and claims.get("continuous_time") is True:
+            proofs.append("Checked after the flights: every distance, along the whole path, not by samples.")
+        elif run.record.trials and "ended_by" in run.record.summary:
+            proofs.append("Checked after the flight: the path that the vehicle measured.")
+            limits.append("Errors of the vehicle's own position are not covered.")
+        elif not run.record.trials:
+            limits.append(f"{run.label} is {NOT_JUDGED}.")
+    if material.certificate is not None and (left_out := material.certificate.get("left_out")):
+        limits.append(f"The map leaves out, on purpose: {left_out}.")
+    scanned = (t.map_clearance_m is not None for run in material.runs for t in run.record.trials)
+    if material.cover is not None or (not any(map(is_fenced, material.runs)) and any(scanned)):
+        limits.append("What the scan does not show is not in the map: glass, thin wires, what moved since.")
+    return tuple(dict.fromkeys(proofs)), tuple(dict.fromkeys(limits))
+
+
+def statements(material: Material) -> list[tuple[str, str]]:
+    """The exact statements, by subject; equal ones of several runs together."""
+    found = []
+    if material.cover is not None and material.cover.manifest.guarantee is not None:
+        found.append(("The map", material.cover.manifest.guarantee.statement))
+    by_statement: dict[str, list[str]] = {}
+    for run in material.runs:
+        if statement := run.record.guarantee.statement:
+            by_statement.setdefault(statement, []).append(run.label)
+    return found + [(", ".join(labels), statement) for statement, labels in by_statement.items()]

@@ -1,0 +1,402 @@
+"""The still picture of a report: splat or hulls, fence and paths, seen obliquely from above.
+
+It is a drawing, so every browser and every printer shows it. Gaussians are ellipses in their
+colours, the farthest first: each covariance projected along the line of sight, at 1.5 standard deviations.
+Ceiling and walls nearest to the viewer are left out, so that one sees inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.arrays import FloatArray
+from alula.schemas.artifact import Artifact
+from alula.stages.compression.facets import mesh
+from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
+from alula.stages.reporting.fenced import FenceShape, fence_shape
+from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
+from alula.stages.reporting.palette import BLACK, COLORS, DASHES, PURPLE, SOFT, run_color
+from alula.stages.rotation import matrix_from_quat_wxyz
+
+NAME = "still"
+_AZIMUTH, _ELEVATION = np.deg2rad([-60.0, 48.0])  # of the viewer, seen from the scene
+_MOST_GAUSSIANS = 60_000  # with the largest contribution, opacity times area
+_MOST_TRIANGLES = 60_000
+_SIGMA = 1.5  # of the drawn ellipses
+_WALL = 0.035  # of the extent: what is left out at the sides that face the viewer
+_CEILING = 0.7  # of the height: what is left out above it, and above all flights
+_FEW_PATHS = 40  # more are drawn thinner
+_WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 9.5, 4.2, 7.4  # of the drawing [inch]
+_FENCE = (0.8, 0.475, 0.655)  # of its faces
+_AROUND = 0.12  # of the extent of the flights: what is shown of a fence beyond them
+_LIGHT = np.array([0.36, -0.48, 0.8])
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """Parallel projection: `along` points away from the viewer, `right` and `up` span the picture."""
+
+    right: FloatArray
+    up: FloatArray
+    along: FloatArray
+
+    def flat(self, points: FloatArray) -> FloatArray:
+        """Project points, shape (n, 3), to the picture, shape (n, 2) [m]."""
+        return np.column_stack([points @ self.right, points @ self.up])
+
+
+def _sight() -> _Sight:
+    to_viewer = np.array(
+        [np.cos(_ELEVATION) * np.cos(_AZIMUTH), np.cos(_ELEVATION) * np.sin(_AZIMUTH), np.sin(_ELEVATION)]
+    )
+    right = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
+    return _Sight(right, np.cross(to_viewer, right), -to_viewer)
+
+
+def still(material: Material) -> Figure | None:
+    """Draw the picture; None when there is nothing to see."""
+    flown = [(number, path) for number, run in enumerate(material.runs) for path in paths_of(run)]
+    flown = [(number, path) for number, path in flown if len(path.position_world)]
+    planned = thin(plan_positions(material.plan)) if material.plan is not None else np.empty((0, 3))
+    lines = [path.position_world for _, path in flown] + ([planned] if len(planned) else [])
+    world = _world(material)
+    if not lines and not len(world):
+        return None
+    sight = _sight()
+    top = max([float(line[:, 2].max()) for line in lines] + ([_height(world)] if len(world) else []))
+    shapes = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
+    shapes = list({shape.corners_world.tobytes(): shape for shape in shapes}.values())
+    faces = [face for shape in shapes for face in faces_near(shape, lines)] if lines else []
+    frame_top = top if material.scene is not None else np.inf
+    shown = lines + [face for face, _ in faces]
+    low, high = _frame(sight, shown, world, frame_top, fenced=bool(faces))
+    size = high - low
+    height = float(np.clip(_WIDTH * size[1] / size[0], _MIN_HEIGHT, _MAX_HEIGHT))
+    words: list[str] = []
+    with drawing(_WIDTH, height) as (axes, render):
+        axes.set_axis_off()
+        if material.scene is not None:
+            words.append(_draw_gaussians(axes, sight, material.scene, top))
+        elif material.cover is not None:
+            words.append(_draw_hulls(axes, sight, material.cover, top))
+        if faces:
+            _draw_fence(axes, sight, faces)
+            words.append("the fence")
+        _draw_paths(axes, sight, flown, planned, [run.label for run in material.runs])
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        _draw_scale(axes, sight, low, high)
+        if lines:
+            axes.legend(loc="upper left", fontsize="medium", handlelength=1.6)
+        svg = render()
+    if flown:
+        everything = max(len(flown), sum(len(run.record.trials) for run in material.runs))
+        of = f" of {everything:,}" if everything > len(flown) else ""
+        words.append(f"{len(flown):,}{of} flown {'path' if everything == 1 else 'paths'}")
+    if len(planned):
+        words.append("the plan")
+    alt = f"Seen from above at an angle: {', '.join(words)}."
+    alt += " Ceiling and near walls are left out." if len(world) else ""
+    alt += " Circles are starts, crosses ends." if lines else ""
+    return Figure(NAME, material.title, alt, svg, wide=True)
+
+
+def _world(material: Material) -> FloatArray:
+    """Points that stand for the world's extent, shape (n, 3) [m]."""
+    if material.scene is not None:
+        found = np.asarray(material.scene["mean"], np.float64)
+        return found[:: max(1, len(found) // 20_000)]
+    if material.cover is not None:
+        edge = float(material.cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+        return np.asarray(material.cover["vertex"], np.float64) * edge
+    return np.empty((0, 3))
+
+
+def _height(world: FloatArray) -> float:
+    low, high = np.percentile(world[:, 2], [1, 99])
+    return float(low + _CEILING * (high - low))
+
+
+def _frame(
+    sight: _Sight, lines: Sequence[FloatArray], world: FloatArray, top: float, *, fenced: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corner of the picture: the world, or in a fence the flights with room around them."""
+    shown = list(lines)
+    if len(world) and not fenced:
+        low, high = np.percentile(world, [0.5, 99.5], axis=0)
+        high[2] = min(high[2], top)
+        corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+        shown.append(corners)
+    flat = sight.flat(np.concatenate(shown))
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    pad = 0.03 * (high - low).max() if len(world) and not fenced else 0.08 * (high - low).max()
+    low, high = low - max(pad, 1e-3), high + max(pad, 1e-3)
+    # a picture that is too wide or too tall gets room at its sides
+    size, middle = high - low, 0.5 * (low + high)
+    size = np.array(
+        [max(size[0], size[1] * _WIDTH / _MAX_HEIGHT), max(size[1], size[0] * _MIN_HEIGHT / _WIDTH)]
+    )
+    return middle - 0.5 * size, middle + 0.5 * size
+
+
+def _is_inside(sight: _Sight, points: FloatArray, top: float) -> NDArray[np.bool_]:
+    """Mark the points below `top` that are not at the sides of the world that face the viewer."""
+    low, high = np.percentile(points[:, :2], [0.5, 99.5], axis=0) if len(points) else np.zeros((2, 2))
+    band = _WALL * (high - low).max()
+    keep = points[:, 2] <= top
+    for axis in range(2):
+        if sight.along[axis] > 0:
+            keep &= points[:, axis] >= low[axis] + band
+        else:
+            keep &= points[:, axis] <= high[axis] - band
+    return keep
+
+
+def _draw_gaussians(axes: Any, sight: _Sight, scene: Artifact, top: float) -> str:
+    from matplotlib.collections import EllipseCollection
+
+    mean, scale = np.asarray(scene["mean"], np.float64), np.asarray(scene["scale"], np.float64)
+    rows = np.flatnonzero(_is_inside(sight, mean, top))
+    total = len(rows)
+    opacity = np.asarray(scene["opacity"], np.float64)
+    if len(rows) > _MOST_GAUSSIANS:
+        ordered = np.sort(scale[rows], axis=1)
+        weight = opacity[rows] * ordered[:, 1] * ordered[:, 2]
+        rows = rows[np.argsort(-weight, kind="stable")[:_MOST_GAUSSIANS]]
+    rows = rows[np.argsort(-(mean[rows] @ sight.along), kind="stable")]
+    R = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
+    half = np.einsum("kj,nji,ni->nki", np.stack([sight.right, sight.up]), R, scale[rows])
+    flat = half @ half.transpose(0, 2, 1)
+    value, vector = np.linalg.eigh(flat)
+    diameters = 2 * _SIGMA * np.sqrt(np.maximum(value, 0))
+    color = np.column_stack([np.asarray(scene["color"])[rows] / 255, np.clip(opacity[rows], 0.05, 1)])
+    axes.add_collection(
+        EllipseCollection(
+            *(diameters[:, 1], diameters[:, 0]),
+            np.rad2deg(np.arctan2(vector[:, 1, 1], vector[:, 0, 1])),
+            units="xy",
+            offsets=sight.flat(mean[rows]),
+            transOffset=axes.transData,
+            facecolors=color,
+            linewidths=0,
+            rasterized=True,
+        )
+    )
+    return f"{len(rows):,} Gaussians" + (
+        f" with the largest contribution of {total:,}" if total > len(rows) else ""
+    )
+
+
+def _draw_hulls(axes: Any, sight: _Sight, cover: Artifact, top: float) -> str:
+    from matplotlib.collections import PolyCollection
+
+    solids = mesh(cover)
+    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    points = solids.points_voxel * edge
+    triangle = points[solids.triangles]
+    owner = np.repeat(np.arange(len(solids)), np.diff(solids.triangle_start))
+    starts = solids.point_start[:-1]
+    low = np.minimum.reduceat(points, starts, axis=0) if len(solids) else np.empty((0, 3))
+    high = np.maximum.reduceat(points, starts, axis=0) if len(solids) else np.empty((0, 3))
+    # a hull is left out where its far side is, seen from the viewer: a near wall, or a ceiling
+    far = np.where(sight.along > 0, high, low)
+    far[:, 2] = low[:, 2]
+    keep = _is_inside_hulls(sight, far, low, high, top)[owner]
+    triangle = triangle[keep]
+    normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    facing = (normal @ sight.along < 0) & (length > 0)
+    triangle, normal = triangle[facing], normal[facing] / length[facing, None]
+    order = np.argsort(-(triangle.mean(axis=1) @ sight.along), kind="stable")
+    order = order[-_MOST_TRIANGLES:]
+    shade = 0.62 + 0.3 * np.clip(normal[order] @ _LIGHT, -0.6, 1)
+    color = np.column_stack([0.80 * shade, 0.88 * shade, shade, np.full(len(order), 0.9)])
+    axes.add_collection(
+        PolyCollection(
+            list(sight.flat(triangle[order].reshape(-1, 3)).reshape(-1, 3, 2)),
+            facecolors=np.clip(color, 0, 1),
+            edgecolors="face",
+            linewidths=0.2,
+            rasterized=True,
+        )
+    )
+    return f"{len(np.unique(owner[keep])):,} of {len(solids):,} hulls"
+
+
+def _is_inside_hulls(
+    sight: _Sight, far: FloatArray, low: FloatArray, high: FloatArray, top: float
+) -> NDArray[np.bool_]:
+    if not len(far):
+        return np.empty(0, np.bool_)
+    world_low, world_high = low.min(axis=0), high.max(axis=0)
+    band = 2 * _WALL * (world_high - world_low)[:2].max()
+    keep = far[:, 2] < top
+    for axis in range(2):
+        if sight.along[axis] > 0:
+            keep &= far[:, axis] > world_low[axis] + band
+        else:
+            keep &= far[:, axis] < world_high[axis] - band
+    return keep
+
+
+def faces_near(shape: FenceShape, paths: Sequence[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
+    """Faces of a fence, cut to a box around the flights.
+
+    Args:
+        shape: triangles of the faces.
+        paths: flown positions, shape (n, 3) each [m].
+
+    Returns:
+        Corners of each face, shape (k, 3) [m], in their order around it, and its outward normal.
+    """
+    points = np.concatenate(paths)
+    low, high = points.min(axis=0), points.max(axis=0)
+    around = max(_AROUND * float((high - low).max()), 1.0)
+    found: dict[tuple[float, ...], list[FloatArray]] = {}
+    for triangle in shape.corners_world[shape.triangles]:
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        length = float(np.linalg.norm(normal))
+        if length > 0:
+            plane = np.append(normal, normal @ triangle[0]) / length
+            found.setdefault(tuple(plane.round(6).tolist()), []).append(triangle)
+    faces = []
+    for equation, triangles in found.items():
+        normal = np.array(equation[:3])
+        face = _clipped(_ordered(np.concatenate(triangles), normal), low - around, high + around)
+        if len(face) >= 3:
+            faces.append((face, normal))
+    return faces
+
+
+def _draw_fence(axes: Any, sight: _Sight, faces: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+    """Draw the faces of a fence, those behind the flights darker."""
+    from matplotlib.collections import PolyCollection
+
+    axes.add_collection(
+        PolyCollection(
+            [sight.flat(face) for face, _ in faces],
+            facecolors=[(*_FENCE, 0.16 if normal @ sight.along > 0 else 0.07) for _, normal in faces],
+            edgecolors=PURPLE,
+            linewidths=1.2,
+            label="fence",
+            zorder=2,
+        )
+    )
+
+
+def _ordered(points: FloatArray, normal: FloatArray) -> FloatArray:
+    """Sort the corners of a convex polygon around its middle; points, shape (n, 3), may repeat."""
+    points = np.unique(points.round(9), axis=0)
+    arm = points - points.mean(axis=0)
+    across = np.cross(normal, arm[0])
+    return points[
+        np.argsort(np.arctan2(arm @ across / max(np.linalg.norm(across), 1e-12), arm @ _unit(arm[0])))
+    ]
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _clipped(polygon: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Cut a convex polygon, shape (n, 3), to a box.
+
+    Source: Sutherland and Hodgman 1974.
+    """
+    for axis in range(3):
+        for sign, limit in ((1.0, high[axis]), (-1.0, -low[axis])):
+            if not len(polygon):
+                return polygon
+            beyond = sign * polygon[:, axis] - limit
+            kept = []
+            for i in range(len(polygon)):
+                a, b, d, e = polygon[i - 1], polygon[i], beyond[i - 1], beyond[i]
+                if (d > 0) != (e > 0):
+                    kept.append(a + (b - a) * (d / (d - e)))
+                if e <= 0:
+                    kept.append(b)
+            polygon = np.array(kept).reshape(-1, 3)
+    return polygon
+
+
+def _draw_paths(
+    axes: Any,
+    sight: _Sight,
+    flown: Sequence[tuple[int, Path]],
+    planned: FloatArray,
+    labels: Sequence[str],
+) -> None:
+    """Draw paths by outcome, or by run where there are several."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patheffects import Normal, Stroke
+
+    few = len(flown) <= _FEW_PATHS
+    width = 2.0 if few else 1.0
+    groups: list[tuple[str, str, str, list[FloatArray]]] = []
+    if len(labels) > 1:
+        for number, label in enumerate(labels):
+            own = [path.position_world for n, path in flown if n == number]
+            groups.append((label, run_color(number), "-", own))
+    else:
+        for outcome in (*OUTCOMES, NOT_JUDGED):
+            own = [path.position_world for _, path in flown if path.outcome == outcome]
+            groups.append((outcome, COLORS[outcome], DASHES[outcome], own))
+    # the longest group lies below the others
+    groups = sorted((group for group in groups if group[3]), key=lambda group: -len(group[3]))
+    if len(planned):
+        groups.append(("planned", BLACK, "--", [planned]))
+    for order, (label, color, dash, lines) in enumerate(groups):
+        name = f"{label} ({len(lines)})" if label != "planned" else label
+        thick = width * (1.6 if len(lines) == 1 and len(flown) > 1 else 1)
+        drawn = LineCollection(
+            [sight.flat(line) for line in lines],
+            linewidths=thick,
+            colors=color,
+            linestyles=dash,
+            label=name,
+            alpha=None if few or len(lines) == 1 else 0.75,
+            zorder=4 + order,
+        )
+        if few or len(lines) == 1:
+            drawn.set_path_effects([Stroke(linewidth=thick + 1.6, foreground="white", alpha=0.75), Normal()])
+        axes.add_collection(drawn)
+        ends = [sight.flat(line[[0, -1]]) for line in lines]
+        dot = 30 if few or len(lines) == 1 else 9
+        for row, marker, face in ((0, "o", "white"), (1, "X", color)):
+            points = np.array([end[row] for end in ends])
+            axes.scatter(
+                *points.T,
+                s=dot,
+                marker=marker,
+                facecolors=face,
+                edgecolors=color,
+                linewidths=0.9,
+                zorder=5 + order,
+            )
+
+
+def _draw_scale(axes: Any, sight: _Sight, low: FloatArray, high: FloatArray) -> None:
+    """Draw a bar of a round length; the projection is parallel, so it holds everywhere along it."""
+    wanted = 0.16 * (high[0] - low[0])
+    power = 10.0 ** np.floor(np.log10(wanted))
+    length = max((m * power for m in (1, 2, 5) if m * power <= wanted), default=power)
+    right, bottom = high[0] - 0.03 * (high[0] - low[0]), low[1] + 0.035 * (high[1] - low[1])
+    axes.plot(
+        [right - length, right], [bottom, bottom], color=SOFT, linewidth=2.4, solid_capstyle="butt", zorder=20
+    )
+    words = f"{length:g} m" if length >= 1 else f"{100 * length:g} cm"
+    axes.annotate(
+        words,
+        (right - length / 2, bottom),
+        (0, 4),
+        textcoords="offset points",
+        ha="center",
+        fontsize="medium",
+        color=SOFT,
+        zorder=20,
+    )

@@ -1,0 +1,22 @@
+"""What stands over the scene of a page: the flight in words, a legend, and plots that follow the timeline."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+MARKUP = """
+<div id="alula" class="no-plots">
+<details id="alula-head" open><summary>TITLE</summary>
+<p id="alula-choice"></p><p id="alula-words"></p><p id="alula-now"></p>
+<p id="alula-legend"></p><p id="alula-notes" class="soft"></p>
+</details><div id="alula-plots" role="img" aria-label="Curves of the flight over its time"></div></div>
+"""
+
+
+def asset(name: str) -> str:
+    """Text of a file beside this module.
+
+    Args:
+        name: of the file.
+    """
+    return files("alula.stages.viewing").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,175 @@
+"""One offline page: scene and flights as viser records them, and what is said about them around it."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.stages.viewing.content import Content, Gaussians
+from alula.stages.viewing.draw import Span, draw, record
+from alula.stages.viewing.overlay import MARKUP, asset
+from alula.stages.viewing.plots import flight_data
+
+HOST = "127.0.0.1"
+MOST_BYTES = 7_000_000
+LIGHT_GAUSSIANS = 20_000
+_AROUND_BYTES = 150_000  # of what stands around the scene
+_DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
+# The policy blocks every request. viser's code, workers and the decoder of the data are inside the page.
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
+)
+_DARK = "{darkMode:false}"
+_DARK_BY_SYSTEM = "{darkMode:matchMedia('(prefers-color-scheme: dark)').matches}"
+
+
+@contextmanager
+def recording() -> Iterator[Any]:
+    """Context with a `viser.ViserServer` to draw into; it listens on loopback while the context is open."""
+    import viser
+
+    with redirect_stdout(io.StringIO()):  # viser prints its address
+        server = viser.ViserServer(host=HOST, port=0, verbose=False)
+    try:
+        yield server
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """viser's page without its data, the data, and where the flights lie on the timeline."""
+
+    before: str
+    data: str
+    after: str
+    spans: list[Span]
+
+    @property
+    def frame_bytes(self) -> int:
+        return len(self.before) + len(self.after)
+
+
+def page(content: Content, *, provenance_line: str = "", other: str = "") -> str:
+    """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
+
+    Args:
+        content: of the view.
+        provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
+        other: how to see a flight that the page does not play, in words; "" when it plays all.
+
+    Returns:
+        The HTML text.
+    """
+    found = _record(content)
+    return _around(found, f'"{found.data}"', content, provenance_line, other)
+
+
+def within(
+    make: Callable[[int], Content],
+    *,
+    maximum: int = MOST_BYTES,
+    most_gaussians: int = MOST_GAUSSIANS,
+    provenance_line: str = "",
+    other: str = "",
+) -> tuple[str, Content]:
+    """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
+
+    For browsers without a GPU it also has the scene with at most `LIGHT_GAUSSIANS`, and never fewer.
+
+    Args:
+        make: content of a view with at most so many Gaussians.
+        maximum: number of bytes.
+        most_gaussians: number to begin with.
+        provenance_line: as of `page`.
+        other: as of `page`.
+
+    Returns:
+        The page, and what it shows.
+    """
+    content = make(most_gaussians)
+    light = make(LIGHT_GAUSSIANS) if content.gaussians > LIGHT_GAUSSIANS else content
+    few = _record(light)
+    if light is content:
+        return _around(few, f'"{few.data}"', content, provenance_line, other), content
+    each = _bytes_each(content)
+    room: float = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
+    while True:
+        count = max(LIGHT_GAUSSIANS, LIGHT_GAUSSIANS + int(room / each))
+        if count < content.gaussians:
+            content = make(count)
+        many = _record(content)
+        data = f'alulaDraws("{few.data}",{light.gaussians},"{many.data}",{content.gaussians})'
+        text = _around(many, data, content, provenance_line, other)
+        if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
+            return text, content
+        room -= 1.2 * (len(text) - maximum)
+
+
+def _bytes_each(content: Content) -> float:
+    """Bytes of a page per Gaussian: packed as viser packs them, compressed, and in base 64."""
+    import zstandard
+
+    compressor, size, count = zstandard.ZstdCompressor(level=6), 0, 0
+    for part in content.parts:
+        if isinstance(part, Gaussians):
+            upper = part.covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].astype(np.float16)
+            opacity = np.round(255 * part.opacity[:, None]).astype(np.uint8)
+            words = (part.mean.view(np.uint8), np.ascontiguousarray(upper).view(np.uint8))
+            packed = np.hstack([*words, part.color, opacity])
+            size, count = size + len(compressor.compress(packed.tobytes())), count + len(packed)
+    return max(4 / 3 * size / max(count, 1), 1.0)
+
+
+def _record(content: Content) -> _Recording:
+    with recording() as server:
+        draw(server, content)
+        serializer = server.get_scene_serializer()
+        spans = record(server, content.plays, serializer.insert_sleep)
+        text: str = serializer.as_html()
+    found = _DATA.search(text)
+    assert found is not None
+    return _Recording(text[: found.start()], found[1], text[found.end() :], spans)
+
+
+def _around(found: _Recording, data: str, content: Content, provenance_line: str, other: str) -> str:
+    """Add the data, a title, a policy, and what stands over the scene, to the page of viser."""
+    facts = {
+        "title": content.title,
+        "flights": flight_data(content.plays, found.spans),
+        "legend": content.legend,
+        "notes": list(content.notes),
+        "other": other,
+    }
+    facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    style, before, script = (asset(name) for name in ("overlay.css", "before.js", "overlay.js"))
+    head = (
+        (f"\n<!-- {provenance_line} -->\n" if provenance_line else "")
+        + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        + f"<style>{style}</style><script>{before}</script>"
+    )
+    body = (
+        MARKUP.replace("TITLE", escape(content.title))
+        + f'<script type="application/json" id="alula-data">{facts_text}</script><script>{script}</script>'
+    )
+    start, end = found.before.index("<head>") + len("<head>"), found.after.rindex("</body>")
+    first, _, titled = found.before[start:].partition("<title>")
+    titled = titled[titled.index("</title>") :] if titled else ""
+    inner = f"{first}<title>{escape(content.title)}{titled}" if titled else found.before[start:]
+    after = found.after.replace(_DARK, _DARK_BY_SYSTEM, 1)
+    end += len(after) - len(found.after)
+    return (
+        f"{found.before[:start]}{head}{inner}window.__VISER_EMBED_DATA__={data};"
+        f"{after[:end]}{body}{after[end:]}"
+    )

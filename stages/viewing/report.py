@@ -1,0 +1,39 @@
+"""The view in a report: scene, hulls, plan and flights as one self-contained page for a frame."""
+
+from __future__ import annotations
+
+from alula.stages.reporting.material import Material, flew_through
+from alula.stages.reporting.view3d import View
+from alula.stages.viewing.compose import Shown, content_of
+from alula.stages.viewing.page import within
+
+_MOST_BYTES = 6_500_000
+_MOST_PLAYED_S = 60.0
+
+
+def view(material: Material) -> View | None:
+    """Make the 3D view; None when there is nothing to show. The same material gives the same text.
+
+    The worst flights are played. Hulls are the cover's, also for runs that flew through another one, whose
+    clearance to it is not shown.
+
+    Args:
+        material: of the report.
+    """
+    runs = [run for run in material.runs if run.flights]
+    if not (runs or material.scene or material.cover or material.plan):
+        return None
+    shown = Shown(
+        title=material.title,
+        runs=runs,
+        elsewhere=frozenset(run.label for run in runs if flew_through(run, material) is False),
+        scenes=[] if material.scene is None else [("scene", material.scene)],
+        covers=[] if material.cover is None else [("cover", material.cover)],
+        plans=[] if material.plan is None else [("plan", material.plan)],
+    )
+    html, content = within(
+        lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S),
+        maximum=_MOST_BYTES,
+    )
+    notes = "; ".join(content.notes)
+    return View(html, f"{notes[0].upper()}{notes[1:]}." if notes else "")

@@ -1,0 +1,86 @@
+"""`alula view`: what it writes, what it serves and to whom, and what it refuses."""
+
+import http.client
+import json
+import re
+import threading
+
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.errors import UsageError
+from alula.schemas.provenance import read_provenance
+from alula.stages.viewing.serve import PageServer
+
+
+def facts(text):
+    return json.loads(re.search(r'id="alula-data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def test_a_page_of_everything_names_its_inputs(pipeline, tmp_path, capsys):
+    kinds = ("metric.scene.npz", "cover.npz", "plan.npz", "seen.npz", "run.mcap")
+    files = [str(pipeline / f"tiny.{kind}") for kind in kinds]
+    out = tmp_path / "page.html"
+    assert run(["view", *files, "-o", str(out), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert summary["flights_played"] == 1
+    assert summary["gaussians"] > 0
+    made = read_provenance(out)
+    assert made.schema == "alula/view"
+    assert [ref.name for ref in made.inputs] == [f"tiny.{kind}" for kind in kinds]
+    page = facts(out.read_text())
+    assert page["title"] == "tiny.metric, tiny"
+    (flight,) = page["flights"]
+    assert {plot["name"] for plot in flight["plots"]} >= {"speed [m/s]", "clearance [m]"}
+
+
+def test_a_splat_file_is_opened_directly(pipeline, tmp_path, capsys):
+    out = tmp_path / "page.html"
+    words = ["view", str(pipeline / "tiny.ply"), "--up", "-y", "--gaussians", "50", "-o", str(out), "--json"]
+    assert run(words) == 0
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert 45 <= summary["gaussians"] <= 50
+    assert "by contribution" in summary["notes"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["tiny.run.mcap", "--flight", "7"], "--flight 7: no log has the samples of that flight"),
+        (["tiny.cover.npz", "tiny.cover.npz"], "tiny.cover.npz: is named twice"),
+        (["tiny.cover.npz", "--gaussians=-1"], "--gaussians must not be negative"),
+        (["tiny.toml"], "tiny.toml: is not an artifact, a run, or a splat of a known format"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(words, message, pipeline, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(pipeline)
+    out = tmp_path / "page.html"
+    assert run(["view", *words, "-o", str(out)]) in (2, 3)
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def ask(server, path, host=None):
+    port = int(server.url.rsplit(":", 1)[1].rstrip("/"))
+    link = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    link.request("GET", path, headers={} if host is None else {"Host": host})
+    answer = link.getresponse()
+    found = answer.status, answer.read().decode()
+    link.close()
+    return found
+
+
+def test_the_page_is_served_to_this_machine_with_any_flight():
+    with PageServer(lambda flight: None if flight == 9 else f"page {flight}", 0) as server:
+        threading.Thread(target=server.run, daemon=True).start()
+        assert ask(server, "/") == (200, "page None")
+        assert ask(server, "/?flight=3") == (200, "page 3")
+        assert ask(server, "/?flight=9")[0] == 404
+        assert ask(server, "/?flight=-1")[0] == 404
+        assert ask(server, "/../etc/passwd")[0] == 404
+        assert ask(server, "/", "evil.example:80")[0] == 403
+        with pytest.raises(UsageError, match="in use"):
+            PageServer(lambda flight: "", int(server.url.rsplit(":", 1)[1].rstrip("/")))
+        server.stop()

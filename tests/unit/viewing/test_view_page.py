@@ -1,0 +1,69 @@
+"""The offline page of a view: the same bytes each time, a bounded size, and nothing that runs a name."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from alula.stages.viewing import page as pages
+from alula.stages.viewing.compose import Shown, content_of
+from alula.stages.viewing.draw import GAP_S, Span
+from alula.stages.viewing.page import page, within
+from alula.stages.viewing.plots import flight_data
+from support.fabricate import make_scene, make_trial
+from support.viewed_runs import run_of
+
+
+def facts(text):
+    return json.loads(re.search(r'id="alula-data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def test_the_same_content_gives_the_same_page():
+    shown = Shown(title="t", scenes=[("s", make_scene(50))], runs=[run_of([make_trial(0)])])
+    assert page(content_of(shown)) == page(content_of(shown))
+
+
+def test_flights_follow_one_another_on_the_timeline():
+    shown = Shown(title="t", runs=[run_of([make_trial(0), make_trial(1, "stuck")])])
+    first, second = facts(page(content_of(shown)))["flights"]
+    assert (first["outcome"], first["begin"]) == ("stuck", 0)
+    assert first["end"] == pytest.approx(5, abs=1e-3)
+    assert second["begin"] == pytest.approx(5 + GAP_S, abs=1e-3)
+
+
+def test_a_page_is_bounded_by_fewer_gaussians_and_has_a_light_one(monkeypatch):
+    monkeypatch.setattr(pages, "LIGHT_GAUSSIANS", 500)
+    scene = make_scene(40_000)
+    make = lambda most: content_of(Shown(title="t", scenes=[("s", scene)]), most_gaussians=most)  # noqa: E731
+    whole, content = within(make)
+    assert content.gaussians == 40_000
+    assert re.search(r'alulaDraws\("[\w+/=]+",(499|500),"', whole)
+    text, content = within(make, maximum=1_500_000)
+    assert len(text) <= 1_500_000
+    assert 5_000 < content.gaussians < 40_000
+    few, content = within(make, most_gaussians=400)
+    assert content.gaussians <= 400
+    assert "EMBED_DATA__=alulaDraws(" not in few
+
+
+def test_names_run_nothing_and_the_policy_blocks_requests():
+    evil = "</script><script>alert(1)</script>"
+    shown = Shown(title=evil, runs=[run_of([make_trial(0)], evil), run_of([make_trial(0)], "b")])
+    text = page(content_of(shown))
+    assert evil not in text
+    assert facts(text)["title"] == evil
+    assert 'http-equiv="Content-Security-Policy" content="default-src \'none\'' in text
+    assert text.count("<title>") == 1
+
+
+def test_curves_keep_their_peaks_and_gaps():
+    (play,) = content_of(Shown(title="t", runs=[run_of([make_trial(0)])])).plays
+    value = np.zeros(5000)
+    value[1234], value[4000] = 7.0, np.nan
+    long = replace(play.series[0], time_s=np.linspace(0, 5, 5000), value=value)
+    (data,) = flight_data([replace(play, series=(long,))], [Span(0.0, 5.0)])
+    (curve,) = data["plots"][0]["curves"]
+    assert len(curve["v"]) <= 302
+    assert max(v for v in curve["v"] if v is not None) == 7.0
