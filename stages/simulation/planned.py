@@ -41,7 +41,7 @@ def plans_of(
             goal=tuple(goal),
             radius_m=radius_m,
             speed_m_s=speed_m_s,
-            yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
+            yaw=repr(math.atan2(goal[1] - start[1], goal[0] - start[0])),
         )
         try:
             found.append(plan(config, cover, jobs=jobs))
