@@ -538,7 +538,7 @@ class Matrix:
             flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun, estimates
         )
         figures |= {"part": part, "code": code, "said": said, "disarmed_s": disarmed}
-        figures["strays"] = self.judges[cell.name].strays(_along_the_plan(heard, flown))
+        figures["strays"] = judge.strays(_along_the_plan(heard, flown))
         figures["from_goal_m"] = math.dist(flown[-1, 1:3], GOAL[:2])
         figures["late_s"] = _lateness(folder / "f.run.mcap", code)
         if figures["contact"] or untrue(fault, figures) or disarmed is None:
