@@ -534,9 +534,8 @@ class Matrix:
         lines = [line for _, line in heard]
         said = next((line for line in reversed(lines) if line and not line.startswith(" ")), "")
         estimates = np.array(sim.estimates).reshape(-1, 4)
-        figures = self.judges[cell.name].figures(
-            flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun, estimates
-        )
+        judge = self.judges[cell.name]
+        figures = judge.figures(flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun, estimates)
         figures |= {"part": part, "code": code, "said": said, "disarmed_s": disarmed}
         figures["strays"] = judge.strays(_along_the_plan(heard, flown))
         figures["from_goal_m"] = math.dist(flown[-1, 1:3], GOAL[:2])
