@@ -51,8 +51,19 @@ ROOT = Path(__file__).resolve().parents[1]
 VEHICLE = ROOT / "examples" / "vehicles" / "arducopter.toml"
 HEADING = "## Faults on the real autopilot\n"
 # Filters by the set-points that carry their output, and the map that they fly in.
-FILTERS = {"polytope-cbf": "velocities", "cone-di": "accelerations", "cone-backup": "body rates"}
-MAPS = {"polytope-cbf": "cover", "cone-di": "scene", "cone-backup": "cover"}
+FILTERS = {
+    "polytope-cbf": "velocities",
+    "cone-di": "accelerations",
+    "cone-backup": "body rates",
+    "shield": "body rates, shield",
+}
+MAPS = {"polytope-cbf": "cover", "cone-di": "scene", "cone-backup": "cover", "shield": "cover"}
+PLANS = {  # made for what the vehicle follows
+    "polytope-cbf": "velocity",
+    "cone-di": "acceleration",
+    "cone-backup": "body-rates",
+    "shield": "body-rates",
+}
 # A corridor of 2 m with a corner, walls 4 m high, no ceiling and no floor: corners of boxes [0.1 m].
 CORRIDOR = [
     ((-20, -14, 0), (70, -10, 40)),
@@ -293,6 +304,11 @@ class Cell:
         return np.random.default_rng([*self.key.encode()])
 
 
+def plan_path(folder: Path, name: str) -> Path:
+    """Plan that is flown behind a filter."""
+    return folder / f"corridor.{PLANS[name]}.plan.npz"
+
+
 def velocity_at(path: FloatArray, at_s: float) -> FloatArray:
     """Velocity [m/s] at a time by a line through 0.5 s of a path: time, x, y, z, shape (T, 4)."""
     near = path[np.abs(path[:, 0] - at_s) <= 0.25]
@@ -305,10 +321,10 @@ def velocity_at(path: FloatArray, at_s: float) -> FloatArray:
 class Judge:
     """Judges true paths by the corridor's walls, and what was said by the truth."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, name: str) -> None:
         vehicle = read_vehicle(VEHICLE)
         self.radius_m, self.following = vehicle.body.radius_m, vehicle.following
-        self.plan = read_artifact(folder / "corridor.plan.npz", PLAN)
+        self.plan = read_artifact(plan_path(folder, name), PLAN)
         self.walls = hull_obstacles(Hulls.from_cover(read_artifact(folder / "corridor.cover.npz", COVER)))
         self.course = sample_plan(self.plan, 0.01).position_world
         self.away = cKDTree(self.course)
@@ -406,12 +422,13 @@ def make_world(folder: Path) -> None:
 
     write_artifact(folder / "corridor.cover.npz", box_cover(CORRIDOR))
     write_artifact(folder / "corridor.scene.npz", ball_scene(*_tiles()))
-    words = ["plan", str(folder / "corridor.cover.npz"), "-o", str(folder / "corridor.plan.npz"), "-f", "-q"]
-    words += ["--speed", "1", "--radius", "0.25", "--bounds", BOUNDS]
-    for option, point in (("--start", START), ("--via", VIA), ("--goal", GOAL)):
-        words += [option, "{} {} {}".format(*point)]
-    if alula(words) != 0:
-        raise SystemExit("there is no plan")
+    for name, interface in PLANS.items():
+        words = ["plan", str(folder / "corridor.cover.npz"), "-o", str(plan_path(folder, name)), "-f", "-q"]
+        words += ["--speed", "1", "--vehicle", str(VEHICLE), "--interface", interface, "--bounds", BOUNDS]
+        for option, point in (("--start", START), ("--via", VIA), ("--goal", GOAL)):
+            words += [option, "{} {} {}".format(*point)]
+        if alula(words) != 0:
+            raise SystemExit("there is no plan")
 
 
 def _tiles() -> tuple[FloatArray, FloatArray]:
@@ -438,7 +455,8 @@ class Matrix:
     """Flies cells; a vehicle that does not recover from a fault is started again."""
 
     def __init__(self, folder: Path, cells: list[Cell], jobs: int, keep: Path) -> None:
-        self.folder, self.keep, self.jobs, self.judge = folder, keep, jobs, Judge(folder)
+        self.folder, self.keep, self.jobs = folder, keep, jobs
+        self.judges = {name: Judge(folder, name) for name in FILTERS}
         lasting = [cell for cell in cells if FAULTS[cell.fault].is_lasting]
         others = [cell for cell in cells if not FAULTS[cell.fault].is_lasting]
         count = max(1, math.ceil(len(others) / _BATCH))
@@ -485,7 +503,7 @@ class Matrix:
         origin = (here.y - START[0], here.x - START[1], -here.z)
         texts, first = len(sim.texts), len(sim.truth)
         here_map = self.folder / f"corridor.{MAPS[cell.name]}.npz"
-        words = [str(self.folder / "corridor.plan.npz"), "--map", str(here_map)]
+        words = [str(plan_path(self.folder, cell.name)), "--map", str(here_map)]
         words += ["--filter", cell.name, "--vehicle", str(VEHICLE), "-f", "-o", str(folder / "f.run.mcap")]
         words += ["--link", f"udpin:127.0.0.1:{sim.port}", "--origin", "{} {} {}".format(*origin)]
         words += ["--stale", "0.4", "--latency", "0.05"]
@@ -500,7 +518,7 @@ class Matrix:
                 _FLIGHT_S,
                 "it did not take off",
             )
-            while fly.is_running and self.judge.progress(path(len(sim.truth) - 1)[-1, 1:]) < part:
+            while fly.is_running and self.judges[cell.name].progress(path(len(sim.truth) - 1)[-1, 1:]) < part:
                 if time.monotonic() - fly.heard[0][0] > _FLIGHT_S:
                     raise Grounded("it did not reach the place of the fault")
                 time.sleep(0.02)
@@ -516,9 +534,10 @@ class Matrix:
         lines = [line for _, line in heard]
         said = next((line for line in reversed(lines) if line and not line.startswith(" ")), "")
         estimates = np.array(sim.estimates).reshape(-1, 4)
-        figures = self.judge.figures(flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun, estimates)
+        judge = self.judges[cell.name]
+        figures = judge.figures(flown[flown[:, 0] < begun + (disarmed or _AFTER_S)], begun, estimates)
         figures |= {"part": part, "code": code, "said": said, "disarmed_s": disarmed}
-        figures["strays"] = self.judge.strays(_along_the_plan(heard, flown))
+        figures["strays"] = judge.strays(_along_the_plan(heard, flown))
         figures["from_goal_m"] = math.dist(flown[-1, 1:3], GOAL[:2])
         figures["late_s"] = _lateness(folder / "f.run.mcap", code)
         if figures["contact"] or untrue(fault, figures) or disarmed is None:
@@ -646,7 +665,7 @@ def remarks(found: dict[str, dict[str, Any]]) -> str:
 
 _PREFACE = """
 ArduPilot Copter in real time along a plan of 1 m/s around the corner of a walled corridor, 2 m wide, behind
-`polytope-cbf` (velocities), `cone-di` (accelerations) and `cone-backup` (body rates), with
+`polytope-cbf` (velocities), `cone-di` (accelerations), `cone-backup` and `shield` (body rates), with
 `examples/vehicles/arducopter.toml`. At a drawn place between a fifth and three quarters of the plan the fault
 is made by another station or on this machine. From then until the motors stop, at most 100 s, the true motion
 is judged: the least distance from the walls less the vehicle's radius (a contact is 0 or less; the landing

@@ -15,6 +15,8 @@ equal; plans also keep those of thrust, tilt, body rates and rotors, and room fo
   as fast as 0.6 of it;
 - `time_over_line`: over the fastest curve along a straight line of the same length in free space, within the
   limits of jerk and snap, too;
+- `gates_passed`: fraction of the gates of random missions, three gates and two laps each, that samples of the
+  flown curve pass through their disc in their direction and order, by the judge of flights;
 - `limit_violations`: plans whose limits `verify` does not prove again in rational arithmetic.
 
 Times of planning are processor seconds of one thread, after the map is loaded, proof included.
@@ -48,17 +50,19 @@ from scipy.spatial.distance import pdist
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.configs.plan import Gate, PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.compression.merge import merge
 from alula.stages.planning import convex_core
+from alula.stages.planning.adherence import PlanJudge
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import certify_in
 from alula.stages.planning.fastest import fastest_curve, keeps
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import curve_along, plan
+from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.verify import verify_plan
 
@@ -250,8 +254,49 @@ def figures(world: World, speed: float, count: int, compared: int, seed: int) ->
     }
 
 
+def random_gate(space: PlanSpace, grid: FloatArray, rng: np.random.Generator) -> Gate:
+    """A gate at a random point, in a random horizontal direction, with a free way straight through."""
+    while True:
+        centre, angle = rng.choice(grid), rng.uniform(-np.pi, np.pi)
+        normal = np.array([np.cos(angle), np.sin(angle), 0.0])
+        ends = np.stack([centre - space.keep_m * normal, centre + space.keep_m * normal])
+        if space.map.segment_distance(ends[:1], ends[1:], 2 * space.keep_m)[0] >= space.keep_m + 1e-5:
+            return (*centre.tolist(), *normal.tolist(), space.keep_m + rng.uniform(0.01, 0.3))
+
+
+def gate_figures(world: World, count: int, seed: int) -> dict[str, Any]:
+    """Fly random missions of gates: how many are planned, and the fraction of their gates that are passed."""
+    base = PlanConfig(radius_m=world.radius_m, speed_m_s=2.0, acceleration_m_s2=ACCELERATION, loops=2)
+    space = plan_space(base, world.cover)
+    pairs = connected_pairs(space, 4 * count, seed)
+    grid = np.array([point for pair in pairs for point in pair])
+    rng = np.random.default_rng(seed)
+    seconds, passed, wanted, unproven = [], 0, 0, 0
+    for start, goal in pairs[:count]:
+        gates = tuple(random_gate(space, grid, rng) for _ in range(3))
+        config = dataclasses.replace(base, start=start, goal=goal, gate=gates)
+        wanted += 6
+        begin = time.process_time()
+        try:
+            made = plan(config, world.cover, jobs=1)
+        except InfeasibleError as error:
+            sys.stderr.write(f"{world.name}: {config.gate}: {error}\n")
+            continue
+        seconds.append(time.process_time() - begin)
+        unproven += not verify_plan(made, cover=world.cover, jobs=1).covered
+        found = PlanJudge(made, [], world.radius_m, 0.1).result(sample_plan(made, 1e-3).position_world)
+        passed += sum(one.passed for one in found.passes)
+    return {
+        "gate_missions": count,
+        "gates": wanted,
+        "gates_passed": passed / wanted,
+        "gate_plan_median_s": float(np.median(seconds)) if seconds else math.nan,
+        "gate_plans_unproven": unproven,
+    }
+
+
 def main() -> int:
-    """Print a table, or JSON; return 1 if a connected pair has no plan or a plan was not proven again."""
+    """Print a table, or JSON; return 1 if a pair has no plan, a gate is missed or a plan not proven again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the built-in room alone, 40 pairs at 1 m/s")
     parser.add_argument("--pairs", type=int, default=100, help="in each world: 100")
@@ -263,7 +308,12 @@ def main() -> int:
     given = parser.parse_args()
     worlds = [built_in()] if given.quick else [built_in(), *real_worlds()]
     speeds, pairs, compared = ([1.0], 40, 8) if given.quick else (given.speed, given.pairs, given.compared)
-    found = [figures(world, v, pairs, compared, given.seed) for world in worlds for v in speeds]
+    missions = 8 if given.quick else 30
+    found = [
+        figures(world, v, pairs, compared, given.seed) | gate_figures(world, missions, given.seed)
+        for world in worlds
+        for v in speeds
+    ]
     if given.json:
         json.dump(found[0] if given.quick else found, sys.stdout, indent=2)
         sys.stdout.write("\n")
@@ -273,7 +323,8 @@ def main() -> int:
         preface = "# Plans, measured\n\nWritten by `python benchmarks/plan.py --markdown FILE`.\n\n" + __doc__
         given.markdown.write_text(f"{preface}\n{table(found)}")
     missed = any(each["planned_pairs"] < each["connected_pairs"] for each in found)
-    return int(missed or any(each["limit_violations"] for each in found))
+    missed |= any(each["gates_passed"] < 1 for each in found)
+    return int(missed or any(each["limit_violations"] + each["gate_plans_unproven"] for each in found))
 
 
 def table(found: list[dict[str, Any]]) -> str:

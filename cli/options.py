@@ -53,7 +53,8 @@ class Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
             return value
         parts = _parts(str(value))
         if len(parts) != self.count or not parts:
-            form = _FORM.get(self.count, "x ...")
+            given = (param.metavar or "") if param is not None else ""
+            form = given.lower() if " " in given else _FORM.get(self.count, "x ...")
             self.fail(
                 f"{str(value)!r} is not {self.count} numbers; write {self.count} words, or one in quotes: "
                 f'"{form}"',

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
+    from alula.schemas.mission import Mission
 
 
 @click.command(
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
   alula plan room.cover.npz --free-points 6
   alula plan room.cover.npz -o room.plan.npz --start "-1 0 1" --goal "3 2 1.2"
   alula plan room.cover.npz -o fast.plan.npz --start "0 0 1" --goal "6 4 1" --via "3 2 1.5" --speed 3
+  alula plan room.cover.npz -o laps.plan.npz --start "0 0 1" --goal "0 0 1" --gate "3 2 1 1 0 0 0.5" --loops 2
+  alula plan room.cover.npz -o course.plan.npz --mission course.toml --speed 2
   alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml
   alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap
   alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
@@ -36,6 +40,12 @@ if TYPE_CHECKING:
     "vehicle_path",
     type=options.input_path(),
     help="Vehicle (.toml) that will fly the plan; default: the quadrotor of FastBridge.",
+)
+@click.option(
+    "--mission",
+    "mission_path",
+    type=options.input_path(),
+    help="Waypoints, gates, laps and zones (.toml), in place of --via, --gate, --loops and --yaw.",
 )
 @click.option(
     "--within", type=options.input_path(), help="Seen space (.seen.npz) that the flight must stay in."
@@ -57,6 +67,7 @@ def command(
     map_path: Path,
     scene_path: Path | None,
     vehicle_path: Path | None,
+    mission_path: Path | None,
     within: Path | None,
     count: int | None,
 ) -> None:
@@ -81,6 +92,10 @@ def command(
         raise UsageError("give --sigma or --confidence, not both")
     paths = _maps(map_path, scene_path) | ({} if within is None else {"within": within})
     vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
+    mission = None if mission_path is None else _mission(context, mission_path)
+    if mission is not None:
+        start, goal = config.start or mission.start_m, config.goal or mission.goal_m
+        config = dataclasses.replace(config, start=start, goal=goal)
     config = resolve_plan(config, vehicle)
     if count is not None:
         _print_free_points(common, config, paths, count)
@@ -98,10 +113,22 @@ def command(
     def build(progress: Progress) -> Artifact:
         maps = _read(paths)
         behind = None if config.filter is None else behind_filters(config, vehicle, **maps, jobs=common.jobs)
-        return plan(config, **maps, vehicle=vehicle, behind=behind, jobs=common.jobs, progress=progress)
+        known: dict[str, Any] = {"mission": mission, "vehicle": vehicle, "behind": behind}
+        return plan(config, **maps, **known, jobs=common.jobs, progress=progress)
 
-    inputs = paths | ({} if vehicle_path is None else {"vehicle": vehicle_path})
+    further = {"vehicle": vehicle_path, "mission": mission_path}
+    inputs = paths | {role: path for role, path in further.items() if path is not None}
     runner.run_stage(common, PLAN, config, inputs, build)
+
+
+def _mission(context: click.Context, path: Path) -> Mission:
+    from alula.schemas.errors import UsageError
+    from alula.schemas.mission import read_mission
+
+    for name in ("via", "gate", "loops", "yaw"):
+        if options.is_given(context, name):
+            raise UsageError(f"--{name} and --mission: the file says this; give one of the two")
+    return read_mission(path)
 
 
 def _maps(map_path: Path, scene_path: Path | None) -> dict[str, Path]:

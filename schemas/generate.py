@@ -45,6 +45,7 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.geofence import FenceScenario
     from alula.schemas.kinds import KINDS
     from alula.schemas.manifest import VERSION
+    from alula.schemas.mission import MISSION_SCHEMA, Mission
     from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
@@ -60,6 +61,7 @@ def documents() -> dict[str, bytes]:
         (f"{SCENARIO_SCHEMA}-encounters", VERSION, Encounters),
         (f"{SCENARIO_SCHEMA}-geofence", VERSION, FenceScenario),
         (VEHICLE_SCHEMA, VERSION, Vehicle),
+        (MISSION_SCHEMA, VERSION, Mission),
     ]
     result = {}
     for name, version, struct in types:

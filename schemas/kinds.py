@@ -190,7 +190,7 @@ PLAN = Kind(
         ),
         ArrayRule("piece_cell", "<i8", ("K",), "1", "cell of each piece, -1 if none", optional=True),
     ),
-    version="1.1",
+    version="1.2",
 )
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (SCENE, VOXELS, SEEN, COVER, PLAN)}

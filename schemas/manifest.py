@@ -194,6 +194,51 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
             raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
 
 
+_Number = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+
+
+class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
+    """A waypoint or gate of a plan.
+
+    Attributes:
+        kind: a point, or a hoop that is flown through along its normal.
+        number: of the pass in its lap, from 1.
+        lap: from 1.
+        time_s: when the plan passes it; of a waypoint where it holds, the beginning of that [s].
+        point_m: the waypoint, or the centre of the hoop [m].
+        normal: of the hoop, unit length; empty for a waypoint.
+        radius_m: of the hoop's opening [m]; 0 for a waypoint.
+        tolerance_m: distance within which the waypoint counts as passed [m]; None for that of the flight.
+        hold_s: time that the plan stays there [s].
+    """
+
+    kind: Literal["waypoint", "gate"]
+    number: _Number
+    time_s: Margin
+    point_m: Vector
+    lap: _Number = 1
+    normal: list[float] = []
+    radius_m: Margin = 0.0
+    tolerance_m: float | None = None
+    hold_s: Margin = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a gate without a direction or an opening."""
+        if self.kind == "gate" and not (
+            len(self.normal) == 3 and 0.99 < sum(c * c for c in self.normal) < 1.01 and self.radius_m > 0
+        ):
+            raise ValueError("a gate needs a normal of unit length and a radius")
+        if self.tolerance_m is not None and not self.tolerance_m > 0:
+            raise ValueError("the tolerance of a waypoint must be positive")
+
+
+class PlanZone(msgspec.Struct, frozen=True, kw_only=True):
+    """A box, XMIN YMIN ZMIN XMAX YMAX ZMAX [m], in which the plan keeps a lower top speed [m/s]."""
+
+    box_m: Annotated[list[Coordinate], msgspec.Meta(min_length=6, max_length=6)]
+    speed_m_s: Length
+
+
 class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time.
 
@@ -201,8 +246,10 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     was made for. `via_m` are the points to pass between start and goal, in their order. Since 1.1 `maps` says
     of each map what its obstacles are and which distance (`keep_m`, at least `radius_m`) the plan keeps from
     them, `limits` are the bounds of the motion that hold at every instant, by the names of `Limits`, `method`
-    is how the curve was found, and `vehicle` the name of the vehicle. A plan that `requires` names unproven
-    keeps the limits, but may lead through obstacles; only its start and goal keep `radius_m`.
+    is how the curve was found, and `vehicle` the name of the vehicle. Since 1.2 `passes` lists waypoints and
+    gates of all laps in their order, and `via_m` where the curve passes them; `zones` have lower top speeds.
+    A plan that `requires` names unproven keeps the limits, but may lead through obstacles; only its start and
+    goal keep `radius_m`.
     """
 
     unit: Literal["m"]
@@ -215,6 +262,8 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     method: str = ""
     vehicle: str = ""
     maps: list[dict[str, Any]] = []
+    passes: list[PlanPass] = []
+    zones: list[PlanZone] = []
 
     @property
     def is_proven(self) -> bool:

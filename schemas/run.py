@@ -27,7 +27,7 @@ FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight
 
 # "stopped": a real flight that ended before its goal, by landing or because the pilot took over.
 # "held": a vehicle that hovers or flies by a pilot did so for the whole time.
-# "missed-via", "off-plan": it reached the goal of a plan, but missed a via point, or left the plan's tube.
+# "missed-via", "off-plan": it reached the goal of a plan, but missed a via point or gate, or left its tube.
 Outcome = Literal[
     "reached",
     "stuck",
@@ -44,20 +44,44 @@ Outcome = Literal[
 PLAN_OUTCOMES: tuple[Outcome, ...] = ("missed-via", "off-plan")
 
 
+class PassResult(msgspec.Struct, frozen=True, kw_only=True):
+    """How a flown path passed a waypoint or gate of its plan.
+
+    Attributes:
+        name: such as "gate 2 of lap 1".
+        passed: within its tolerance, or through its opening in its direction, after the one before.
+        allowed_m: tolerance, or what the vehicle's radius leaves of that of the opening [m].
+        off_m: minimum distance from a waypoint; distance from the centre of a gate where its plane was
+            crossed in its direction, nearest to the centre if none was within; None if it never was [m].
+        backwards: the gate's opening was flown through, against its direction.
+        held_s: longest time within the tolerance of a waypoint where the plan holds [s].
+    """
+
+    name: str
+    passed: bool
+    allowed_m: float
+    off_m: float | None
+    backwards: bool = False
+    held_s: float | None = None
+
+
 class PlanResult(msgspec.Struct, frozen=True, kw_only=True):
     """Comparison of a flown path with its plan.
 
     Attributes:
-        via_tolerance_m: distance within which a via point counts as passed [m].
-        closest_m: minimum distance to each via point, in their order, after the one before was passed [m].
-        missed: numbers of the via points that were missed, from 1.
+        via_tolerance_m: distance within which a via point without its own tolerance counts as passed [m].
+        closest_m: minimum distance to each via point, or centre of a gate, in their order, after the one
+            before was passed [m].
+        missed: numbers of those that were missed, from 1, over all laps.
         outside_m: maximum distance of the path from the tube about the plan, from below; 0 within it [m].
+        passes: each of them.
     """
 
     via_tolerance_m: float
     closest_m: list[float]
     missed: list[int]
     outside_m: float
+    passes: list[PassResult] = []
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):

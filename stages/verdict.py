@@ -13,6 +13,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.run import Outcome, TrialResult
 
 UNFILTERED = "No filter was flown; nothing was guaranteed beforehand."
+_CLOSED_SHARE = 0.005  # of the path: a course that ends so near to where it begins is closed
 
 
 def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -126,9 +127,18 @@ def mean_path_ratio(trials: Iterable[TrialResult]) -> float | None:
     Args:
         trials: verdicts.
     """
-    return mean(
-        t.path_length_m / t.straight_length_m for t in trials if is_success(t) and t.straight_length_m > 0
-    )
+    return mean(ratio for t in trials if is_success(t) and (ratio := path_ratio(t)) is not None)
+
+
+def path_ratio(trial: TrialResult) -> float | None:
+    """Ratio of the length flown to the straight line from start to goal; None for a closed course.
+
+    Args:
+        trial: its verdict.
+    """
+    straight = trial.straight_length_m
+    is_closed = straight <= _CLOSED_SHARE * trial.path_length_m
+    return None if is_closed else trial.path_length_m / straight
 
 
 def minimum(values: Iterable[float | None]) -> float | None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
 
 MARGIN_M = 0.1  # that filters keep beyond the vehicle's radius in flight, for errors of tracking and state
 Point = tuple[float, float, float]
+Gate = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +145,28 @@ class PlanConfig:
             "metavar": "BOX",
         },
     )
-    yaw_rad: float = field(default=0.0, metadata={"help": "Constant heading [rad].", "option": "--yaw"})
+    gate: tuple[Gate, ...] = field(
+        default=(),
+        metadata={
+            "help": "Hoop to fly through: centre [m], direction, radius of the opening [m]; may be repeated.",
+            "metavar": "CX CY CZ NX NY NZ R",
+        },
+    )
+    loops: int = field(default=1, metadata={"help": "Laps: fly via points or gates so many times."})
+    yaw: str = field(
+        default="0",
+        metadata={
+            "help": "Heading: constant [rad], `along` the motion, or `towards:X,Y,Z`, a point [m].",
+            "metavar": "HEADING",
+        },
+    )
+    yaw_rate_rad_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "Maximum rate of the heading [rad/s]; default: 2, or what the vehicle can do.",
+            "option": "--yaw-rate",
+        },
+    )
     # What the obstacles are, and points that are not free.
     sigma: float = field(
         default=1.0,
@@ -178,6 +200,7 @@ class PlanConfig:
             ("--max-snap", self.snap_m_s4, 1e-3, 1e8),
             ("--tilt", self.tilt_rad, 1e-3, 1.5),
             ("--body-rate", self.body_rate_rad_s, 1e-3, 1e3),
+            ("--yaw-rate", self.yaw_rate_rad_s, 1e-3, 1e3),
             ("--smooth", self.smooth, 1.0, 100.0),
             ("--resolution", self.resolution_m, 1e-4, 1e3),
             ("--sigma", self.sigma, 0.01, 100.0),
@@ -185,16 +208,19 @@ class PlanConfig:
         ):
             if value is not None and not (low <= value <= high):
                 raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
-        if not (-7 <= self.yaw_rad <= 7):
-            raise UsageError(f"--yaw is in radians, not {self.yaw_rad:g}")
-        if self.straight and self.via:
-            raise UsageError("--straight leads from --start to --goal; leave out --via")
+        self.heading  # noqa: B018  # refuses what is none
+        if not (1 <= self.loops <= 100):
+            raise UsageError(f"--loops must be between 1 and 100, not {self.loops}")
+        if self.straight and (self.via or self.gate or self.loops > 1):
+            raise UsageError("--straight leads from --start to --goal; leave out --via, --gate and --loops")
+        if self.straight and "look_at_m" in self.heading:
+            raise UsageError("--straight has one heading: an angle in radians, or along")
         if self.allow_blocked and not self.straight:
             raise UsageError("--allow-blocked is for plans with --straight; all others are proven")
         if self.confidence is not None and not (0 < self.confidence < 1):
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points
-        for before, after in pairwise(points):
+        for before, after in pairwise(points) if self.via else ():
             if before == after:
                 raise UsageError("two consecutive points of the flight are the same")
         if self.bounds is not None:
@@ -210,6 +236,24 @@ class PlanConfig:
         """Distance to keep, without inflation, of a configuration that has it; see `resolve_plan` [m]."""
         assert self.radius_m is not None
         return self.radius_m
+
+    @property
+    def heading(self) -> dict[str, Any]:
+        """The heading as keys of a mission."""
+        if self.yaw == "along":
+            return {"yaw": "along"}
+        kind, _, rest = self.yaw.rpartition(":")
+        try:
+            values = [float(word) for word in rest.replace(",", " ").split()]
+        except ValueError:
+            values = []
+        if kind == "towards" and len(values) == 3 and all(abs(x) < 1e6 for x in values):
+            return {"look_at_m": tuple(values)}
+        if kind or len(values) != 1:
+            raise UsageError(f"--yaw is an angle in radians, along, or towards:X,Y,Z, not {self.yaw!r}")
+        if not (-7 <= values[0] <= 7):
+            raise UsageError(f"--yaw is in radians, not {values[0]:g}")
+        return {"yaw_rad": values[0]}
 
     @property
     def points(self) -> list[Point]:

@@ -71,7 +71,9 @@ def judge(
     if flying.any():
         first = np.searchsorted(rows[flying, 0], [time_s for time_s, _ in joined], side="right")
         later = [_tube(mission, plan, jobs) for _, plan in joined]
-        followed = mission.along.result(position[flying], list(zip(first.tolist(), later, strict=True)))
+        followed = mission.along.result(
+            position[flying], rows[flying, 0], list(zip(first.tolist(), later, strict=True))
+        )
     speed = np.linalg.norm(velocity, axis=1)
     margin = rows[flying, 9]
     margin = margin[np.isfinite(margin)]

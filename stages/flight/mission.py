@@ -33,7 +33,7 @@ from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
-from alula.stages.planning.adherence import PlanJudge, require_room, via_tolerance
+from alula.stages.planning.adherence import PlanJudge, require_fit, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
 from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan_samples import curve_of, sample_plan
@@ -263,6 +263,7 @@ def make_mission(
         proofs.append(
             _proof(certify_among(plan, scene, config.sigma, radius, jobs=jobs), "ellipsoids", radius)
         )
+    require_fit(plan, vehicle)
     curve = curve_of(plan)
     inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
@@ -547,8 +548,7 @@ def make_clock(mission: Mission) -> PlanClock:
     Args:
         mission: to fly.
     """
-    waits = _core.PlanClockOptions(via_s=mission.along.via_s, via_m=mission.along.tolerance_m)
-    return PlanClock(mission.curve, waits)
+    return PlanClock(mission.curve, mission.along.waits)
 
 
 def describe(mission: Mission) -> str:

@@ -1,4 +1,4 @@
-"""Whether a flown path followed its plan: its via points, and the tube about it."""
+"""Whether a flown path followed its plan: its waypoints and gates, and the tube about it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.decimals import at_least, at_most
+from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.run import Outcome, PlanResult
+from alula.schemas.manifest import PlanPass
+from alula.schemas.run import Outcome, PassResult, PlanResult
+from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.passes import laps_of, name_of, passes_of
+from alula.stages.planning.passing import passed_of
 from alula.stages.planning.plan_samples import curve_of
 
 LEAST_VIA_TOLERANCE_M = 0.1
@@ -21,6 +25,7 @@ LEAST_VIA_TOLERANCE_M = 0.1
 FINISHED_M, FINISHED_M_S = 0.2, 0.3
 _SPACING_M = 0.01  # of the samples of plan and path
 _MOST_SAMPLES = 20_000
+_ALIGNING_S, _ALIGNING_STEP_S = 2.0, 0.005  # before a gate, where its clock looks for a place to wait
 _CAP_M = 5.0  # the tube is at most this wide
 
 
@@ -52,7 +57,10 @@ class PlanJudge:
 
     Attributes:
         is_proven: the plan says that it is proven to keep its distance.
-        via: via points, shape (V, 3) [m], and `via_s`, the times at which the plan passes them [s].
+        via: where the plan passes waypoints and gates, shape (V, 3) [m].
+        passes: waypoints and gates of all laps, in their order.
+        allowed_m: distance within which each of them counts as passed [m].
+        waits: how the time along the plan waits for the vehicle.
     """
 
     def __init__(
@@ -63,13 +71,15 @@ class PlanJudge:
         via_tolerance_m: float,
         jobs: int = 0,
     ) -> None:
+        self.passes = passes_of(plan)
         self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
+        self.allowed_m = [allowed_m(each, radius_m, via_tolerance_m) for each in self.passes]
         self.tolerance_m = via_tolerance_m
         curve = curve_of(plan)
         speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
         count = min(_MOST_SAMPLES, 2 + math.ceil(curve.duration_s * speed / _SPACING_M))
         self.centre = np.ascontiguousarray(curve.at(np.linspace(0, curve.duration_s, count))[:, :3])
-        self.via_s = via_times(plan)
+        self.waits = waits(plan, radius_m, via_tolerance_m)
         cap = radius_m + _CAP_M
         distance = [segment_clearance(self.centre, self.centre, each, jobs, cap) for each in obstacles]
         self.distances_m = [float(each.min()) for each in distance]  # of the plan, or the cap
@@ -81,38 +91,34 @@ class PlanJudge:
         gaps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
         self.gap_m = float(gaps.max(initial=0.0))
 
-    def result(self, path: FloatArray, later: Sequence[tuple[int, PlanJudge]] = ()) -> PlanResult:
+    def result(
+        self,
+        path: FloatArray,
+        time_s: FloatArray | None = None,
+        later: Sequence[tuple[int, PlanJudge]] = (),
+    ) -> PlanResult:
         """Compare a path with the plan.
 
-        Via points are passed in their order: each is looked for where the one before was passed, or later.
+        Waypoints and gates are passed in their order, see `passed_of`.
 
         Args:
             path: shape (T, 3), T >= 1, joined by chords, world frame [m].
+            time_s: of its points, shape (T,) [s]; without it the time at waypoints is not judged.
             later: plans through the rest of the via points that replace this one, each from a point of the
                 path on, in their order.
         """
-        closest: list[float] = []
-        missed: list[int] = []
-        begin, end = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
-        first = 0
-        for number, point in enumerate(self.via, 1):
-            distance = _distances(begin[first:], end[first:], point)
-            closest.append(float(distance.min()))
-            near = np.flatnonzero(distance <= self.tolerance_m)
-            if len(near):
-                first += int(near[0])
-            else:
-                missed.append(number)
+        found, closest = passed_of(self.passes, self.allowed_m, path, time_s)
         return PlanResult(
             via_tolerance_m=self.tolerance_m,
             closest_m=closest,
-            missed=missed,
+            missed=[number for number, one in enumerate(found, 1) if not one.passed],
             outside_m=max(
                 judge._outside(path[first:end])
                 for (first, judge), end in zip(
                     [(0, self), *later], [*(first for first, _ in later), len(path)], strict=True
                 )
             ),
+            passes=found,
         )
 
     def _outside(self, path: FloatArray) -> float:
@@ -135,30 +141,64 @@ class PlanJudge:
         return worst
 
 
-def via_times(plan: Artifact) -> list[float]:
-    """Times at which a plan passes its via points, which are ends of its pieces, in their order [s].
+def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.PlanClockOptions:
+    """How the time along a plan waits at waypoints and gates for a vehicle that is not there.
+
+    Of a gate it waits before the plane, for a vehicle that is farther from the plan than the opening leaves
+    room about the plan, but not for one within a tenth of a metre: aligned, it then crosses the plane.
 
     Args:
         plan: an `alula/plan`.
+        radius_m: of the vehicle [m].
+        via_tolerance_m: distance within which a via point without its own tolerance counts as passed [m].
     """
-    points = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
-    ends_s = np.asarray(plan["time"], np.float64)
-    ends = curve_of(plan).at(ends_s)[:, :3]
-    found: list[float] = []
-    first = 0
-    for point in points:
-        first += int(np.linalg.norm(ends[first:] - point, axis=1).argmin())
-        found.append(float(ends_s[first]))
-    return found
+    curve = curve_of(plan)
+    at_s: list[float] = []
+    own: list[float] = []
+    for each in passes_of(plan):
+        room, when = allowed_m(each, radius_m, via_tolerance_m), each.time_s
+        if each.kind == "gate":
+            at = curve.at(np.array([each.time_s]))[0, :3]
+            room = max(room - float(np.linalg.norm(at - each.point_m)), LEAST_VIA_TOLERANCE_M)
+            times = each.time_s - np.arange(0.0, min(_ALIGNING_S, each.time_s), _ALIGNING_STEP_S)
+            height = (curve.at(times)[:, :3] - each.point_m) @ np.array(each.normal)
+            when = float(times[int(np.argmax(height <= -room))]) if (height <= -room).any() else when
+        at_s.append(max([when, *at_s[-1:]]))
+        own.append(room)
+    return _core.PlanClockOptions(via_s=at_s, own_via_m=own)
 
 
-def _distances(begin: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
-    """Distances of chords, shape (S, 3), to a point; shape (S,)."""
-    chord, to = end - begin, point - begin
-    length2 = np.einsum("ij,ij->i", chord, chord)
-    along = np.einsum("ij,ij->i", to, chord) / np.where(length2 > 0, length2, 1)
-    apart: FloatArray = np.linalg.norm(to - np.clip(along, 0, 1)[:, None] * chord, axis=1)
-    return apart
+def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
+    """Distance from the plan's point within which a vehicle passes it [m].
+
+    Args:
+        each: waypoint or gate of a plan.
+        radius_m: of the vehicle [m].
+        via_tolerance_m: of waypoints without their own [m].
+    """
+    if each.kind == "gate":
+        return each.radius_m - radius_m
+    return via_tolerance_m if each.tolerance_m is None else each.tolerance_m
+
+
+def require_fit(plan: Artifact, vehicle: Vehicle) -> None:
+    """Refuse a plan through a gate that the vehicle does not fit through.
+
+    Args:
+        plan: an `alula/plan`.
+        vehicle: that will fly it.
+
+    Raises:
+        UsageError: names the first such gate.
+    """
+    passes = passes_of(plan)
+    for each in passes:
+        if each.kind == "gate" and each.radius_m <= vehicle.body.radius_m:
+            name, own = name_of(each, laps_of(passes)), exact(vehicle.body.radius_m)
+            raise UsageError(
+                f"{name} has a radius of {exact(each.radius_m)} m, and {vehicle.name} one of {own} m: "
+                "it does not fit through"
+            )
 
 
 def require_room(
@@ -225,11 +265,34 @@ def complaint(result: PlanResult | None) -> str | None:
     if result is None:
         return None
     if result.missed:
-        first = result.missed[0]
+        first = result.missed[0] - 1
+        if first < len(result.passes):
+            return _words(result.passes[first], result.via_tolerance_m)
         return (
-            f"via point {first} was missed: the closest approach was {result.closest_m[first - 1]:.3g} m, "
+            f"via point {first + 1} was missed: the closest approach was {result.closest_m[first]:.3g} m, "
             f"{result.via_tolerance_m:.3g} m are allowed (--via-tolerance)"
         )
     if result.outside_m > 0:
         return f"the flight left the tube about the plan, by {result.outside_m:.3g} m"
     return None
+
+
+def _words(missed: PassResult, via_tolerance_m: float) -> str:
+    """How a waypoint or gate was missed."""
+    begin = f"{missed.name} was missed"
+    if not missed.name.startswith("gate"):
+        if missed.held_s is not None and missed.off_m is not None and missed.off_m <= missed.allowed_m:
+            return f"{begin}: the vehicle left it after {missed.held_s:.3g} s"
+        option = " (--via-tolerance)" if missed.allowed_m == via_tolerance_m else ""
+        off = f"the closest approach was {missed.off_m:.3g} m"
+        return f"{begin}: {off}, {missed.allowed_m:.3g} m are allowed{option}"
+    if missed.backwards:
+        return f"{begin}: it was flown through against its direction"
+    if missed.off_m is None:
+        return f"{begin}: its plane was not crossed in its direction"
+    if missed.allowed_m <= 0:
+        return f"{begin}: the vehicle does not fit through it"
+    return (
+        f"{begin}: the vehicle crossed its plane {missed.off_m:.3g} m from the centre, "
+        f"{missed.off_m - missed.allowed_m:.3g} m more than fits through"
+    )

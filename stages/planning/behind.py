@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.stages.planning.corridor import Corridor, divided
 from alula.stages.planning.fastest import Curve
-from alula.stages.planning.trajectory import DEGREE, evaluate
+from alula.stages.planning.trajectory import evaluate
 
 _CELL_M = 0.4  # length of the cells that become slower
 _SLOWER = 0.6  # times the speed at which the filter acts
@@ -33,11 +34,12 @@ class Behind:
     acting_s: Callable[[FloatArray, FloatArray], FloatArray]
 
 
-Solve = Callable[[Corridor, FloatArray], Curve]
+Solve = Callable[[Corridor], Curve]
+Heading = Callable[[Corridor, Curve], FloatArray]
 
 
 def slowed(
-    corridor: Corridor, curve: Curve, behind: Behind, speed_m_s: float, yaw_rad: float, solve: Solve
+    corridor: Corridor, curve: Curve, behind: Behind, speed_m_s: float, heading: Heading, solve: Solve
 ) -> tuple[Corridor, Curve, int]:
     """Slow a curve down where filters act in a flight along it, until they do not.
 
@@ -50,16 +52,20 @@ def slowed(
         curve: the fastest.
         behind: the filters.
         speed_m_s: limit of the speed [m/s].
-        yaw_rad: heading of the flight.
-        solve: the fastest curve in a corridor with a limit of the speed in each cell, shape (C,) [m/s].
+        heading: coefficients of the yaw along a curve in its corridor, shape (K, 1, 8).
+        solve: the fastest curve in a corridor within the speeds of its cells.
 
     Returns:
         The curve along which they act for the fewest ticks, its corridor, and the number of these ticks.
     """
     limit = np.full(len(corridor.start) - 1, speed_m_s)
+    if corridor.speed is not None:
+        limit = np.minimum(limit, corridor.speed)
     best = (corridor, curve, -1)
     for _ in range(_ROUNDS):
-        at = behind.acting_s(curve.time, with_yaw(curve.coefficient(), yaw_rad))
+        at = behind.acting_s(
+            curve.time, np.concatenate([curve.coefficient(), heading(corridor, curve)], axis=1)
+        )
         if best[2] < 0 or len(at) < best[2]:
             best = (corridor, curve, len(at))
         acting = _cells_at(curve, at)
@@ -75,22 +81,11 @@ def slowed(
                 limit[i] = max(_SLOWEST_M_S, min(limit[i], _SLOWER * float(speed[inside].max())))
         if (limit == before).all():
             break
-        curve = solve(corridor, limit)
+        corridor = dataclasses.replace(corridor, speed=limit)
+        curve = solve(corridor)
         if (curve.cell < 0).any():  # straight lines from rest to rest
             break
     return best
-
-
-def with_yaw(coefficient: FloatArray, yaw_rad: float) -> FloatArray:
-    """Coefficients of (x, y, z, yaw) with a constant heading.
-
-    Args:
-        coefficient: of (x, y, z), shape (K, 3, 8).
-        yaw_rad: heading.
-    """
-    yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
-    yaw[:, 0, 0] = yaw_rad
-    return np.ascontiguousarray(np.concatenate([coefficient, yaw], axis=1))
 
 
 def _cells_at(curve: Curve, at: FloatArray) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ further variables; tests compare the two.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import comb
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.planning.limits import Limits
+from alula.stages.planning.opening import Opening
 from alula.stages.planning.trajectory import DEGREE
 
 _ORDERS = 5  # position to snap
@@ -38,6 +39,9 @@ class Problem:
             (1, 3), stands for rest, with zero snap.
         goal: at rest, shape (3,) [m].
         via: points at the ends of pieces, by the number of the piece.
+        opening: room at the ends of pieces, by the number of the piece: the piece ends in it, and the pieces
+            beside a disc lie on its two sides.
+        speed: limit of each piece, shape (K,); None for that of all [m/s].
     """
 
     normal: list[FloatArray]
@@ -47,6 +51,8 @@ class Problem:
     state: FloatArray
     goal: FloatArray
     via: dict[int, FloatArray]
+    opening: dict[int, Opening] = field(default_factory=dict)
+    speed: FloatArray | None = None
 
 
 def minimum_snap(problem: Problem, duration: FloatArray) -> tuple[float, FloatArray] | None:
@@ -123,7 +129,7 @@ def _constraints(
     ends: list[list[tuple[Any, Any]]] = []  # per piece and order: first and last control point
     snap = []
     g = limits.gravity_m_s2
-    for p, c, t in zip(point, problem.cell.tolist(), duration.tolist(), strict=True):
+    for k, (p, c, t) in enumerate(zip(point, problem.cell.tolist(), duration.tolist(), strict=True)):
         constraints.append(p @ problem.normal[c].T <= np.tile(problem.offset[c], (DEGREE + 1, 1)))
         y, ends_here = p, [(p[0], p[DEGREE])]
         for order in range(1, _ORDERS):
@@ -133,6 +139,8 @@ def _constraints(
             bound = (limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3, limits.snap_m_s4)[
                 order - 1
             ]
+            if order == 1 and problem.speed is not None:
+                bound = min(bound, float(problem.speed[k]))
             if np.isfinite(bound):
                 constraints.append(cp.norm(y / bound, axis=1) <= factor)
             if order == 2:  # y / factor is in the set
@@ -159,4 +167,10 @@ def _constraints(
         wanted = problem.goal if order == 0 else np.zeros(3)
         constraints.append(duration[-1] ** order * (ends[-1][order][1] - wanted) == 0)
     constraints += [ends[i][0][1] == via for i, via in problem.via.items()]
+    for i, each in problem.opening.items():
+        constraints.append(cp.norm(ends[i][0][1] - each.centre) <= each.radius_m)
+        if each.is_disc:
+            constraints.append(each.normal @ (ends[i][0][1] - each.centre) == 0)
+            constraints.append((point[i] - each.centre) @ each.normal <= 0)
+            constraints.append((point[i + 1] - each.centre) @ each.normal >= 0)
     return constraints, snap

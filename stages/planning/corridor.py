@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
+from alula.stages.planning.opening import Opening
+from alula.stages.planning.zones import Zone, touched
 
 _REACH_M = 1.5  # of a cell beyond its segment
 _COMFORT = 1.5  # times the radius: distance that cells keep where there is room
@@ -46,6 +48,9 @@ class Corridor:
         is_open: shape (C - 1,).
         is_via: whether the joint is a point to pass, shape (C - 1,).
         is_free: whether a segment is in its cell, as it is where it keeps the radius, shape (C,).
+        opening: of joints that are vias with room about them, by number of the joint.
+        speed: top speed in each cell [m/s], infinite where it touches no zone, shape (C,); None without any.
+        chosen: indices of `point` in the path that the corridor was made around, shape (C + 1,).
     """
 
     normal: FloatArray
@@ -56,6 +61,9 @@ class Corridor:
     is_open: NDArray[np.bool_]
     is_via: NDArray[np.bool_]
     is_free: NDArray[np.bool_]
+    opening: Mapping[int, Opening] = field(default_factory=dict)
+    speed: FloatArray | None = None
+    chosen: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def rows(self, cell: int) -> tuple[FloatArray, FloatArray]:
         """Normals and offsets of a cell."""
@@ -78,6 +86,9 @@ def find_corridor(
     radius_m: float,
     bounds: tuple[FloatArray, FloatArray],
     *,
+    kept: Sequence[int] = (),
+    opening: Mapping[int, Opening] | None = None,
+    zones: Sequence[Zone] = (),
     jobs: int = 0,
 ) -> Corridor:
     """Make a corridor along a path whose segments keep `radius_m`.
@@ -93,18 +104,25 @@ def find_corridor(
         kept_from: hulls and ellipsoids.
         radius_m: distance to keep, from those without a larger one [m].
         bounds: corners of the box that contains the path and will contain the cells [m].
+        kept: indices of further points of the path that must stay, but need not be passed.
+        opening: room of points that must stay, by their index; before and behind a disc the path is on its
+            two sides.
+        zones: boxes with a lower top speed; cells of segments that touch none do not touch it either.
         jobs: threads; the result does not depend on it.
     """
-    path, kept = np.asarray(point, np.float64), np.array(is_via, np.bool_)
-    kept[[0, -1]] = True
+    path, passed = np.asarray(point, np.float64), np.array(is_via, np.bool_)
+    stays = passed.copy()
+    stays[[0, -1, *kept]] = True
     comfort = _COMFORT * radius_m
-    chosen = _merged(path, kept, kept_from, comfort, jobs)
-    corner, via = path[chosen], kept[chosen][1:-1]
+    chosen = _merged(path, stays, kept_from, comfort, zones, jobs)
+    corner, via = path[chosen], passed[chosen][1:-1]
+    room = {j: opening[i] for j, i in enumerate(chosen[1:-1]) if i in opening} if opening else {}
     begin, end = np.ascontiguousarray(corner[:-1]), np.ascontiguousarray(corner[1:])
     lower, upper = (np.asarray(side, np.float64).tolist() for side in bounds)
     own = _clearance(begin, end, kept_from, radius_m + (comfort - radius_m) / _SHARE, jobs)
     kept_m = radius_m + np.maximum(_SHARE * (own - radius_m) - _MARGIN_M, 0)
     normals, offsets, lengths, free = [], [], [], []
+    speed = np.full(len(begin), np.inf)
     for i, distance in enumerate(kept_m.tolist()):
         cell = [
             _core.corridor_cells(
@@ -119,9 +137,19 @@ def find_corridor(
             )
             for beyond in sorted({each.beyond_m for each in kept_from})
         ]
-        normals += [each[0] for each in cell]
-        offsets += [each[1] for each in cell]
-        lengths.append(sum(len(each[1]) for each in cell))
+        rows_of, offsets_of = (
+            np.concatenate([each[0] for each in cell]),
+            np.concatenate([each[1] for each in cell]),
+        )
+        for zone in zones:
+            plane = None if zone.part(begin[i], end[i]) else zone.plane_beside(begin[i], end[i])
+            if plane is None:
+                speed[i] = min(speed[i], zone.speed_m_s)
+            elif not zone.is_beside(rows_of, offsets_of):
+                rows_of, offsets_of = np.vstack([rows_of, plane[0]]), np.append(offsets_of, plane[1])
+        normals.append(rows_of)
+        offsets.append(offsets_of)
+        lengths.append(len(offsets_of))
         free.append(all(bool(each[3][0]) for each in cell))
     normal, offset = np.concatenate(normals), np.concatenate(offsets)
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -133,16 +161,33 @@ def find_corridor(
         if via[i]:
             is_open[i] = (b - a @ joint[i]).min() >= _ROOM[-1] * radius_m
             continue
+        for j, sign in ((i - 1, -1.0), (i + 1, 1.0)):  # behind a disc, and before one
+            if j in room and room[j].is_disc:
+                a = np.vstack([a, sign * room[j].normal])
+                b = np.append(b, sign * room[j].normal @ room[j].centre)
         found = _inner_point(a, b, joint[i], radius_m)
         if found is not None:
             joint[i], is_open[i] = found, True
-    return Corridor(normal, offset, start, corner, joint, is_open, via, np.array(free, np.bool_))
+    return Corridor(
+        *(normal, offset, start, corner, joint, is_open, via, np.array(free, np.bool_), room),
+        speed if zones else None,
+        np.array(chosen, np.int64),
+    )
 
 
 def _merged(
-    path: FloatArray, kept: NDArray[np.bool_], kept_from: Sequence[Kept], comfort_m: float, jobs: int
+    path: FloatArray,
+    kept: NDArray[np.bool_],
+    kept_from: Sequence[Kept],
+    comfort_m: float,
+    zones: Sequence[Zone],
+    jobs: int,
 ) -> list[int]:
-    """Indices of the points between which straight lines keep enough, each as far on as possible."""
+    """Indices of the points between which straight lines keep enough, each as far on as possible.
+
+    A line touches a zone only where the path that it stands for does.
+    """
+    slow = touched(path[:-1], path[1:], zones)
     own = _clearance(path[:-1], path[1:], kept_from, comfort_m, jobs)
     chosen = [0]
     while chosen[-1] < len(path) - 1:
@@ -152,6 +197,7 @@ def _merged(
         begin = np.repeat(path[at : at + 1], len(ends), axis=0)
         least = np.minimum.accumulate(own[at:last])  # of the segments that a line stands for
         clear = _clearance(begin, ends, kept_from, comfort_m, jobs) >= least - 1e-12
+        clear &= np.logical_or.accumulate(slow[at:last]) | ~touched(begin, ends, zones)
         chosen.append(at + 1 + int(np.flatnonzero(clear)[-1]))
     return chosen
 
@@ -215,6 +261,10 @@ def divided(corridor: Corridor, cells: ArrayLike, length_m: float) -> tuple[Corr
                 opens.append(bool(corridor.is_open[i]) if last else True)
                 vias.append(bool(corridor.is_via[i]) if last else False)
     part = np.array(parts, np.int64)
+    first = np.searchsorted(part, np.arange(len(corridor.start) - 1))  # part of each cell
+    chosen = np.full(len(part) + 1, -1)
+    if len(corridor.chosen):
+        chosen[first], chosen[-1] = corridor.chosen[:-1], corridor.chosen[-1]
     return Corridor(
         np.concatenate(normals),
         np.concatenate(offsets),
@@ -224,4 +274,7 @@ def divided(corridor: Corridor, cells: ArrayLike, length_m: float) -> tuple[Corr
         np.array(opens, np.bool_),
         np.array(vias, np.bool_),
         corridor.is_free[part],
+        {int(first[i + 1]) - 1: each for i, each in corridor.opening.items()},
+        None if corridor.speed is None else corridor.speed[part],
+        chosen,
     ), part

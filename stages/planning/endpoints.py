@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from alula import _core
@@ -20,13 +22,19 @@ _LEAST_SPACING = 0.5  # of that lattice, in radii
 
 
 def free_points_of_flight(
-    config: PlanConfig, space: PlanSpace, lower: FloatArray, upper: FloatArray, radius_m: float
+    config: PlanConfig,
+    space: PlanSpace,
+    named: Sequence[tuple[str, Point]],
+    lower: FloatArray,
+    upper: FloatArray,
+    radius_m: float,
 ) -> tuple[list[Point], list[tuple[str, Point, Point]]]:
     """The points of a flight; with `snap`, those that are not free are moved to the nearest that are.
 
     Args:
         config: of the plan.
         space: obstacles.
+        named: names and positions of the points.
         lower: corner of the box that moved points stay in, shape (3,) [m].
         upper: the other corner, shape (3,) [m].
         radius_m: distance that points must have from obstacles [m].
@@ -37,10 +45,9 @@ def free_points_of_flight(
     Raises:
         InfeasibleError: a point is not free and `snap` is not set, or there is no free point near it.
     """
-    names = ["start", *[f"via point {i + 1}" for i in range(len(config.via))], "goal"]
     points: list[Point] = []
     moved: list[tuple[str, Point, Point]] = []
-    for name, point in zip(names, config.points, strict=True):
+    for name, point in named:
         distance = float(space.map.distance(np.array([point]), space.keep_m + 1)[0])
         if distance >= radius_m:
             points.append(point)

@@ -71,6 +71,28 @@ def _halves(points: Points) -> tuple[Points, Points]:
     return left, right[::-1]
 
 
+def is_slow_in(points: Points, velocity: Points, box: Sequence[float], speed: float, halvings: int) -> bool:
+    """Whether a polynomial is proven to leave a box out wherever it is faster than a limit.
+
+    Args:
+        points: control points.
+        velocity: of its derivative.
+        box: XMIN YMIN ZMIN XMAX YMAX ZMAX; its faces belong to the outside.
+        speed: limit.
+        halvings: of the interval, at most.
+    """
+    if all(map(ball(speed), velocity)):
+        return True
+    low, high = [Fraction(x) for x in box[:3]], [Fraction(x) for x in box[3:]]
+    for axis in range(3):
+        if all(p[axis] <= low[axis] for p in points) or all(p[axis] >= high[axis] for p in points):
+            return True
+    if halvings == 0:
+        return False
+    halves = zip(_halves(points), _halves(velocity), strict=True)
+    return all(is_slow_in(p, v, box, speed, halvings - 1) for p, v in halves)
+
+
 def nothing(_: Vector) -> bool:
     """The empty set."""
     return False

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.planning.corridor import Corridor
-from alula.stages.planning.limits import Limits
+from alula.stages.planning.limits import WITHIN, Limits
 from alula.stages.planning.trajectory import DEGREE
 
 PIECES_PER_CELL = (3, 5)  # tried in turn; the first is less, but 2 at least, in a corridor of many cells
 _FEW_PIECES = 20
 _LEAST_DURATION_S = 0.02  # of a piece
+_HOLD_PIECE_S = 0.5  # of the first and last pieces of a rest
 _GAP = 1e-2  # of the barrier method, in units of the total time; less costs more than it saves in flight
 _MOST_STEPS = 300  # of Newton's method
 # A straight piece from rest to rest, class C4, in two halves: control points along the way.
@@ -40,13 +41,15 @@ class Curve:
         point: control points, shape (K, 8, 3), world frame [m].
         duration: shape (K,) [s].
         cell: cell of each piece, -1 where it has none, shape (K,).
-        stop: pieces that end at rest, shape (K,); the last one does.
+        stop: pieces that come to rest at their end, shape (K,); the last one does.
+        segment: segment of the corridor that each piece belongs to, shape (K,).
     """
 
     point: FloatArray
     duration: FloatArray
     cell: NDArray[np.int64]
     stop: NDArray[np.bool_]
+    segment: NDArray[np.int64]
 
     @property
     def time(self) -> FloatArray:
@@ -76,7 +79,6 @@ def fastest_curve(
     *,
     start: MovingState | None = None,
     smooth: float = 1.0,
-    speed_m_s: FloatArray | None = None,
 ) -> Curve | None:
     """The curve of minimum time through some consecutive cells, from rest to rest.
 
@@ -87,7 +89,6 @@ def fastest_curve(
         pieces: in each cell, at least 2; two more in a cell alone.
         start: state of motion at the start; at rest if none.
         smooth: factor on the minimum time, in which snap is minimised.
-        speed_m_s: limit in each cell of the corridor, shape (C,) [m/s]; that of `limits` if none.
 
     Returns:
         None if there is none, or none was found.
@@ -104,6 +105,10 @@ def fastest_curve(
     at = np.arange(1, len(cells)) * count - 1
     between = slice(cells.start, cells.stop - 1)
     joint[at], is_via[at] = corridor.joint[between], corridor.is_via[between]
+    centre, across, room = np.zeros((len(joint), 3)), np.zeros((len(joint), 3)), np.zeros(len(joint))
+    for j, each in enumerate(at.tolist()):
+        if (opening := corridor.opening.get(cells.start + j)) is not None:
+            centre[each], across[each], room[each] = opening.centre, opening.normal, opening.radius_m
     begin = corridor.point[cells.start][None]
     if start is not None:
         begin = np.vstack([begin, start.velocity_m_s, start.acceleration_m_s2, start.jerk_m_s3])
@@ -121,20 +126,26 @@ def fastest_curve(
         _GAP,
         _MOST_STEPS,
         smooth,
-        None if speed_m_s is None else speed_m_s[cells.start + cell],
+        centre,
+        across,
+        room,
+        None if corridor.speed is None else np.minimum(corridor.speed[cell + cells.start] * WITHIN, 1e9),
     )
     if status == _core.TimeStatus.infeasible:
         return None
     point = np.array(point)
     point[0, 0], point[-1, -1] = corridor.point[cells.start], corridor.point[cells.stop]
-    for i in np.flatnonzero(is_via):
-        point[i, -1] = point[i + 1, 0] = joint[i]
+    for i in np.flatnonzero(is_via).tolist():
+        point[i, -1] = point[i + 1, 0] = point[i + 1, 0] if room[i] > 0 else joint[i]
     stop = np.zeros(len(cell), np.bool_)
     stop[-1] = True
-    return Curve(point, np.asarray(duration), cell.astype(np.int64) + cells.start, stop)
+    segment = cell.astype(np.int64) + cells.start
+    return Curve(point, np.asarray(duration), segment, stop, segment)
 
 
-def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: float = 1.0) -> Curve:
+def straight_curve(
+    start: FloatArray, goal: FloatArray, limits: Limits, smooth: float = 1.0, segment: int = 0
+) -> Curve:
     """Straight from rest to rest in two pieces, as fast as the limits allow for this shape.
 
     Args:
@@ -142,6 +153,7 @@ def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: 
         goal: shape (3,), another point [m].
         limits: of the motion.
         smooth: factor on the time.
+        segment: of the corridor that it belongs to.
     """
     point = (1 - _STRAIGHT[..., None]) * start + _STRAIGHT[..., None] * goal
     low, high = 1e-3, 1e-3
@@ -151,10 +163,31 @@ def straight_curve(start: FloatArray, goal: FloatArray, limits: Limits, smooth: 
         middle = 0.5 * (low + high)
         fits = keeps(point, np.full(2, middle), limits).all()
         low, high = (low, middle) if fits else (middle, high)
-    return Curve(point, np.full(2, smooth * high), np.full(2, -1), np.array([False, True]))
+    duration, cell = np.full(2, smooth * high), np.full(2, -1)
+    return Curve(point, duration, cell, np.array([False, True]), np.full(2, segment))
 
 
-def keeps(point: FloatArray, duration: FloatArray, limits: Limits) -> NDArray[np.bool_]:
+def hold_curve(point: FloatArray, duration_s: float, segment: int) -> Curve:
+    """Rest at a point, in pieces that let the heading turn at the beginning and at the end.
+
+    Args:
+        point: shape (3,) [m].
+        duration_s: of the rest [s].
+        segment: of the corridor that begins there.
+    """
+    begin = np.full(2, _HOLD_PIECE_S)
+    duration = np.array([*begin, duration_s - 2 * begin.sum(), *begin])
+    if duration[2] < _HOLD_PIECE_S:
+        count = max(1, round(duration_s / _HOLD_PIECE_S))
+        duration = np.full(count, duration_s / count)
+    count = len(duration)
+    of = np.full(count, segment)
+    return Curve(np.tile(point, (count, DEGREE + 1, 1)), duration, of, np.zeros(count, np.bool_), of)
+
+
+def keeps(
+    point: FloatArray, duration: FloatArray, limits: Limits, speed: FloatArray | None = None
+) -> NDArray[np.bool_]:
     """Whether the control points of each piece's derivatives keep the limits, beyond rounding; shape (K,).
 
     A derivative lies in the hull of its control points, and the limits are convex: they hold at every
@@ -164,13 +197,17 @@ def keeps(point: FloatArray, duration: FloatArray, limits: Limits) -> NDArray[np
         point: control points of positions, shape (K, 8, 3) [m].
         duration: shape (K,) [s].
         limits: of the motion.
+        speed: lower limits of the pieces, shape (K,) [m/s].
     """
     room = 1 - 1e-9
     bound = (limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3, limits.snap_m_s4)
     good = np.ones(len(point), np.bool_)
     for order in range(1, 5):
         point = (DEGREE + 1 - order) / duration[:, None, None] * np.diff(point, axis=1)
-        good &= np.linalg.norm(point, axis=2).max(axis=1) <= room * bound[order - 1]
+        size = np.linalg.norm(point, axis=2).max(axis=1)
+        good &= size <= room * bound[order - 1]
+        if order == 1 and speed is not None:
+            good &= size <= room * speed
         if order == 2:
             thrust = point + np.array([0, 0, limits.gravity_m_s2])
             sideways, upward = np.linalg.norm(thrust[..., :2], axis=2), thrust[..., 2]

@@ -21,9 +21,15 @@ LIMIT_SHARE = (
 )
 _TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
 _SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
-_WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
+WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
 _STEP_S = 0.01  # between samples of a plan
 _SLACK = 0.01  # of the limits of what a vehicle follows, which are fitted
+_YAW_RATE_RAD_S = 2.0  # of the heading, where none is given
+_YAW_RATIO_PER_S = 4.0  # of the acceleration of the heading to its rate, at most
+_YAW_RATE_SHARE = 0.7  # of the rate about z, for turns of the heading; the rest is for tilting
+_YAW_SHARE = 0.3  # of the torque about z that is reserved, for turns of the heading
+_RATE_TOLERANCE = 1e-12  # of the body rate, relative
+_LEAST_RATE_RAD_S = 1e-6
 _FASTEST_FALL = 0.9  # of gravity, for an acceleration without a lower limit of the thrust
 
 
@@ -37,6 +43,8 @@ class Limits:
         most_thrust_m_s2: of |a + g e3|, the thrust per mass.
         least_thrust_m_s2: lower bound of a_z + g.
         tilt_rad: of the angle between a + g e3 and the vertical.
+        yaw_rate_rad_s, yaw_acceleration_rad_s2: of the first two derivatives of the heading; infinite for one
+            that is constant.
     """
 
     speed_m_s: float
@@ -47,6 +55,8 @@ class Limits:
     most_thrust_m_s2: float = math.inf
     least_thrust_m_s2: float = -math.inf
     tilt_rad: float = math.pi / 2
+    yaw_rate_rad_s: float = math.inf
+    yaw_acceleration_rad_s2: float = math.inf
 
     @property
     def tangent(self) -> float:
@@ -56,14 +66,14 @@ class Limits:
     def native(self) -> MotionLimits:
         """For the native solver, smaller by more than the rounding of stored coefficients."""
         return MotionLimits(
-            speed=_WITHIN * self.speed_m_s,
-            acceleration=_WITHIN * self.acceleration_m_s2,
-            jerk=_WITHIN * self.jerk_m_s3,
-            snap=_WITHIN * self.snap_m_s4,
+            speed=WITHIN * self.speed_m_s,
+            acceleration=WITHIN * self.acceleration_m_s2,
+            jerk=WITHIN * self.jerk_m_s3,
+            snap=WITHIN * self.snap_m_s4,
             gravity=self.gravity_m_s2,
-            most_thrust=_WITHIN * self.most_thrust_m_s2,
-            least_thrust=self.least_thrust_m_s2 + (1 - _WITHIN) * self.gravity_m_s2,
-            tilt=_WITHIN * self.tangent,
+            most_thrust=WITHIN * self.most_thrust_m_s2,
+            least_thrust=self.least_thrust_m_s2 + (1 - WITHIN) * self.gravity_m_s2,
+            tilt=WITHIN * self.tangent,
         )
 
     def record(self) -> dict[str, float]:
@@ -74,7 +84,7 @@ class Limits:
         return {name: value for name, value in every.items() if math.isfinite(value)}
 
 
-def motion_limits(config: PlanConfig, vehicle: Vehicle) -> Limits:
+def motion_limits(config: PlanConfig, vehicle: Vehicle, *, turns: bool = False) -> Limits:
     """Limits of a plan for a vehicle.
 
     A quadrotor that follows a curve p(t) with a constant heading has, with a, j, s the second to fourth
@@ -86,10 +96,12 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle) -> Limits:
     hence each rotor's deviation from its part of the thrust. Every rotor stays within `LIMIT_SHARE` of the
     way from hovering to its limits; at least a quarter of that is reserved for torques, more where the limit
     of the acceleration leaves it. See docs/theory/planning.md. Drag is left to the controller.
+    A heading that turns adds to rates and torques; it gets a part of their limits.
 
     Args:
         config: limits of the user.
         vehicle: that will fly the plan; only that of a quadrotor bounds tilt, thrust and rates.
+        turns: whether the heading is not constant.
 
     Raises:
         UsageError: an option does not apply to the vehicle.
@@ -107,12 +119,14 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle) -> Limits:
             acceleration_m_s2=acceleration if most is None else min(acceleration, LIMIT_SHARE * most),
             jerk_m_s3=jerk,
             snap_m_s4=snap,
+            **(_yaw(_yaw_rate(config), math.inf) if turns else {}),
         )
     if config.interface == "body-rates":
-        return _quadrotor_limits(config, vehicle, acceleration, jerk, snap)
+        return _quadrotor_limits(config, vehicle, acceleration, jerk, snap, turns=turns)
     followed = followed_limits(vehicle)
     acceleration = min(acceleration, followed.acceleration_m_s2)
-    limits = _quadrotor_limits(config, vehicle, acceleration, min(jerk, followed.jerk_m_s3), snap)
+    jerk = min(jerk, followed.jerk_m_s3)
+    limits = _quadrotor_limits(config, vehicle, acceleration, jerk, snap, turns=turns)
     return replace(
         limits,
         most_thrust_m_s2=min(limits.most_thrust_m_s2, followed.most_thrust_m_s2),
@@ -167,8 +181,16 @@ def beyond_followed(plan: Artifact, vehicle: Vehicle) -> str:
     )
 
 
+def _yaw_rate(config: PlanConfig) -> float:
+    return _YAW_RATE_RAD_S if config.yaw_rate_rad_s is None else config.yaw_rate_rad_s
+
+
+def _yaw(rate: float, acceleration: float) -> dict[str, float]:
+    return {"yaw_rate_rad_s": rate, "yaw_acceleration_rad_s2": min(acceleration, _YAW_RATIO_PER_S * rate)}
+
+
 def _quadrotor_limits(
-    config: PlanConfig, vehicle: Vehicle, acceleration: float, jerk: float, snap: float
+    config: PlanConfig, vehicle: Vehicle, acceleration: float, jerk: float, snap: float, *, turns: bool
 ) -> Limits:
     assert vehicle.rotors is not None
     body = quadrotor(vehicle)
@@ -198,23 +220,44 @@ def _quadrotor_limits(
         theta = min(theta, math.asin(acceleration / g))
     tangent, secant2 = math.tan(theta), 1 / math.cos(theta) ** 2
     rates = vehicle.rates.max_rad_s
-    rate = min(rates[0], rates[1], rates[2] / tangent)
+    yaw_rate = yaw_acceleration = 0.0
+    jx, jy, jz = body.inertia
+    if turns:
+        most_yaw = _YAW_SHARE * float((torque / np.abs(mixer[:, 3])).min()) / jz  # of the torque about z
+        yaw_rate = min(_yaw_rate(config), _YAW_RATE_SHARE * LIMIT_SHARE * rates[2] * math.cos(theta))
+        yaw_rate, yaw_acceleration = _yaw(yaw_rate, most_yaw * math.cos(theta)).values()
+    spinning = yaw_rate / (LIMIT_SHARE * math.cos(theta))  # a turn's part of the rate about z
+    rate = min(rates[0], rates[1], (rates[2] - spinning) / tangent)
     rate = LIMIT_SHARE * rate if config.body_rate_rad_s is None else min(config.body_rate_rad_s, rate)
 
-    # For |omega_xy| <= w and |s| / c <= ratio w^2, torques per w^2; a rotor's part of them.
+    # For |omega_xy| <= w and |s| / c <= ratio w^2: torques, and a rotor's part of them.
     ratio = _SNAP_RATIO
-    tilting = ratio + 1 + tangent
-    turning = tilting * tangent + secant2 / 2
-    jx, jy, jz = body.inertia
-    torques = np.array(
-        [
-            jx * tilting + abs(jz - jy) * tangent,
-            jy * tilting + abs(jx - jz) * tangent,
-            jz * turning + abs(jy - jx) / 2,
-        ]
-    )
-    per_square = np.abs(mixer[:, 1:]) @ torques
-    rate = min(rate, math.sqrt(float((torque / per_square).min())))
+    sine, cosine = math.sin(theta), math.cos(theta)
+
+    def fits(w: float) -> bool:
+        tilt_rate = w + yaw_rate * sine  # seen from a frame that turns with the heading
+        omega_z = w * tangent + yaw_rate / cosine
+        across = (ratio + 1) * w**2 + w * omega_z
+        seen = (ratio + 1) * w**2 + 2 * yaw_rate * w + (yaw_rate**2 + yaw_acceleration) * sine
+        seen += tilt_rate**2 * tangent
+        about_z = seen * tangent + tilt_rate**2 * secant2 / 2 + yaw_acceleration + yaw_rate * w * sine
+        torques = np.array(
+            [
+                jx * across + abs(jz - jy) * w * omega_z,
+                jy * across + abs(jx - jz) * w * omega_z,
+                jz * about_z + abs(jy - jx) * w**2 / 2,
+            ]
+        )
+        return bool((np.abs(mixer[:, 1:]) @ torques <= torque).all())
+
+    if not fits(rate):
+        slow, fast = 0.0, rate
+        while fast - slow > _RATE_TOLERANCE * fast and fast > _LEAST_RATE_RAD_S:
+            between = 0.5 * (slow + fast)
+            slow, fast = (between, fast) if fits(between) else (slow, between)
+        rate = slow
+    if not rate > _LEAST_RATE_RAD_S:
+        raise UsageError(f"{vehicle.name} has no torque left for tilting; use a lower --yaw-rate")
     return Limits(
         speed_m_s=config.speed_m_s,
         acceleration_m_s2=acceleration,
@@ -224,4 +267,5 @@ def _quadrotor_limits(
         most_thrust_m_s2=most,
         least_thrust_m_s2=least,
         tilt_rad=theta,
+        **(_yaw(yaw_rate, yaw_acceleration) if turns else {}),
     )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from alula.schemas.decimals import at_least, at_most
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.progress import Progress
 from alula.stages.planning.endpoints import free_points_of_flight
+from alula.stages.planning.passes import Passage, mission_of, passages_of, through
 from alula.stages.planning.space import PlanSpace, room_around
 
 MARGIN_M = 1e-6  # that paths keep beyond the radius, so that the proof of a line is never marginal
@@ -46,7 +49,9 @@ class Polyline:
         resolution_m: spacing of the search lattice [m].
         lattice_points: number of its points.
         visited: number of lattice points and cells that the searches visited, over all legs.
-        flown: points of the flight that the path joins.
+        flown: points of the flight that the path joins: start, vias and points in gates, goal.
+        at: indices of the vias and points in gates.
+        beside: indices of the points before and behind gates, between which the path is straight.
         moved: name, given and taken position of each of them that was moved to the nearest free one.
     """
 
@@ -57,6 +62,8 @@ class Polyline:
     lattice_points: int
     visited: int
     flown: tuple[Point, ...]
+    at: tuple[int, ...]
+    beside: tuple[int, ...]
     moved: tuple[tuple[str, Point, Point], ...]
 
 
@@ -93,8 +100,29 @@ class _Box:
         return np.minimum(found, upto_m)
 
 
+class _Station(NamedTuple):
+    """A point that the legs of a path join.
+
+    Attributes:
+        label: for messages.
+        point: position [m].
+        is_passed: whether it is a via or lies in a gate.
+        is_straight: whether the path leads straight to it, through a gate.
+    """
+
+    label: str
+    point: Point
+    is_passed: bool = False
+    is_straight: bool = False
+
+
 def find_polyline(
-    config: PlanConfig, space: PlanSpace, *, jobs: int = 0, progress: Progress | None = None
+    config: PlanConfig,
+    space: PlanSpace,
+    passages: Sequence[Passage] | None = None,
+    *,
+    jobs: int = 0,
+    progress: Progress | None = None,
 ) -> Polyline:
     """Join the points of a flight by straight segments that keep the space's distance, exactly.
 
@@ -107,28 +135,79 @@ def find_polyline(
     Args:
         config: see `PlanConfig`.
         space: obstacles.
+        passages: waypoints and gates on the way; if None, those of the options.
         jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:
-        InfeasibleError: a point is too close to an obstacle, with the nearest that is not; or there is no
-            path, with the widest passage that there is.
+        InfeasibleError: a gate has no way through it; a point is too close to an obstacle, with the nearest
+            that is not; or there is no path, with the widest passage that there is.
         UsageError: the lattice would be too large.
     """
-    lower, upper = room_around(config, space, config.points)
-    points, moved = free_points_of_flight(config, space, lower, upper, space.keep_m + MARGIN_M)
+    if passages is None:
+        passages = passages_of(mission_of(config), config)
+    assert config.start is not None
+    assert config.goal is not None
+    lower, upper = room_around(config, space, [config.start, *(each.point for each in passages), config.goal])
+    stations, moved = _stations(config, space, passages, lower, upper)
     box = _Box(space.map, space.keep_m, lower, upper, _spacings(config, space.keep_m, lower, upper))
-    names = ["--start", *(f"--via {i + 1}" for i in range(len(points) - 2)), "--goal"]
-    legs, visited = [np.array(points[:1])], 0
-    for i, ends in enumerate(pairwise(points)):
-        leg, taken = _leg(box, ends, (names[i], names[i + 1]), progress)
-        legs.append(_rounded(box, leg)[1:])
+    legs, visited, at, beside = [np.array([stations[0].point])], 0, [], []
+    for before, after in pairwise(stations):
+        straight = np.array([before.point, after.point])
+        if after.is_straight:
+            leg, taken = straight, 0
+            beside.append(sum(map(len, legs)) - (0 if before.is_passed else 1))
+        else:
+            leg, taken = _leg(box, (before.point, after.point), (before.label, after.label), progress)
+            leg = _rounded(box, leg)
+        legs.append(leg[1:])
         visited += taken
+        if after.is_passed:
+            at.append(sum(map(len, legs)) - 1)
     point = np.concatenate(legs)
     if not (box.distance(point[:-1], point[1:], box.keep_m) >= box.keep_m).all():
         raise InfeasibleError("the straight path is not clear; use another --resolution")
-    count = math.prod(_lattice(box, box.spacings[-1], points[0])[1])
-    return Polyline(point, lower, upper, box.spacings[-1], count, visited, tuple(points), tuple(moved))
+    count = math.prod(_lattice(box, box.spacings[-1], stations[0].point)[1])
+    flown = tuple(
+        each.point for i, each in enumerate(stations) if each.is_passed or i in (0, len(stations) - 1)
+    )
+    return Polyline(
+        point, lower, upper, box.spacings[-1], count, visited, flown, tuple(at), tuple(beside), tuple(moved)
+    )
+
+
+def _stations(
+    config: PlanConfig,
+    space: PlanSpace,
+    passages: Sequence[Passage],
+    lower: FloatArray,
+    upper: FloatArray,
+) -> tuple[list[_Station], list[tuple[str, Point, Point]]]:
+    """Points that the legs join, free ones, and those that were moved: see `free_points_of_flight`."""
+    assert config.start is not None
+    assert config.goal is not None
+    radius = space.keep_m + MARGIN_M
+    points = [each for each in passages if not each.is_gate]
+    named = [("start", config.start), *((each.name, each.point) for each in points), ("goal", config.goal)]
+    free, moved = free_points_of_flight(config, space, named, lower, upper, radius)
+    of = {id(each): point for each, point in zip(points, free[1:-1], strict=True)}
+    found = [_Station("--start", free[0])]
+    for each in passages:
+        if not each.is_gate:
+            label = f"--via {each.number}" if each.laps == 1 else each.name
+            found.append(_Station(label, of[id(each)], is_passed=True))
+            continue
+        middle, reach = through(each, space, radius)
+        assert each.opening is not None
+        way = reach * each.opening.normal
+        before, here, behind = (tuple(p.tolist()) for p in (middle - way, middle, middle + way))
+        found += [
+            _Station(f"the front of {each.name}", before),
+            _Station(each.name, here, is_passed=True, is_straight=True),
+            _Station(f"the back of {each.name}", behind, is_straight=True),
+        ]
+    found.append(_Station("--goal", free[-1]))
+    return found, moved
 
 
 def _spacings(config: PlanConfig, keep_m: float, lower: FloatArray, upper: FloatArray) -> tuple[float, ...]:

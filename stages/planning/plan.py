@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,15 +13,16 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import MARGIN_M, PlanConfig
+from alula.schemas.configs.plan import MARGIN_M, PlanConfig, Point
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import Guarantee
+from alula.schemas.manifest import Guarantee, PlanPass, PlanZone
+from alula.schemas.mission import Mission
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.planning.behind import Behind, slowed, with_yaw
+from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
 from alula.stages.planning.fastest import (
@@ -28,16 +30,27 @@ from alula.stages.planning.fastest import (
     Curve,
     MovingState,
     fastest_curve,
+    hold_curve,
     joined,
     keeps,
     straight_curve,
 )
+from alula.stages.planning.heading import (
+    FIRM_S,
+    Leg,
+    constant_heading,
+    has_heading,
+    heading_along,
+    is_turning,
+)
 from alula.stages.planning.limits import Limits, motion_limits
+from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.straight import straight_plan
-from alula.stages.planning.trajectory import control_points, evaluate, peak_bounds
+from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
+from alula.stages.planning.zones import Zone, split_at
 
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
 METHOD_STRAIGHT = "straight lines from rest to rest"
@@ -69,6 +82,7 @@ def plan(
     scene: Artifact | None = None,
     image: bytes | None = None,
     within: Artifact | None = None,
+    mission: Mission | None = None,
     space: PlanSpace | None = None,
     vehicle: Vehicle = FASTBRIDGE,
     motion: MovingState | None = None,
@@ -90,6 +104,8 @@ def plan(
         scene: an `alula/scene`.
         image: an onboard map.
         within: an `alula/seen` to stay in; what was not seen is an obstacle like the others.
+        mission: what to pass on the way; if None, what the configuration has. Its start and goal are those of
+            the configuration.
         space: the obstacles of the maps, where they have been made before; cover, scene and image are then
             not used.
         vehicle: that will fly the plan.
@@ -109,39 +125,63 @@ def plan(
     """
     if config.radius_m is None:
         config = resolve_plan(config, vehicle)
-    limits = motion_limits(config, vehicle)
+    if mission is None:
+        mission = mission_of(config)
+    passages = passages_of(mission, config)
+    limits = motion_limits(config, vehicle, turns=is_turning(mission) and not config.straight)
     if space is None:
         space = plan_space(config, cover, scene, image, within, jobs=jobs)
     if within is not None:
-        require_seen(within, config.points)
+        points = [(each.name, each.point) for each in passages if not each.is_gate]
+        ends = [(name, point) for name, point in (("start", config.start), ("goal", config.goal)) if point]
+        require_seen(within, [*ends[:1], *points, *ends[1:]])
     if config.straight:
+        if mission.passes or mission.zones:
+            raise UsageError("--straight leads from --start to --goal, without a mission")
         return straight_plan(config, space, limits, vehicle.name, jobs=jobs)
-    path = find_polyline(config, space, jobs=jobs, progress=progress)
+    path = find_polyline(config, space, passages, jobs=jobs, progress=progress)
     if within is not None:
-        require_seen(within, path.flown)
-    corridor = find_corridor(
-        path.point, _via_points(path), space.solids(), space.keep_m, (path.lower, path.upper), jobs=jobs
-    )
-    curve = curve_along(corridor, config, limits, space, motion=motion, jobs=jobs)
-    acting = 0
+        names = ["start", *(each.name for each in passages), "goal"]
+        require_seen(within, list(zip(names, path.flown, strict=True)))
+    zones = [Zone.of(table) for table in mission.zones]
+    path = _split(path, zones)
+    corridor = corridor_around(path, passages, space, zones, jobs=jobs)
+
+    def solve(cells: Corridor) -> Curve:
+        number = {int(i): j - 1 for j, i in enumerate(cells.chosen)}  # of the joint at a point of the path
+        holds = {
+            number[i]: each.table.hold_s
+            for i, each in zip(path.at, passages, strict=True)
+            if each.table.hold_s
+        }
+        return curve_along(cells, config, limits, space, hold_s=holds, motion=motion, jobs=jobs)
+
+    def headed(cells: Corridor, along: Curve) -> tuple[list[PlanPass], FloatArray, float | None]:
+        passes = [
+            _record(each, float(along.time[i]), point)
+            for each, i, point in zip(passages, _passed(along, cells, path), path.flown[1:-1], strict=True)
+        ]
+        return passes, *_heading(mission, passages, passes, along.time, along.coefficient(), limits)
+
+    curve, acting = solve(corridor), 0
     if behind is not None and motion is None:
-
-        def solve(parts: Corridor, speed_m_s: FloatArray) -> Curve:
-            return curve_along(parts, config, limits, space, speed_m_s=speed_m_s, jobs=jobs)
-
-        corridor, curve, acting = slowed(corridor, curve, behind, config.speed_m_s, config.yaw_rad, solve)
+        corridor, curve, acting = slowed(
+            corridor, curve, behind, config.speed_m_s, lambda *flown: headed(*flown)[1], solve
+        )
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
 
     dense = evaluate(time, coefficient, _sample_times(time))
     bound = float(proof.clearance_m.min(initial=2 * space.keep_m))
     knot = np.concatenate([curve.point[:, 0], curve.point[-1:, -1]])
+    passes, yaw, off_rad = headed(corridor, curve)
+    headings = evaluate(time, yaw, time)
     return make_artifact(
         PLAN,
         {
             "time": time,
-            "coefficient": with_yaw(coefficient, config.yaw_rad),
-            "waypoint": np.column_stack([knot, np.full(len(knot), config.yaw_rad)]),
+            "coefficient": np.concatenate([coefficient, yaw], axis=1),
+            "waypoint": np.column_stack([knot, headings]),
             "cell_normal": corridor.normal,
             "cell_offset": corridor.offset,
             "cell_start": corridor.start,
@@ -153,7 +193,9 @@ def plan(
         radius_m=space.keep_m,
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
-        via_m=[list(point) for point in path.flown[1:-1]],
+        via_m=[curve.point[i, 0].tolist() for i in _passed(curve, corridor, path)],
+        passes=passes,
+        zones=[PlanZone(box_m=list(each.box_m), speed_m_s=each.speed_m_s) for each in mission.zones],
         maps=[part.facts for part in space.parts],
         limits=limits.record(),
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
@@ -175,6 +217,7 @@ def plan(
             "min_clearance_m": space.clearance_m(dense, jobs),
             "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
             "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
+            **({} if off_rad is None else {"max_heading_error_rad": off_rad}),
             "resolution_m": path.resolution_m,
             "lattice_points": path.lattice_points,
             "visited_points": path.visited,
@@ -192,15 +235,89 @@ def plan(
     )
 
 
-def _via_points(path: Polyline) -> NDArray[np.bool_]:
-    """Mark the points of the path that the flight must pass, in their order."""
+def corridor_around(
+    path: Polyline,
+    passages: Sequence[Passage],
+    space: PlanSpace,
+    zones: Sequence[Zone] = (),
+    *,
+    jobs: int = 0,
+) -> Corridor:
+    """The corridor of a plan.
+
+    Args:
+        path: through the passages.
+        passages: waypoints and gates, in their order.
+        space: obstacles.
+        zones: boxes with a lower top speed.
+        jobs: threads; the result does not depend on it.
+    """
     marks = np.zeros(len(path.point), np.bool_)
-    first = 0
-    for point in path.flown[1:-1]:
-        first += int(np.flatnonzero((path.point[first:] == point).all(axis=1))[0])
-        marks[first] = True
-        first += 1
-    return marks
+    marks[list(path.at)] = True
+    room = {i: each.opening for i, each in zip(path.at, passages, strict=True) if each.opening is not None}
+    box = (path.lower, path.upper)
+    return find_corridor(
+        *(path.point, marks, space.solids(), space.keep_m, box),
+        kept=path.beside,
+        opening=room,
+        zones=zones,
+        jobs=jobs,
+    )
+
+
+def _split(path: Polyline, zones: Sequence[Zone]) -> Polyline:
+    """The same path with further corners at zones."""
+    if not zones:
+        return path
+    point, index, further = split_at(path.point, zones)
+    at, beside = (tuple(index[list(each)].tolist()) for each in (path.at, path.beside))
+    return dataclasses.replace(path, point=point, at=at, beside=(*beside, *further))
+
+
+def _heading(
+    mission: Mission,
+    passages: Sequence[Passage],
+    passes: Sequence[PlanPass],
+    time: FloatArray,
+    coefficient: FloatArray,
+    limits: Limits,
+) -> tuple[FloatArray, float | None]:
+    """Coefficients of the heading, shape (K, 1, 8), and its largest error; None for a constant one."""
+    if not is_turning(mission):
+        yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
+        yaw[:, 0, 0] = constant_heading(mission)
+        return yaw, None
+    legs = [
+        Leg(each.time_s + each.hold_s, one.table, each.time_s - FIRM_S)
+        if has_heading(one.table)
+        else Leg(each.time_s + each.hold_s, mission, each.time_s if each.hold_s else math.inf)
+        for one, each in zip(passages, passes, strict=True)
+    ]
+    found, off = heading_along(time, coefficient, [*legs, Leg(float(time[-1]), mission)], limits)
+    return found[:, None], off
+
+
+def _record(passage: Passage, time_s: float, point: Point) -> PlanPass:
+    """A passage for the manifest; of a waypoint that was moved, where it is."""
+    opening = passage.opening
+    is_gate = passage.is_gate and opening is not None
+    return PlanPass(
+        kind="gate" if is_gate else "waypoint",
+        number=passage.number,
+        lap=passage.lap,
+        time_s=time_s,
+        point_m=list(passage.point if is_gate else point),
+        normal=opening.normal.tolist() if is_gate and opening is not None else [],
+        radius_m=passage.table.radius_m or 0.0,
+        tolerance_m=passage.table.tolerance_m,
+        hold_s=passage.table.hold_s,
+    )
+
+
+def _passed(curve: Curve, corridor: Corridor, path: Polyline) -> list[int]:
+    """Pieces that begin at the passages, in their order."""
+    first = {int(i): int(np.flatnonzero(curve.segment == j)[0]) for j, i in enumerate(corridor.chosen[:-1])}
+    return [first[i] for i in path.at]
 
 
 def _distances(space: PlanSpace) -> str:
@@ -227,8 +344,8 @@ def curve_along(
     limits: Limits,
     space: PlanSpace,
     *,
+    hold_s: Mapping[int, float] | None = None,
     motion: MovingState | None = None,
-    speed_m_s: FloatArray | None = None,
     jobs: int = 0,
 ) -> Curve:
     """The fastest curve along a corridor, proven in its stored form, as `plan` describes it.
@@ -238,14 +355,14 @@ def curve_along(
         config: with a radius.
         limits: of the motion.
         space: obstacles.
+        hold_s: times to rest at joints, by their numbers [s].
         motion: of the vehicle at the start; at rest if none.
-        speed_m_s: limit in each cell, shape (C,) [m/s]; that of `limits` if none.
         jobs: threads; the result does not depend on it.
 
     Raises:
         InfeasibleError: a straight line cannot be proven, or no curve leads from this motion.
     """
-    return _Task(config, limits, corridor, space, speed_m_s, jobs).curve(motion)
+    return _Task(config, limits, corridor, space, jobs).curve(motion, hold_s or {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,13 +373,14 @@ class _Task:
     limits: Limits
     corridor: Corridor
     space: PlanSpace
-    speed_m_s: FloatArray | None
     jobs: int
 
-    def curve(self, motion: MovingState | None) -> Curve:
-        """A proven curve along the corridor, with stops where it is closed."""
-        closed = (np.flatnonzero(~self.corridor.is_open) + 1).tolist()
-        curves = []
+    def curve(self, motion: MovingState | None, hold_s: Mapping[int, float]) -> Curve:
+        """A proven curve along the corridor, with stops where it is closed or holds."""
+        stops = ~self.corridor.is_open
+        stops[list(hold_s)] = True
+        closed = (np.flatnonzero(stops) + 1).tolist()
+        curves: list[Curve] = []
         for begin, end in pairwise([0, *closed, len(self.corridor.start) - 1]):
             moving = motion if begin == 0 else None
             fastest = self.fastest(range(begin, end), moving)
@@ -271,8 +389,9 @@ class _Task:
                     "no curve leads from this motion along the path within the limits; start slower, or "
                     "raise --acceleration"
                 )
-            corner = self.corridor.point[begin : end + 1]
-            curves += self.straight(corner) if fastest is None else [fastest]
+            if begin - 1 in hold_s:
+                curves.append(hold_curve(self.corridor.point[begin], hold_s[begin - 1], begin))
+            curves += self.straight(range(begin, end)) if fastest is None else [fastest]
         return joined(curves)
 
     def fastest(self, cells: range, motion: MovingState | None) -> Curve | None:
@@ -287,24 +406,34 @@ class _Task:
                 pieces,
                 start=motion,
                 smooth=self.config.smooth,
-                speed_m_s=self.speed_m_s,
             )
             if curve is not None and self.is_proven(curve):
                 return curve
         return None
 
-    def straight(self, corner: FloatArray) -> list[Curve]:
-        """Straight lines between the corners."""
-        curves = [straight_curve(a, b, self.limits, self.config.smooth) for a, b in pairwise(corner)]
+    def straight(self, segments: range) -> list[Curve]:
+        """Straight lines along the segments."""
+        corner = self.corridor.point
+        curves = [
+            straight_curve(corner[i], corner[i + 1], self.limits_in(i), self.config.smooth, i)
+            for i in segments
+        ]
         if not all(self.is_proven(curve) for curve in curves):
             raise InfeasibleError("a straight part of the path cannot be proven clear; use a larger --radius")
         return curves
+
+    def limits_in(self, segment: int) -> Limits:
+        """Limits on a segment, with those of the zones that it touches."""
+        if self.corridor.speed is None or self.corridor.speed[segment] >= self.limits.speed_m_s:
+            return self.limits
+        return dataclasses.replace(self.limits, speed_m_s=float(self.corridor.speed[segment]))
 
     def is_proven(self, curve: Curve) -> bool:
         """Whether the stored form of a curve keeps the radius and the limits."""
         time, coefficient = curve.time, curve.coefficient()
         points = control_points(time, coefficient).transpose(0, 2, 1)
-        if not keeps(points, np.diff(time), self.limits).all():
+        speed = None if self.corridor.speed is None else self.corridor.speed[curve.segment]
+        if not keeps(points, np.diff(time), self.limits, speed).all():
             return False
         return certify_in(time, coefficient, self.space, jobs=self.jobs).holds
 

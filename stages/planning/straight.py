@@ -8,7 +8,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.configs.plan import PlanConfig, Point
 from alula.schemas.decimals import at_least
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.kinds import PLAN
@@ -72,6 +72,12 @@ def _is_lifted(peak: FloatArray, limits: Limits) -> bool:
     return True
 
 
+def _named(config: PlanConfig) -> list[tuple[str, Point]]:
+    assert config.start is not None
+    assert config.goal is not None
+    return [("start", config.start), ("goal", config.goal)]
+
+
 def straight_plan(
     config: PlanConfig, space: PlanSpace, limits: Limits, vehicle: str, *, jobs: int = 0
 ) -> Artifact:
@@ -92,13 +98,14 @@ def straight_plan(
         InfeasibleError: start or goal is not free, or the plan is not proven and this is not allowed.
     """
     lower, upper = room_around(config, space, config.points)
-    points, moved = free_points_of_flight(config, space, lower, upper, space.keep_m)
+    points, moved = free_points_of_flight(config, space, _named(config), lower, upper, space.keep_m)
     start, goal = np.array(points[0]), np.array(points[-1])
     if not (start != goal).any():
         raise InfeasibleError("start and goal are the same free point")
     duration = _ROOM * config.smooth * straight_duration(start, goal, limits)
     peak = PEAKS[0] * float(np.linalg.norm(goal - start)) / duration
-    time, coefficient = rest_to_rest(start, goal, peak, yaw_rad=config.yaw_rad)
+    yaw_rad = config.heading.get("yaw_rad", math.atan2(goal[1] - start[1], goal[0] - start[0]))
+    time, coefficient = rest_to_rest(start, goal, peak, yaw_rad=yaw_rad)
     proof = certify_in(time, coefficient, space, jobs=jobs)
     dense = evaluate(time, coefficient[:, :3], np.linspace(0, time[-1], _SAMPLES))
     clearance = space.clearance_m(dense, jobs)
@@ -116,7 +123,7 @@ def straight_plan(
         {
             "time": time,
             "coefficient": coefficient,
-            "waypoint": np.array([[*point, config.yaw_rad] for point in (points[0], points[-1])]),
+            "waypoint": np.array([[*point, yaw_rad] for point in (points[0], points[-1])]),
         },
         frame=space.frame,
         unit="m",

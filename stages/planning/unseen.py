@@ -65,18 +65,17 @@ def is_seen(seen: Artifact, points: ArrayLike) -> NDArray[np.bool_]:
     return np.isin(*(np.ravel_multi_index(tuple((each - lower).T), size) for each in (voxel, index)))
 
 
-def require_seen(seen: Artifact, points: Sequence[Sequence[float]]) -> None:
+def require_seen(seen: Artifact, named: Sequence[tuple[str, Sequence[float]]]) -> None:
     """Refuse points of a flight that are not in seen space.
 
     Args:
         seen: an `alula/seen`.
-        points: start, via points and goal [m].
+        named: names and positions of the points [m].
 
     Raises:
         InfeasibleError: names the first such point.
     """
-    names = ["start", *[f"via point {i + 1}" for i in range(len(points) - 2)], "goal"]
-    for name, point, good in zip(names, points, is_seen(seen, points), strict=True):
+    for (name, point), good in zip(named, is_seen(seen, [point for _, point in named]), strict=True):
         if not good:
             where = f"the {name} ({' '.join(f'{x:g}' for x in point)})"
             raise InfeasibleError(f"{where} is not in the space that was seen (--within)")

@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import CoverManifest, PlanManifest
+from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.hulls import Hulls
@@ -20,13 +21,18 @@ from alula.stages.compression.verify import LISTED, Certificate, Check, Offence,
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
+from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.unseen import is_seen, unseen_hulls
 
 _JUMP = (
     2.0**-30
 )  # of the size of control points, over a power of the duration: rounding of stored coefficients
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
+_ZONE_HALVINGS = 12  # of a piece beside a zone
+_HOLD_S = 1e-9  # that the rest at a point may be short of its time
 _CORRIDOR = ("cell_normal", "cell_offset", "cell_start", "piece_cell")
+_YAW_LIMITS = ("yaw_rate_rad_s", "yaw_acceleration_rad_s2")
+_REST = (Fraction(0), Fraction(0), Fraction(0))
 _ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
 
@@ -47,8 +53,8 @@ def verify_plan(
     level, or else of those that the cover was made to contain, by duality in numbers rounded to the safe
     side. Each piece in its cell, and limits of the motion over every piece: by control points in rational
     arithmetic, halved where that does not decide. Continuity, up to snap for a plan that records its limits
-    and up to jerk for an older one, to the rounding of the stored coefficients; start, via points and goal;
-    rest at the goal.
+    and up to jerk for an older one, to the rounding of the stored coefficients; start, waypoints, gates and
+    goal in their order; rest where the plan holds, and at the goal.
 
     Args:
         plan: an `alula/plan`.
@@ -117,6 +123,10 @@ def verify_plan(
     if pieces.used:
         checks.append(pieces.in_cells())
     checks += [pieces.limits(), pieces.continuity(), pieces.passed()]
+    if manifest.zones:
+        checks.append(pieces.zones())
+    if pieces.turns:
+        checks.append(pieces.heading())
     proven = all(check.ok for check in checks)
     notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
     recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
@@ -212,34 +222,124 @@ class _Pieces:
                 after = exact.derivative(after, self.duration[i + 1])
         return _check("continuity", len(self.points) - 1, offences, f"up to {_ORDERS[orders - 1]}")
 
+    def zones(self) -> Check:
+        """Check that each piece is slow wherever it may be in a zone."""
+        offences = []
+        for zone in self.manifest.zones:
+            for i, points in enumerate(self.points):
+                velocity = exact.derivative(points, self.duration[i])
+                if not exact.is_slow_in(points, velocity, zone.box_m, zone.speed_m_s, _ZONE_HALVINGS):
+                    fault = f"piece {i} may be faster than {zone.speed_m_s:g} m/s in a zone"
+                    offences.append(Offence(fault=fault, place_m=self.where(i)))
+        count = len(self.manifest.zones) * len(self.points)
+        return _check("zones", count, offences, "Bernstein bounds, in rational arithmetic")
+
+    @property
+    def turns(self) -> bool:
+        """Whether the heading is not a constant without limits."""
+        yaw = np.asarray(self.plan["coefficient"])[:, 3]
+        limited = any(name in self.manifest.limits for name in _YAW_LIMITS)
+        return limited or bool(yaw[:, 1:].any() or (yaw[:, 0] != yaw[0, 0]).any())
+
+    def heading(self) -> Check:
+        """Check the limits of the heading over every piece, its continuity, and that it ends at rest."""
+        yaw = np.asarray(self.plan["coefficient"], np.float64)[:, 3:]
+        rows = np.concatenate([yaw, np.zeros((len(yaw), 2, yaw.shape[2]))], axis=1)
+        offences: list[Offence] = []
+        last: list[exact.Vector] | None = None
+        for i, (row, duration) in enumerate(zip(rows, self.duration, strict=True)):
+            points = exact.control_points(row, duration)
+            ends = []
+            for order, name in enumerate(("", *_YAW_LIMITS)):
+                points = points if order == 0 else exact.derivative(points, duration)
+                ends.append((points[0], points[-1]))
+                if order and not exact.holds(points, exact.ball(self.manifest.limits.get(name, 0.0))):
+                    offences.append(
+                        Offence(fault=f"piece {i} exceeds the limit {name}", place_m=self.where(i))
+                    )
+            for order, (begin, _) in enumerate(ends):
+                before = (last or [begin, *[_REST] * 2])[order]
+                if abs(begin[0] - before[0]) > Fraction(_JUMP) * (1 + abs(begin[0])) / duration**order:
+                    fault = f"the heading jumps in derivative {order} before piece {i}"
+                    offences.append(Offence(fault=fault, place_m=self.where(i)))
+            last = [end for _, end in ends]
+        if last is not None and any(
+            abs(last[order][0]) > Fraction(_JUMP) / self.duration[-1] ** order for order in (1, 2)
+        ):
+            offences.append(Offence(fault="the heading turns at the end"))
+        return _check("heading", len(rows), offences, "rate and acceleration, in rational arithmetic")
+
     def passed(self) -> Check:
-        """Check start, via points and goal, and rest at the goal."""
+        """Check start, waypoints, gates and goal, in their order, and rest at the goal."""
         ends = [p[0] for p in self.points] + [self.points[-1][-1]]
         knots = np.array([[float(c) for c in p] for p in ends])
         parameters = self.manifest.parameters
+        passes = passes_of(self.plan)
+        laps = laps_of(passes)
         offences: list[Offence] = []
+        start, goal = (_point(parameters.get(name)) for name in ("start", "goal"))
+        if parameters.get("start") is not None and not np.linalg.norm(knots[0] - start) <= _PASSED_M:
+            offences.append(Offence(fault="the start is not passed", place_m=start))
         first = 0
-        wanted: list[tuple[str, tuple[float, float, float]]] = []
-        for name, points in (
-            ("start", [parameters.get("start")]),
-            ("via point", self.manifest.via_m),
-            ("goal", [parameters.get("goal")]),
-        ):
-            wanted += [(name, _point(point)) for point in points if point is not None]
-        for name, point in wanted:
-            near = np.flatnonzero(np.linalg.norm(knots[first:] - np.asarray(point), axis=1) <= _PASSED_M)
-            ends_elsewhere = name == "goal" and not (len(near) and first + near[-1] == len(knots) - 1)
-            if not len(near) or ends_elsewhere or (name == "start" and near[0] != 0):
-                offences.append(Offence(fault=f"the {name} is not passed", place_m=point))
-            else:
-                first += int(near[0])
+        for each in passes:
+            at = next((k for k in range(first, len(knots)) if self._is_passed(each, k, knots)), None)
+            x, y, z = each.point_m
+            if at is None:
+                offences.append(Offence(fault=f"the {name_of(each, laps)} is not passed", place_m=(x, y, z)))
+                continue
+            first = at + 1
+            if not self._rests(at, each.hold_s):
+                fault = f"the plan does not rest at the {name_of(each, laps)}"
+                offences.append(Offence(fault=fault, place_m=(x, y, z)))
+        if parameters.get("goal") is not None and not np.linalg.norm(knots[-1] - goal) <= _PASSED_M:
+            offences.append(Offence(fault="the goal is not passed", place_m=goal))
         last, size = self.points[-1], Fraction(float(np.abs(knots).max()) + 1)
         for order in range(1, 4):
             last = exact.derivative(last, self.duration[-1])
             if max(abs(c) for c in last[-1]) > Fraction(_JUMP) * size / self.duration[-1] ** order:
                 offences.append(Offence(fault=f"the {_ORDERS[order]} is not zero at the end"))
                 break
-        return _check("start, vias, goal", len(wanted), offences, "and rest at the end")
+        count = len(passes) + sum(parameters.get(name) is not None for name in ("start", "goal"))
+        has_gates = any(each.kind == "gate" for each in passes)
+        name = "start, vias, gates, goal" if has_gates else "start, vias, goal"
+        return _check(name, count, offences, "and rest at the end")
+
+    def _is_passed(self, each: PlanPass, knot: int, knots: FloatArray) -> bool:
+        """Whether a knot is at a waypoint, or in a gate that the pieces beside it pass in its direction.
+
+        The piece before the gate has no control point before its plane and one behind it, the piece after it
+        the other way round; the knot is in the plane, where the vehicle's radius fits into the opening.
+        """
+        if each.kind == "waypoint":
+            allowed = _PASSED_M if each.tolerance_m is None else each.tolerance_m
+            return bool(np.linalg.norm(knots[knot] - each.point_m) <= allowed)
+        body_m = max(self.manifest.radius_m - self.manifest.margin_m, 0.0)
+        if not 0 < knot < len(knots) - 1:
+            return False
+        n, c = [Fraction(x) for x in each.normal], [Fraction(x) for x in each.point_m]
+
+        def height(p: exact.Vector) -> Fraction:
+            return n[0] * (p[0] - c[0]) + n[1] * (p[1] - c[1]) + n[2] * (p[2] - c[2])
+
+        before, after = (list(map(height, self.points[k])) for k in (knot - 1, knot))
+        flat = Fraction(_PASSED_M)
+        crosses = max(before) <= flat and min(after) >= -flat and min(before) < -flat and max(after) > flat
+        return (
+            crosses
+            and abs(after[0]) <= flat
+            and exact.ball(each.radius_m - body_m, each.point_m)(self.points[knot][0])
+        )
+
+    def _rests(self, knot: int, hold_s: float) -> bool:
+        """Whether the pieces from a knot on stand still for a time."""
+        left = Fraction(hold_s)
+        while left > _HOLD_S and knot < len(self.points):
+            here = self.points[knot][0]
+            if any(abs(a - b) > _PASSED_M for p in self.points[knot] for a, b in zip(p, here, strict=True)):
+                return False
+            left -= self.duration[knot]
+            knot += 1
+        return left <= _HOLD_S
 
 
 def _point(value: object) -> tuple[float, float, float]:

@@ -23,7 +23,8 @@ from alula.stages.reporting.material import (
     flew_through,
     outcome_of,
 )
-from alula.stages.reporting.tables import path_ratio, voxel_count
+from alula.stages.reporting.tables import voxel_count
+from alula.stages.verdict import path_ratio
 
 _GAP_S = 0.2
 _PLAN_SAMPLES = 400

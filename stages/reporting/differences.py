@@ -25,7 +25,7 @@ from alula.stages.reporting.statistics import (
     two_sample_estimate,
 )
 from alula.stages.reporting.table import HIGH, LOW, Table
-from alula.stages.reporting.tables import path_ratio
+from alula.stages.verdict import path_ratio
 
 _SAME_PLACE_M = 1e-6
 _PERCENT = 100.0

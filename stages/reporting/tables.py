@@ -30,6 +30,7 @@ from alula.stages.reporting.material import (
 )
 from alula.stages.reporting.papers.published import paper_tables
 from alula.stages.reporting.table import Table, csv_cell, flat, text
+from alula.stages.verdict import path_ratio
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
@@ -288,11 +289,6 @@ def _is_blocked(trial: TrialResult, run: Run) -> bool | None:
     if trial.line_clearance_m is None or not isinstance(added, int | float):
         return None
     return trial.line_clearance_m < added
-
-
-def path_ratio(trial: TrialResult) -> float | None:
-    """Ratio of the length flown to the straight line from start to goal."""
-    return trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
 
 
 def compression_table(material: Material) -> Table:

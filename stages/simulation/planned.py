@@ -98,7 +98,7 @@ def plans_of(
             start=tuple(start),
             goal=tuple(goal),
             radius_m=config.keep_m + margin,
-            yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0]),
+            yaw=repr(math.atan2(goal[1] - start[1], goal[0] - start[0])),
         )
         if margin not in spaces:
             spaces[margin] = plan_space(own, cover, scene, None, within, jobs=jobs)

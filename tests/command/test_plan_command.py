@@ -230,5 +230,73 @@ def test_help_shows_the_line_of_the_command_list_and_examples():
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.count("alula plan room.cover.npz") == 5
+    assert done.stdout.count("alula plan room.cover.npz") == 7
     assert "--via" in done.stdout
+
+
+GATES = ["--start", "-1 0.5 0.5", "--goal", "-1 0.5 0.5", "--gate", "2 0.5 1.5 1 0 0 0.5", "--loops", "2"]
+MISSION = """
+start_m = [-1, 0.5, 0.5]
+goal_m = [-1, 0.5, 0.5]
+loops = 2
+yaw = "along"
+
+[[pass]]
+gate_m = [2, 0.5, 1.5]
+normal = [1, 0, 0]
+radius_m = 0.5
+
+[[pass]]
+point_m = [2, -1, 0.5]
+tolerance_m = 0.3
+"""
+
+
+def test_gates_of_options_and_of_a_mission_are_planned_and_proven_and_simulated(cover, tmp_path, capsys):
+    by_options, by_file, mission = (tmp_path / name for name in ("a.plan.npz", "b.plan.npz", "m.toml"))
+    mission.write_text(MISSION)
+    assert plan(cover, by_options, *GATES) == 0
+    assert [each.lap for each in read_artifact(by_options, PLAN).manifest.passes] == [1, 2]
+    assert plan(cover, by_file, "--mission", str(mission), "--speed", "2") == 0
+    made = read_artifact(by_file, PLAN)
+    flown = [(each.kind, each.lap) for each in made.manifest.passes]
+    assert flown == [("gate", 1), ("waypoint", 1), ("gate", 2), ("waypoint", 2)]
+    assert made.manifest.parameters["start"] == [-1.0, 0.5, 0.5]
+    assert {ref.role for ref in made.manifest.inputs} == {"cover", "mission"}
+    assert np.ptp(made["coefficient"][:, 3, 0]) > 5
+    assert run(["verify", str(by_file), "--map", str(cover)]) == 0
+    capsys.readouterr()
+    flight = ["simulate", str(by_file), "--map", str(cover), "--filter", "cone-backup"]
+    assert run([*flight, "-o", str(tmp_path / "a.run.mcap")]) == 0
+    large = ["-o", str(tmp_path / "b.run.mcap"), "--set", "vehicle.radius_m=0.45", "--filter", "none"]
+    assert run([*flight[:4], *large]) == 4
+    assert "gate 1 of lap 1 was missed: the vehicle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        ([*GATES, "--via", "3 3 3"], 2, "give --via or --gate, not both: a --mission file has both"),
+        ([*GATES[:4], "--loops", "2"], 2, "--loops: there is nothing to fly again"),
+        ([*GATES[:4], "--gate", "2 0.5 1.5 0 0 0 0.5"], 2, "has no direction"),
+        ([*GATES[:4], "--gate", "2 0.5 1.5"], 2, '"cx cy cz nx ny nz r"'),
+        ([*GATES[:4], "--gate", "2 0.5 1.5 1 0 0 0.14"], 5, "it does not fit through"),
+        ([*GATES[:4], "--gate", "0.5 0.5 0.5 1 0 0 0.4"], 5, "gate 1 at (0.5 0.5 0.5) is not free"),
+        ([*GATES[:4], "--yaw", "up"], 2, "--yaw is an angle in radians, along, or towards:X,Y,Z, not 'up'"),
+        ([*GATES[:4]], 2, "two consecutive points of the flight are the same"),
+        ([*GATES, "--mission", "MISSION"], 2, "--gate and --mission: the file says this"),
+        (["--mission", "NONE"], 3, "cannot read"),
+        (["--mission", "WRONG"], 2, "unknown field `gates`"),
+    ],
+)
+def test_missions_that_cannot_be_flown_are_refused_with_a_line(cover, tmp_path, capsys, words, code, message):
+    (tmp_path / "m.toml").write_text(MISSION)
+    (tmp_path / "w.toml").write_text("gates = 3\n")
+    names = {"MISSION": "m.toml", "NONE": "n.toml", "WRONG": "w.toml"}
+    words = [str(tmp_path / names[word]) if word in names else word for word in words]
+    output = tmp_path / "p.plan.npz"
+    assert plan(cover, output, *words) == code
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1 or "Usage" in error
+    assert not output.exists()

@@ -90,6 +90,48 @@ void test_curves() {
   CHECK(total(through) > total(fastest));
 }
 
+void test_a_via_may_be_passed_in_a_disc_along_its_normal_or_in_a_ball() {
+  Bend bend;
+  bend.is_via[2] = 1;
+  const double through = total(minimum_time(bend.problem(), {}));
+  const double h = std::sqrt(0.5);
+  for (const Vec3 normal : {Vec3{h, h, 0}, Vec3{}}) {
+    std::vector<Opening> opening(5);
+    opening[2] = {{3, 0, 0}, normal, 0.2};
+    for (const bool moves : {false, true}) {
+      TimeProblem problem = bend.problem();
+      problem.opening = opening;
+      if (moves) problem.start = {{}, {0.6, 0.2, 0}, {0.5, 0, 0}, {}, true};
+      const TimeCurve curve = minimum_time(problem, {});
+      check_curve(bend, curve);
+      const Vec3 at = curve.point[24] - Vec3{3, 0, 0};
+      CHECK(norm(at) <= 0.2 + 1e-12 && norm(at) > 0.1);
+      CHECK(total(curve) < through);
+      CHECK(std::abs(dot(normal, at)) < 1e-12);
+      if (dot(normal, normal) == 0) continue;
+      for (std::size_t i = 0; i < 7; ++i) {
+        CHECK(dot(normal, curve.point[16 + i] - Vec3{3, 0, 0}) < 0);
+        CHECK(dot(normal, curve.point[25 + i] - Vec3{3, 0, 0}) > 0);
+      }
+    }
+  }
+}
+
+void test_a_piece_has_its_own_limit_of_speed() {
+  const Bend bend;
+  const std::vector<double> speed{1, 1, 1, 0.3, 0.3, 2};
+  TimeProblem problem = bend.problem();
+  problem.speed = speed;
+  const TimeCurve curve = minimum_time(problem, {});
+  check_curve(bend, curve);
+  for (std::size_t k = 3; k < 5; ++k) {
+    for (std::size_t i = 0; i < 7; ++i) {
+      CHECK(7 / curve.duration[k] * norm(curve.point[8 * k + i + 1] - curve.point[8 * k + i]) <= 0.3 + 1e-9);
+    }
+  }
+  CHECK(total(curve) > total(minimum_time(bend.problem(), {})) + 0.5);
+}
+
 void test_longer_curves_have_less_snap_and_the_same_ratios() {
   const Bend bend;
   const TimeCurve fastest = minimum_time(bend.problem(), {});
@@ -114,12 +156,29 @@ void test_few_steps_give_a_slower_curve_and_bad_sizes_are_refused() {
     refused = true;
   }
   CHECK(refused);
+  for (const int bad : {0, 1, 2}) {
+    const Bend good;
+    TimeProblem problem = good.problem();
+    std::vector<Opening> opening(bad == 0 ? 4 : 5);
+    if (bad == 1) opening[2] = {{3, 0, 0}, {0.5, 0, 0}, 0.2};  // its normal is not of unit length
+    const std::vector<double> speed(6, bad == 2 ? 0.0 : 1.0);
+    problem.opening = opening, problem.speed = speed;
+    refused = false;
+    try {
+      minimum_time(problem, {});
+    } catch (const std::invalid_argument&) {
+      refused = true;
+    }
+    CHECK(refused);
+  }
 }
 
 }  // namespace
 
 int main() {
   test_curves();
+  test_a_via_may_be_passed_in_a_disc_along_its_normal_or_in_a_ball();
+  test_a_piece_has_its_own_limit_of_speed();
   test_longer_curves_have_less_snap_and_the_same_ratios();
   test_few_steps_give_a_slower_curve_and_bad_sizes_are_refused();
   return alula_failures == 0 ? 0 : 1;

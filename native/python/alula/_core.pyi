@@ -408,9 +408,9 @@ class MotionLimits:
     @property
     def tilt(self) -> float: ...
 
-def minimum_time(normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], row_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], cell: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], limits: MotionLimits, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Sequence[float], joint: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], is_via: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], least_duration: float, gap: float, most_steps: int, stretch: float, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> tuple[TimeStatus, NDArray[numpy.float64], NDArray[numpy.float64], int]:
+def minimum_time(normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], row_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], cell: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], limits: MotionLimits, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Sequence[float], joint: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], is_via: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], least_duration: float, gap: float, most_steps: int, stretch: float, centre: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, opening: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, speed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> tuple[TimeStatus, NDArray[numpy.float64], NDArray[numpy.float64], int]:
     """
-    Fastest curve of degree 7 and class C4 in a corridor: status, Bernstein points (K, 8, 3), durations (K,), steps. `speed` (K,) limits single pieces.
+    Fastest curve of degree 7 and class C4 in a corridor: status, Bernstein points (K, 8, 3), durations (K,), steps. `opening` (K - 1,) is the radius within which a via may be passed, about `centre` (K - 1, 3), or in the disc across `normal` (K - 1, 3) where that is not 0; `speed` (K,) limits single pieces.
     """
 
 def outer_solids(normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int) -> dict[str, Any]:
@@ -2856,7 +2856,7 @@ class Autopilot:
 class PlanClockOptions:
     """How time along a plan waits: alula/flight/plan_clock.hpp."""
 
-    def __init__(self, *, near_m: float = 0.3, far_m: float = 1.0, slew_per_s: float = 2.0, via_s: Sequence[float] = ..., via_m: float = float('inf')) -> None:
+    def __init__(self, *, near_m: float = 0.3, far_m: float = 1.0, slew_per_s: float = 2.0, via_s: Sequence[float] = ..., via_m: float = float('inf'), own_via_m: Sequence[float] = ...) -> None:
         """
         Args:
             near_m: error up to which the time runs at full rate [m]
@@ -2864,6 +2864,7 @@ class PlanClockOptions:
             slew_per_s: maximum change of the rate [1/s]
             via_s: times of the via points along the plan, ascending [s]
             via_m: distance within which a via point counts as passed [m]
+            own_via_m: the same of each via point, where they differ [m]
         """
 
     @property
@@ -2885,6 +2886,10 @@ class PlanClockOptions:
     @property
     def via_m(self) -> float:
         """distance within which a via point counts as passed [m]"""
+
+    @property
+    def own_via_m(self) -> list[float]:
+        """the same of each via point, where they differ [m]"""
 
 class PlanClock:
     """Time along a plan, which slows down for a vehicle that falls behind."""

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from alula.schemas.artifact import Artifact
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.flight.mission import Mission
 from alula.stages.flight.replan.process import Planner, PlannerProcess
 from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
 from alula.stages.flight.replan.task import KeptMap, ReplanFacts
+from alula.stages.planning.passes import passes_of
 from alula.stages.planning.plan_samples import sample_plan
 
 _FENCE_ROOM_M = (
@@ -25,13 +28,14 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
 
     Plans keep to what the vehicle's autopilot follows where it is flown by velocities or accelerations. They
     keep from each map what the filter keeps from it; a map that it does not see counts with radius and
-    margin. Without a margin there is no room to join a plan.
+    margin. Without a margin there is no room to join a plan. New plans pass points and have one heading: a
+    mission with gates, rests, zones or a heading that turns has none.
 
     Args:
         mission: of the flight.
     """
     config, radius = mission.config, mission.vehicle.body.radius_m
-    if config.replan_after_s == 0 or config.filter == "none":
+    if config.replan_after_s == 0 or config.filter == "none" or _has_more(mission.plan):
         return None
     assert config.fence is not None
     assert config.speed_m_s is not None
@@ -50,8 +54,9 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
     manifest = mission.plan.manifest
     speed = manifest.speed_m_s  # type: ignore[attr-defined]
     x, y, z = mission.goal.tolist()
+    yaw = repr(float(mission.plan["coefficient"][0, 3, 0]))
     return ReplanFacts(
-        parameters={"speed_m_s": speed, **manifest.parameters} | _interface(mission),
+        parameters={"speed_m_s": speed, **manifest.parameters, "yaw": yaw} | _interface(mission),
         goal=(x, y, z),
         maps=tuple(maps),
         fence=config.fence,
@@ -61,6 +66,14 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
         foot_m=_FOOT * keep,
         speed_m_s=config.speed_m_s,
     )
+
+
+def _has_more(plan: Artifact) -> bool:
+    """Whether a plan has more than via points and one heading."""
+    yaw = np.asarray(plan["coefficient"])[:, 3]
+    turns = bool(yaw[:, 1:].any() or (yaw[:, 0] != yaw[0, 0]).any())
+    zones = plan.manifest.zones  # type: ignore[attr-defined]
+    return turns or bool(zones) or any(each.kind == "gate" or each.hold_s > 0 for each in passes_of(plan))
 
 
 def _interface(mission: Mission) -> dict[str, str]:

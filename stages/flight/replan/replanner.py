@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.stages.filtering.protocol import FilterStatus
@@ -19,7 +18,7 @@ from alula.stages.flight.loop.plan_clock import PlanClock, Reference, heading_of
 from alula.stages.flight.recorder.samples import INFO, WARNING
 from alula.stages.flight.replan.process import Planner
 from alula.stages.flight.replan.task import ReplanAnswer, ReplanRequest, remaining, words_of
-from alula.stages.planning.adherence import FINISHED_M, via_times
+from alula.stages.planning.adherence import FINISHED_M, waits
 from alula.stages.planning.plan_samples import curve_of
 
 _SLOW = 0.1  # a plan whose time runs at less than this rate is held up
@@ -265,9 +264,7 @@ class Replanner:
                 "flight goes on along the one before",
             )
             return None
-        clock = PlanClock(
-            curve, _core.PlanClockOptions(via_s=via_times(made), via_m=self._options.via_tolerance_m)
-        )
+        clock = PlanClock(curve, waits(made, 0.0, self._options.via_tolerance_m))
         rate = _rate(state.velocity, rows[nearest, 3:6])
         clock.enter(float(times[nearest]), rate, heading_of(state.attitude_wxyz))
         self._held.restart(clock.time_s)

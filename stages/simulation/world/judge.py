@@ -107,7 +107,8 @@ class WorldJudge:
             one.closest_m - radius - self.world.radius_m
             for one, radius in zip(met, self.obstacle_radii_m, strict=True)
         )
-        followed = None if along is None else along.result(path)
+        times_s = np.linspace(0, steps * self.dt_s, len(flown["path"]))[: len(path)]
+        followed = None if along is None else along.result(path, times_s)
         motion = self._motion(flown, path)
         length = motion["path_length_m"]
         each = [self._filter(i, name, flown) for i, name in enumerate(self.filters)]

@@ -17,7 +17,7 @@ from alula.schemas.progress import Progress
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
-from alula.stages.planning.adherence import FINISHED_M, via_times, via_tolerance
+from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
@@ -30,6 +30,7 @@ _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
+_PLAN_FLOOR_M = 0.01  # of a plan, which may end where it begins: a point is slow from there on
 
 Clearance = Callable[[FloatArray], FloatArray]
 
@@ -176,6 +177,8 @@ def _along(
             allowed = slow if clock is None else _TIME_FACTOR * curve.duration_s + _EXTRA_TIME_S
             yaw = float(curve.at(np.array([0.0]))[0, 15])
         floor_m = FINISHED_M if own is not None and mission.waits else _STOP_FLOOR_M[is_point]
+        if own is not None:
+            floor_m = max(floor_m, _PLAN_FLOOR_M)
         stop = max(mission.stop_fraction * float(np.linalg.norm(goal - start)), floor_m)
         state = _at_rest(start, yaw if model == "quadrotor" else 0.0)  # a point has no attitude
         if mission.kind == "plan" and mission.start_m is not None:
@@ -210,8 +213,7 @@ def _clock(scenario: WorldScenario, plan: Artifact | None) -> _core.PlanClockOpt
     radius_m = scenario.vehicle.radius_m
     if not scenario.mission.waits or plan is None or radius_m is None:
         return None
-    tolerance_m = via_tolerance(scenario.mission.via_tolerance_m, radius_m)
-    return _core.PlanClockOptions(via_s=via_times(plan), via_m=tolerance_m)
+    return waits(plan, radius_m, via_tolerance(scenario.mission.via_tolerance_m, radius_m))
 
 
 def _flies_straight(scenario: WorldScenario, model: str) -> bool:

@@ -16,6 +16,7 @@ from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
 from alula.stages.planning.convex_core import Problem, minimum_scale, minimum_snap
 from alula.stages.planning.fastest import MovingState, fastest_curve, keeps, straight_curve
 from alula.stages.planning.limits import LIMIT_SHARE, Limits, motion_limits
+from alula.stages.planning.opening import Opening
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.vehicles.bodies import quadrotor
 from support.chains import box_chain, exact_derivatives
@@ -131,7 +132,7 @@ def test_a_long_straight_flight_takes_its_length_over_the_speed_and_two_ramps():
 
 def test_single_cells_can_have_lower_limits_of_the_speed():
     corridor = box_chain(5, 3)
-    fast, slow = solve(corridor), solve(corridor, speed_m_s=np.array([9.0, 0.3, 2.0]))
+    fast, slow = solve(corridor), solve(dataclasses.replace(corridor, speed=np.array([9.0, 0.3, 2.0])))
     for curve, limit in ((fast, [2.0, 2.0, 2.0]), (slow, [2.0, 0.3, 2.0])):
         speed = 7 * np.linalg.norm(np.diff(curve.point, axis=1), axis=2) / curve.duration[:, None]
         most = [speed[curve.cell == cell].max() for cell in range(3)]
@@ -308,3 +309,57 @@ def test_pieces_that_do_not_fit_their_cells_are_refused():
                 100,
                 1.0,
             )
+
+
+def with_openings(seed, is_disc, radius=0.1):
+    """A chain with discs or balls about its joints; discs lie across the mean of the two directions."""
+    corridor = box_chain(seed, 3, True)
+    way = np.diff(corridor.point, axis=0)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    normal = way[:-1] + way[1:]
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    opening = {
+        j: Opening(joint, n if is_disc else np.zeros(3), radius)
+        for j, (joint, n) in enumerate(zip(corridor.joint, normal, strict=True))
+    }
+    return dataclasses.replace(corridor, opening=opening)
+
+
+@given(st.integers(0, 10**6), st.booleans(), st.floats(1e-4, 0.14))
+@settings(deadline=None, max_examples=examples(25))
+def test_curves_pass_discs_along_their_normals_and_balls_anywhere(seed, is_disc, radius):
+    corridor = with_openings(seed, is_disc, radius)
+    curve = solve(corridor)
+    assert keeps(curve.point, curve.duration, LIMITS).all()
+    for joint, opening in corridor.opening.items():
+        before, after = curve.point[3 * joint + 2], curve.point[3 * joint + 3]
+        np.testing.assert_array_equal(before[-1], after[0])
+        assert np.linalg.norm(after[0] - opening.centre) <= radius + 1e-12
+        if is_disc:
+            heights = [(points - opening.centre) @ opening.normal for points in (before, after)]
+            assert abs(heights[0][-1]) < 1e-12
+            assert heights[0][:-1].max() < 0 < heights[1][1:].min()
+
+
+@pytest.mark.parametrize("is_disc", [True, False])
+def test_with_openings_no_curve_is_faster_in_the_convex_reference(is_disc):
+    corridor = with_openings(0, is_disc)
+    curve = solve(corridor, pieces=2)
+    assert curve.time[-1] < 0.97 * solve(dataclasses.replace(corridor, opening={}), pieces=2).time[-1]
+    problem = convex(dataclasses.replace(corridor, is_via=np.zeros(2, np.bool_)), curve)
+    opening = {2 * joint + 1: each for joint, each in corridor.opening.items()}
+    problem = dataclasses.replace(problem, opening=opening)
+    assert minimum_snap(problem, 0.985 * curve.duration) is None
+    assert minimum_snap(problem, 1.001 * curve.duration) is not None
+
+
+def test_cells_with_a_lower_speed_hold_it_and_the_convex_reference_is_not_faster():
+    corridor = dataclasses.replace(box_chain(4, 3), speed=np.array([np.inf, 0.5, np.inf]))
+    curve = solve(corridor, pieces=2)
+    speed = np.linalg.norm(np.diff(curve.point, axis=1), axis=2).max(axis=1) * 7 / curve.duration
+    assert 0.45 < speed[curve.cell == 1].max() <= 0.5
+    assert speed[curve.cell != 1].max() > 0.6
+    assert not keeps(curve.point, curve.duration / 1.01, LIMITS, corridor.speed[curve.cell]).all()
+    problem = dataclasses.replace(convex(corridor, curve), speed=corridor.speed[curve.cell])
+    assert minimum_snap(problem, 0.985 * curve.duration) is None
+    assert minimum_snap(problem, 1.001 * curve.duration) is not None

@@ -192,7 +192,7 @@ def test_a_lattice_too_fine_is_refused_and_one_too_coarse_is_refined():
 
 
 def test_without_obstacles_a_plan_is_a_straight_line():
-    result = plan(PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), yaw_rad=0.7), boxes_cover([]))
+    result = plan(PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), yaw="0.7"), boxes_cover([]))
     assert result.kind is PLAN
     assert result.manifest.summary["length_m"] == pytest.approx(2.0)
     assert result.manifest.summary["min_clearance_m"] is None
@@ -262,7 +262,7 @@ def test_the_search_finds_the_shortest_lattice_path():
         {"speed_m_s": -1.0},
         {"acceleration_m_s2": 0.0},
         {"resolution_m": 0.0},
-        {"yaw_rad": 90.0},
+        {"yaw": "90"},
         {"via": ((0.0, 0.0, 0.0),)},
         {"bounds": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)},
         {"bounds": (0.5, 0.5, 0.5, 2.0, 2.0, 2.0)},
@@ -333,7 +333,7 @@ def test_a_plan_begins_in_motion_and_a_motion_that_leads_out_of_the_path_is_refu
 def test_a_plan_records_the_limits_of_its_vehicle():
     config = PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), radius_m=0.2, acceleration_m_s2=2.0)
     made = plan(config, boxes_cover([]))
-    assert made.manifest.version == "1.1"
+    assert made.manifest.version == "1.2"
     assert made.manifest.vehicle == "fastbridge"
     assert made.manifest.limits == motion_limits(config, FASTBRIDGE).record()
     assert made.manifest.limits["tilt_rad"] == pytest.approx(math.asin(2.0 / 9.81))

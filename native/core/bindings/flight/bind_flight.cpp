@@ -90,7 +90,8 @@ struct Fields<flight::PlanClockOptions> {
       Field{"far_m", &Options::far_m, "error from which on it stands still [m]"},
       Field{"slew_per_s", &Options::slew_per_s, "maximum change of the rate [1/s]"},
       Field{"via_s", &Options::via_s, "times of the via points along the plan, ascending [s]"},
-      Field{"via_m", &Options::via_m, "distance within which a via point counts as passed [m]"}};
+      Field{"via_m", &Options::via_m, "distance within which a via point counts as passed [m]"},
+      Field{"own_via_m", &Options::own_via_m, "the same of each via point, where they differ [m]"}};
 };
 
 template <>

@@ -74,19 +74,29 @@ std::tuple<Bytes, Doubles, std::size_t> prove_cells(const Hulls& hulls, const El
   return {to_numpy(std::move(proven), {size}), to_numpy(std::move(clearance), {size}), pairs};
 }
 
-std::tuple<TimeStatus, Doubles, Doubles, int> fastest(InRows3<double> normals, InVector<double> offsets,
-                                                      InVector<std::int64_t> row_start, InVector<std::uint32_t> cell,
-                                                      const MotionLimits& limits, InRows3<double> start, Triple goal,
-                                                      InRows3<double> joint, InVector<std::uint8_t> is_via,
-                                                      double least_duration, double gap, int most_steps,
-                                                      double stretch, std::optional<InVector<double>> speed) {
+std::tuple<TimeStatus, Doubles, Doubles, int> fastest(
+    InRows3<double> normals, InVector<double> offsets, InVector<std::int64_t> row_start, InVector<std::uint32_t> cell,
+    const MotionLimits& limits, InRows3<double> start, Triple goal, InRows3<double> joint,
+    InVector<std::uint8_t> is_via, double least_duration, double gap, int most_steps, double stretch,
+    std::optional<InRows3<double>> centre, std::optional<InRows3<double>> normal,
+    std::optional<InVector<double>> opening, std::optional<InVector<double>> speed) {
   if (start.shape(0) != 1 && start.shape(0) != 4) throw nb::value_error("start is a position, or p, v, a and j");
+  std::vector<Opening> openings;
+  if (opening) {
+    const std::size_t count = opening->shape(0);
+    if (!centre || !normal || centre->shape(0) != count || normal->shape(0) != count)
+      throw nb::value_error("openings need a centre and a normal each");
+    for (std::size_t i = 0; i < count; ++i)
+      openings.push_back({geometry::from_rows(centre->data() + 3 * i), geometry::from_rows(normal->data() + 3 * i),
+                          opening->data()[i]});
+  }
   TimeCurve curve;
   {
     const nb::gil_scoped_release release;
     const std::vector<Vec3> joints = vectors(joint), state = vectors(start);
     TimeProblem problem{as_span(normals), as_span(offsets), as_span(row_start), as_span(cell), limits, {},
                         vector_of(goal),  joints,           as_span(is_via),    least_duration};
+    problem.opening = openings;
     if (speed) problem.speed = as_span(*speed);
     problem.start.p = state[0];
     if (state.size() == 4) problem.start = {state[0], state[1], state[2], state[3], true};
@@ -133,7 +143,10 @@ void bind_corridor(nb::module_& m) {
       .def_ro("least_thrust", &MotionLimits::least_thrust)
       .def_ro("tilt", &MotionLimits::tilt);
   m.def("minimum_time", &fastest, "normals"_a, "offsets"_a, "row_start"_a, "cell"_a, "limits"_a, "start"_a, "goal"_a,
-        "joint"_a, "is_via"_a, "least_duration"_a, "gap"_a, "most_steps"_a, "stretch"_a, "speed"_a = nb::none(),
+        "joint"_a, "is_via"_a, "least_duration"_a, "gap"_a, "most_steps"_a, "stretch"_a, "centre"_a = nb::none(),
+        "normal"_a = nb::none(), "opening"_a = nb::none(), "speed"_a = nb::none(),
         "Fastest curve of degree 7 and class C4 in a corridor: status, Bernstein points (K, 8, 3), durations (K,), "
-        "steps. `speed` (K,) limits single pieces.");
+        "steps. `opening` (K - 1,) is the radius within which a via may be passed, about `centre` (K - 1, 3), or in "
+        "the "
+        "disc across `normal` (K - 1, 3) where that is not 0; `speed` (K,) limits single pieces.");
 }

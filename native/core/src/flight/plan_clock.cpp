@@ -21,6 +21,10 @@ constexpr double kWait = 4;      // maximum time at a via point; a filter may ke
 void check(const PlanClockOptions& o) {
   if (!(o.near_m >= 0 && o.far_m > o.near_m && o.slew_per_s > 0 && o.via_m > 0))
     throw std::invalid_argument("the distances and the slew of a plan's clock must be positive, far_m above near_m");
+  if (!o.own_via_m.empty() && o.own_via_m.size() != o.via_s.size())
+    throw std::invalid_argument("each via point of a plan's clock needs a distance");
+  for (const double via_m : o.own_via_m)
+    if (!(via_m > 0)) throw std::invalid_argument("the distances of a plan's clock must be positive");
   for (std::size_t i = 0; i < o.via_s.size(); ++i)
     if (!std::isfinite(o.via_s[i]) || (i > 0 && o.via_s[i] < o.via_s[i - 1]))
       throw std::invalid_argument("the times of via points must ascend");
@@ -53,7 +57,7 @@ void PlanClock::enter(double time, double rate, double heading) {
 
 void PlanClock::advance(double dt_s, double error_m) {
   const PlanClockOptions& o = options_;
-  const double passed_m = kPassed * o.via_m;
+  double passed_m = kPassed * (next_ < o.own_via_m.size() ? o.own_via_m[next_] : o.via_m);
   double target = std::clamp((o.far_m - error_m) / (o.far_m - o.near_m), 0.0, 1.0);
   double end = curve_->duration();
   if (next_ < o.via_s.size() && error_m > passed_m) {
@@ -70,6 +74,7 @@ void PlanClock::advance(double dt_s, double error_m) {
       break;
     }
     ++next_, waited_s_ = 0;
+    if (next_ < o.own_via_m.size()) passed_m = kPassed * o.own_via_m[next_];
   }
   turn_ -= std::clamp(turn_, -kTurn * dt_s, kTurn * dt_s);
 }

@@ -168,6 +168,7 @@ std::array<std::array<double, 4>, 4> snap_factor() {
 
 struct Iterate {
   std::vector<Vec3> control;  // de Boor points, fixed ones and those of vias included
+  std::vector<Vec3> knot;     // where the curve passes each via, K - 1
   std::vector<double> log_duration;
 };
 
@@ -193,6 +194,7 @@ class Program {
     Iterate x;
     x.control.assign(3 * pieces_ + 5, problem_.goal);
     x.log_duration.assign(pieces_, 0.0);
+    x.knot.assign(problem_.joint.begin(), problem_.joint.end());
     std::size_t begin = 0;
     Vec3 from = problem_.start.p;
     for (std::size_t end = 1; end <= pieces_; ++end) {
@@ -209,6 +211,9 @@ class Program {
         x.log_duration[k] = std::log(std::max(4 * problem_.least_duration, 2 * length / (count * speed)));
       }
       begin = end, from = to;
+    }
+    for (std::size_t k = 1; k < pieces_; ++k) {
+      if (const Opening* o = opening(k); o && is_disc(*o)) cross(x, k, o->normal);
     }
     settle(x);
     return x;
@@ -232,7 +237,7 @@ class Program {
     const std::size_t fixed = problem_.start.moving ? 4 : 5;
     int next = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      const bool is_free = i >= fixed && i + 5 < count && !is_via_point(i);
+      const bool is_free = i >= fixed && i + 5 < count && (!is_via_point(i) || opening((i - 2) / 3));
       if (is_free) {
         control_variable_[i] = next;
         next += 3;
@@ -269,7 +274,7 @@ class Program {
       for (std::size_t i = 0; i < 5; ++i) {
         if (i != 2) others = others + m[0][i] * x.control[3 * k + i];
       }
-      x.control[3 * k + 2] = (1 / m[0][2]) * (problem_.joint[k - 1] - others);
+      x.control[3 * k + 2] = (1 / m[0][2]) * (x.knot[k - 1] - others);
     }
   }
 
@@ -300,6 +305,10 @@ class Program {
         for (std::size_t j = 0; j < kPoints; ++j) p[i] = p[i] + m[i][j] * x.control[3 * k + j];
         if (is_constant(k, i)) continue;
         each_row(k, [&](Vec3 n, double d) { result.widen = std::max(result.widen, geometry::dot(n, p[i]) - d); });
+        each_side(k, i, [&](Vec3 n, Vec3 c) { result.widen = std::max(result.widen, geometry::dot(n, p[i] - c)); });
+        if (const Opening* o = i == 0 && k > 0 ? opening(k) : nullptr) {
+          result.widen = std::max(result.widen, geometry::norm(p[i] - o->centre) - o->radius);
+        }
       }
       const double duration = std::exp(x.log_duration[k]);
       for (std::size_t order = 1; order < kOrders; ++order) {
@@ -318,8 +327,14 @@ class Program {
     Iterate y = x;
     for (std::size_t i = 0; i < y.control.size(); ++i) {
       if (control_variable_[i] == kNone) continue;
-      y.control[i] =
-          y.control[i] + step * geometry::from_rows(&direction[static_cast<std::size_t>(control_variable_[i])]);
+      const Vec3 way = geometry::from_rows(&direction[static_cast<std::size_t>(control_variable_[i])]);
+      if (!is_via_point(i)) {
+        y.control[i] = y.control[i] + step * way;
+        continue;
+      }
+      const Vec3 n = opening((i - 2) / 3)->normal;  // 0 for a ball
+      Vec3& knot = y.knot[(i - 2) / 3 - 1];
+      knot = knot + step * (way - geometry::dot(n, way) * n);
     }
     for (std::size_t k = 0; k < pieces_; ++k) {
       if (duration_variable_[k] == kNone) continue;
@@ -367,12 +382,18 @@ class Program {
       good = end - begin >= 2;  // a piece alone cannot go from rest to rest with zero snap
       begin = end;
     }
-    good = good && (q.speed.empty() || q.speed.size() == pieces_);
+    good = good && (q.opening.empty() || q.opening.size() + 1 == pieces_) &&
+           (q.speed.empty() || q.speed.size() == pieces_);
+    for (std::size_t i = 0; good && i < q.opening.size(); ++i) {
+      const double n = geometry::norm(q.opening[i].normal);
+      good = q.opening[i].radius >= 0 && (n == 0 || std::abs(n - 1) < 1e-9);
+    }
     for (std::size_t k = 0; good && k < q.speed.size(); ++k) good = q.speed[k] > 0;
     if (!good) throw std::invalid_argument("the cells, pieces and joints of the curve do not fit together");
     for (std::size_t k = 0; k < pieces_; ++k) {
       const auto c = static_cast<std::size_t>(q.cell[k]);
       constraints_ += 8 * double(q.row_start[c + 1] - q.row_start[c]) + 7 + 6 * 5 + 5 + 4 + 1;
+      if (const Opening* o = k > 0 ? opening(k) : nullptr) constraints_ += is_disc(*o) ? 15 : 1;
     }
   }
 
@@ -380,15 +401,51 @@ class Program {
     return i >= 5 && (i - 2) % 3 == 0 && (i - 2) / 3 < pieces_ && problem_.is_via[(i - 2) / 3 - 1] != 0;
   }
 
+  // Where the curve may pass the via at the beginning of piece k; none if that is a point.
+  const Opening* opening(std::size_t k) const {
+    if (problem_.opening.empty() || k == 0 || k >= pieces_ || !problem_.is_via[k - 1]) return nullptr;
+    const Opening& o = problem_.opening[k - 1];
+    return o.radius > 0 ? &o : nullptr;
+  }
+  static bool is_disc(const Opening& o) { return geometry::dot(o.normal, o.normal) > 0; }
+  bool is_fixed_via(std::size_t k) const { return problem_.is_via[k - 1] != 0 && !opening(k); }
+
   double speed_of(std::size_t k) const {
     return problem_.speed.empty() ? problem_.limits.speed : std::min(problem_.limits.speed, problem_.speed[k]);
+  }
+
+  // A piece before a disc stays on the side that it comes from, one behind it on the other side: f(n, c) for
+  // n . (y - c) <= 0, which the other Bernstein points of these pieces keep.
+  template <class F>
+  void each_side(std::size_t k, std::size_t i, F&& f) const {
+    if (const Opening* o = i < 7 ? opening(k + 1) : nullptr; o && is_disc(*o)) f(o->normal, o->centre);
+    if (const Opening* o = i > 0 ? opening(k) : nullptr; o && is_disc(*o)) f(-o->normal, o->centre);
+  }
+
+  // Lets the first curve cross the plane of a disc along its normal, at the joint: five de Boor points lie on a
+  // straight line at their Greville abscissae, so that it has a constant velocity there.
+  void cross(Iterate& x, std::size_t k, Vec3 normal) const {
+    const auto t = durations<double>(x, k);
+    const double before = -t[1], far_before = before - t[0], after = t[2] + t[3];
+    const std::array<double, 5> at{(far_before + 3 * before) / 7, (3 * before + t[2]) / 7,
+                                   (2 * before + 2 * t[2]) / 7, (before + 3 * t[2]) / 7, (3 * t[2] + after) / 7};
+    const Vec3 joint = problem_.joint[k - 1];
+    double room = 1;
+    for (const std::size_t piece : {k - 1, k}) {
+      each_row(piece, [&](Vec3 n, double d) { room = std::min(room, d - geometry::dot(n, joint)); });
+    }
+    for (const std::size_t i : {3 * k - 1, 3 * k + 5}) {  // the first and last point that the joint does not have
+      room = std::min(room, std::abs(geometry::dot(normal, x.control[i] - joint)));
+    }
+    const double speed = 0.5 * room / std::max(-at[0], at[4]);
+    for (std::size_t i = 0; i < 5; ++i) x.control[3 * k + i] = joint + (speed * at[i]) * normal;
   }
 
   // The position points that do not depend on a variable.
   bool is_constant(std::size_t k, std::size_t i) const {
     if (k == 0 && i < (problem_.start.moving ? 1u : 5u)) return true;
     if (k + 1 == pieces_ && i >= 3) return true;
-    return (k > 0 && i == 0 && problem_.is_via[k - 1]) || (k + 1 < pieces_ && i == 7 && problem_.is_via[k]);
+    return (k > 0 && i == 0 && is_fixed_via(k)) || (k + 1 < pieces_ && i == 7 && is_fixed_via(k + 1));
   }
 
   // The derivatives of the start, which no variable changes.
@@ -485,6 +542,8 @@ class Program {
     if (order == 0) {
       if (is_constant(k, i)) return b;
       each_row(k, [&](Vec3 n, double d) { b.add_slack(d + slack.widen - geometry::dot(n, y), -n); });
+      each_side(k, i, [&](Vec3 n, Vec3 c) { b.add_slack(slack.widen - geometry::dot(n, y - c), -n); });
+      if (const Opening* o = i == 0 ? opening(k) : nullptr) b.add_ball(y - o->centre, o->radius + slack.widen);
       return b;
     }
     if (is_given(k, order, i)) return b;
@@ -511,6 +570,7 @@ class Program {
       std::array<double, kPoints> weight{};
       std::array<Vec3, kSpans> along{};
       const double scale = -1 / value_of(m[row][middle]);
+      if (opening(joint)) weight[middle] = -scale;  // of the knot, which is the variable there
       for (std::size_t j = 0; j < kPoints; ++j) {
         if (j != middle) weight[j] = scale * value_of(m[row][j]);
         for (std::size_t s = 0; s < kSpans; ++s) {
@@ -590,7 +650,11 @@ class Program {
         if constexpr (kDerived) local.add(z, (2 * weight) * z.value, (2 * weight) * geometry::identity());
       }
     }
-    if constexpr (kDerived) local.scatter(*gradient, *hessian);
+    if constexpr (kDerived) {
+      if (const Opening* o = opening(k); o && is_disc(*o)) local.keep_in_plane(2, o->normal, true);
+      if (const Opening* o = opening(k + 1); o && is_disc(*o)) local.keep_in_plane(5, o->normal, false);
+      local.scatter(*gradient, *hessian);
+    }
     return sum;
   }
 
@@ -645,6 +709,33 @@ class Program {
         for (std::size_t s = 0; s < kSpans; ++s) {
           for (std::size_t a = 0; a < 3; ++a) hessian[24 + s][3 * i + a] += w * hu[s][int(a)];
         }
+      }
+    }
+
+    // Removes the derivatives of a knot, the variable of de Boor point i, along a normal; where it `stands`, a number
+    // takes their place in the Hessian.
+    void keep_in_plane(std::size_t i, Vec3 n, bool stands) {
+      const std::size_t first = 3 * i;
+      const auto project = [&](auto&& entry) {
+        double along = 0;
+        for (std::size_t a = 0; a < 3; ++a) along += n[int(a)] * entry(first + a);
+        for (std::size_t a = 0; a < 3; ++a) entry(first + a) -= along * n[int(a)];
+      };
+      project([&](std::size_t v) -> double& { return gradient[v]; });
+      for (std::size_t a = 0; a < 3; ++a) {  // the upper half of the block, for a symmetric projection of its rows
+        for (std::size_t b = 0; b < a; ++b) hessian[first + b][first + a] = hessian[first + a][first + b];
+      }
+      for (std::size_t r = 0; r < kSize; ++r) {
+        const bool inside = r >= first && r < first + 3;
+        project([&](std::size_t v) -> double& { return inside || r > v ? hessian[r][v] : hessian[v][r]; });
+      }
+      for (std::size_t a = 0; a < 3; ++a) project([&](std::size_t v) -> double& { return hessian[v][first + a]; });
+      double size = 0;
+      for (std::size_t a = 0; a < 3; ++a) size += hessian[first + a][first + a];
+      const double stiffness = stands ? std::max(size, 1.0) : 0;
+      for (std::size_t a = 0; a < 3; ++a) {
+        for (std::size_t b = 0; b <= a; ++b) hessian[first + a][first + b] += stiffness * n[int(a)] * n[int(b)];
+        for (std::size_t b = a + 1; b < 3; ++b) hessian[first + a][first + b] = 0;
       }
     }
 

@@ -15,7 +15,7 @@ from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed
 from alula.stages.flight.loop.plan_clock import PlanClock
-from alula.stages.planning.adherence import FINISHED_M, via_times
+from alula.stages.planning.adherence import FINISHED_M, waits
 from alula.stages.planning.plan import plan
 from alula.stages.sim_vehicle.ardupilot.shaping import LevelProfile, VerticalProfile
 from alula.stages.sim_vehicle.common.airframe import TICK_S
@@ -210,7 +210,7 @@ def test_the_time_of_a_plan_waits_by_the_clock_of_fly():
     trial = run.judged(0, log)
     assert trial.outcome == "reached", trial
     (curve,) = run.missions.curves
-    clock = PlanClock(curve, _core.PlanClockOptions(via_s=via_times(way), via_m=0.15))
+    clock = PlanClock(curve, waits(way, 0.15, 0.15))
     for estimate, time_s in zip(log["estimate"], log["plan_s"], strict=False):
         assert clock.time_s == pytest.approx(time_s, abs=1e-12)
         clock.advance(DT, float(np.linalg.norm(estimate[:3] - clock.target()[0, :3])))

@@ -19,6 +19,7 @@ struct PlanClockOptions {
   double slew_per_s = 2;           // maximum change of the rate
   std::vector<double> via_s;       // times of the via points along the plan, ascending
   double via_m = std::numeric_limits<double>::infinity();  // distance within which a via point counts as passed
+  std::vector<double> own_via_m;                           // the same of each via point; empty: via_m
 };
 
 // Throws std::invalid_argument for distances that do not ascend or times that are not in order.

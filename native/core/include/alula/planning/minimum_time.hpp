@@ -14,6 +14,9 @@
 // bound the distance to the minimum of the convex problem with fixed ratios T_i / T_j by nu / t, nu the number of
 // constraints. O(K) per iteration.
 //
+// The knot of a via with an opening is a variable in place of the de Boor point that it determines; for a disc only
+// in its plane.
+//
 // Source: Bernstein hulls and the corridor: Gao et al. 2018; barrier: Nesterov and Nemirovskii 1994.
 #pragma once
 
@@ -47,6 +50,13 @@ struct StartState {
   bool moving = false;
 };
 
+// Where the curve may pass a via: a ball, or with a unit normal the disc across it, which is then passed along the
+// normal, and which the two pieces beside it meet nowhere else.
+struct Opening {
+  geometry::Vec3 centre, normal;
+  double radius = 0;  // 0: at the joint alone
+};
+
 struct TimeProblem {
   std::span<const double> normals;          // of all cells, {x : normal . x <= offset}, 3 numbers a row
   std::span<const double> offsets;          // a number a row
@@ -59,6 +69,7 @@ struct TimeProblem {
   std::span<const geometry::Vec3> joint;  // K - 1, strictly inside the cells of both pieces
   std::span<const std::uint8_t> is_via;   // K - 1
   double least_duration = 0.01;           // of a piece [s]
+  std::span<const Opening> opening = {};  // K - 1 or none; the joint lies strictly inside of it
   std::span<const double> speed = {};     // K or none: limits of single pieces, where they are lower [m/s]
 };
 
