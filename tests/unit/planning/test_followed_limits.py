@@ -44,9 +44,9 @@ def test_a_plan_keeps_to_what_the_autopilot_follows(interface, vehicle):
     found = made(interface, vehicle)
     shaping = following_options(vehicle)
     level, vertical, jerk = peaks(found)
-    assert level <= shaping.horizontal_acceleration_m_s2
-    assert vertical <= shaping.vertical_acceleration_m_s2
-    assert jerk <= shaping.horizontal_jerk_m_s3
+    assert level <= 0.601 * shaping.horizontal_acceleration_m_s2
+    assert vertical <= 0.601 * shaping.vertical_acceleration_m_s2
+    assert jerk <= 0.601 * shaping.horizontal_jerk_m_s3
     assert beyond_followed(found, vehicle) == ""
     # Those limits are of stops that take as long as the file says, less the inner loops.
     stop_s = shaped_stop_s(shaping.horizontal_acceleration_m_s2, shaping.horizontal_jerk_m_s3, 2.0)
@@ -58,7 +58,9 @@ def test_a_plan_for_body_rates_is_faster_and_no_plan_for_accelerations():
     found, slow = made("body-rates"), made("acceleration")
     assert found["time"][-1] < 0.9 * slow["time"][-1]
     words = beyond_followed(found, FASTBRIDGE)
-    assert words.startswith(f"accelerates by {peaks(found)[0]:.3g} m/s^2, of which fastbridge follows 2.1")
+    assert words.startswith(
+        f"accelerates by {peaks(found)[0]:.3g} m/s^2, of which fastbridge follows 1.26 well"
+    )
     assert "jerk" in words
 
 
