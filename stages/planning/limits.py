@@ -22,8 +22,8 @@ LIMIT_SHARE = (
 _TORQUE_SHARE = 0.25  # of the thrust that is left to a plan, at least: reserved for torques
 _SNAP_RATIO = 3.0  # of the snap over the thrust to the square of the body rates
 WITHIN = 1 - 1e-6  # of the limits, for a solver in double precision
-# Of what a vehicle follows, for plans. With 0.8 simulated flights by accelerations at 2 m/s met a wall when the
-# vehicle's attitude lagged by 0.15 s instead of 0.08 s; with 0.6 they kept their distance.
+# Of what a vehicle follows, for plans. With 0.8 simulated flights by accelerations at 2 m/s met a wall when
+# the vehicle's attitude lagged by 0.15 s instead of 0.08 s; with 0.6 they kept their distance.
 _FOLLOWED_SHARE = 0.6
 _STEP_S = 0.01  # between samples of a plan
 _SLACK = 1e-3  # for its rounding
