@@ -44,7 +44,7 @@ def test_a_vehicle_by_rates_lands_within_the_time_and_stops_within_the_distance_
     made = mission("cone-backup", scene=BALL, is_clear=True, speed_m_s=SPEED)
     coasted, landing_s, alone_s = left_alone(prepared=True, by_rates=True)
     assert landing_s < alone_s < 0.9
-    assert coasted < SPEED * alone_s + make_needs(made, ()).stop_m
+    assert coasted < SPEED * alone_s + make_needs(made, (RatesSetpoint,)).stop_m
     assert coasted < 1.5
 
 
@@ -58,7 +58,7 @@ def test_a_vehicle_by_velocities_stops_without_set_points():
     coasted, _, alone_s = left_alone(prepared=False, by_rates=False)
     made = mission(speed_m_s=SPEED)
     assert alone_s == pytest.approx(0.3)
-    assert coasted < SPEED * alone_s + make_needs(made, ()).stop_m
+    assert coasted < SPEED * alone_s + make_needs(made, (VelocitySetpoint,)).stop_m
 
 
 def test_the_parameters_are_set_for_rates_only_and_put_back():

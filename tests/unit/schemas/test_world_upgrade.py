@@ -21,7 +21,11 @@ from alula.schemas.world_defaults import completed
 from support.paths import EXAMPLES, ROOT
 from support.paths import VEHICLES as FILES_OF_VEHICLES
 
-OLD_FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.parent.name not in ("vehicles", "world"))
+OLD_FILES = sorted(
+    path
+    for path in EXAMPLES.rglob("*.toml")
+    if path.parent.name not in ("vehicles", "world") and "alula/mission" not in path.read_text()
+)
 
 
 def read_old(path):
