@@ -14,7 +14,7 @@ pytestmark = pytest.mark.sitl
     [
         ("GUID_OPTIONS", 0, "GUID_OPTIONS is 0, not 8"),
         ("FS_GCS_TIMEOUT", 60, "FS_GCS_TIMEOUT is 60, not 5"),
-        ("WP_ACC", 1.25, "WP_ACC is 1.25, not 2.5"),
+        ("WPNAV_ACCEL", 125, "WPNAV_ACCEL is 125, not 250"),
     ],
 )
 def test_a_changed_parameter_lands_it_and_is_named(tmp_path, name, value, words):
