@@ -4,6 +4,7 @@ Start, a point on the way and goal are random points that a fine grid proves con
 barrier psi of `polytope-cbf` of at least 0.2 m. Each chain is planned for the vehicle and the filter (`plan
 --filter`), and the plan is flown in `simulate`.
 
+- `vias_passed`: flights that passed all of their points or gates; `gates_passed`: gates, of six a flight;
 - `margin_m`: what the plan keeps beyond the vehicle's radius, which the filter keeps;
 - `tracking_*_m`: distance of the vehicle from the plan's point of that time;
 - `longest_saturation_ticks`: successive ticks in which the rotors cannot give the commanded wrench;
@@ -14,6 +15,7 @@ barrier psi of `polytope-cbf` of at least 0.2 m. Each chain is planned for the v
 
     python benchmarks/planned_flights.py --quick --json   # the built-in room
     python benchmarks/planned_flights.py                  # and three real scenes of ALULA_DATA
+    python benchmarks/planned_flights.py --gates          # two laps through three gates instead of a point
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 
 import numpy as np
 from measure import FloatArray
-from plan import World, built_in, connected_chains, real_worlds, table
+from plan import World, built_in, connected_chains, random_gate, real_worlds, table
 
 from alula import _core
 from alula.schemas.configs.plan import PlanConfig, Point
@@ -60,6 +62,22 @@ def chains(world: World, count: int, seed: int) -> list[list[Point]]:
     return clear[:count]
 
 
+def courses(world: World, count: int, seed: int) -> list[dict[str, Any]]:
+    """Missions of two laps through three random gates, whose centres are as clear as the points of chains."""
+    space = plan_space(PlanConfig(radius_m=world.radius_m), world.cover)
+    clear = chains(world, 4 * count, seed)
+    grid, rng = np.concatenate([np.array(chain) for chain in clear]), np.random.default_rng(seed)
+    return [
+        {
+            "start": chain[0],
+            "goal": chain[2],
+            "gate": tuple(random_gate(space, grid, rng) for _ in range(3)),
+            "loops": 2,
+        }
+        for chain in clear[:count]
+    ]
+
+
 def longest_run(marks: FloatArray) -> int:
     """Length of the longest run of true values."""
     edge = np.flatnonzero(np.diff(np.concatenate([[0], marks, [0]])))
@@ -67,9 +85,9 @@ def longest_run(marks: FloatArray) -> int:
 
 
 def flown(
-    world: World, vehicle: str, name: str, speed: float, points: list[list[Point]]
+    world: World, vehicle: str, name: str, speed: float, missions: list[dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Plan and fly each chain; the figures of each flight."""
+    """Plan and fly each mission; the figures of each flight."""
     base = {"radius_m": world.radius_m, "speed_m_s": speed}
     body, space = VEHICLES[vehicle], plan_space(PlanConfig(**base), world.cover)
     behind = behind_filters(PlanConfig(filter=name, **base), body, cover=world.cover, jobs=1)
@@ -80,8 +98,8 @@ def flown(
         "safety": {"filters": [name]},
     }
     rows = []
-    for start, via, goal in points:
-        config = PlanConfig(start=start, via=(via,), goal=goal, filter=name, **base)
+    for mission in missions:
+        config = PlanConfig(**mission, filter=name, **base)
         fastest = plan(config, world.cover, vehicle=body, space=space, jobs=1)
         begin = time.process_time()
         made = plan(config, world.cover, vehicle=body, behind=behind, space=space, jobs=1)
@@ -97,6 +115,7 @@ def flown(
             {
                 "reached": trial.outcome == "reached",
                 "via": not trial.plan.missed,
+                "gates": sum(each.passed for each in trial.plan.passes) if "gate" in mission else 0,
                 "collision": trial.collision,
                 "saturated": longest_run((log["mark"] & LIMITED > 0).astype(np.int64)),
                 "error_m": np.linalg.norm(log["state"][:, :3] - reference, axis=1),
@@ -119,6 +138,7 @@ def figures(vehicle: str, name: str, margins: list[float], rows: list[dict[str, 
         "plans": len(rows),
         "reached": sum(row["reached"] for row in rows),
         "vias_passed": sum(row["via"] for row in rows),
+        "gates_passed": sum(row["gates"] for row in rows),
         "collisions": sum(row["collision"] for row in rows),
         "longest_saturation_ticks": max(row["saturated"] for row in rows),
         "margin_m": min(margins),
@@ -139,20 +159,29 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="the built-in room alone, 5 plans")
     parser.add_argument("--plans", type=int, default=100, help="of each vehicle behind each filter: 100")
     parser.add_argument("--speed", type=float, default=1.0, help="limit of the plans: 1 [m/s]")
+    parser.add_argument("--gates", action="store_true", help="fly two laps through three gates instead")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as a page")
     given = parser.parse_args()
     worlds = [built_in()] if given.quick else [built_in(), *real_worlds()]
     count = 5 if given.quick else -(-given.plans // len(worlds))
-    points = [chains(world, count, given.seed) for world in worlds]
+    missions = [
+        courses(world, count, given.seed)
+        if given.gates
+        else [
+            {"start": start, "via": (via,), "goal": goal}
+            for start, via, goal in chains(world, count, given.seed)
+        ]
+        for world in worlds
+    ]
     found = []
     for vehicle in VEHICLE_NAMES:
         margins = [world.radius_m - VEHICLES[vehicle].body.radius_m for world in worlds]
         for name in FILTERS:
             rows = [
                 row
-                for world, chosen in zip(worlds, points, strict=True)
+                for world, chosen in zip(worlds, missions, strict=True)
                 for row in flown(world, vehicle, name, given.speed, chosen)
             ]
             found.append(figures(vehicle, name, margins, rows))
