@@ -64,11 +64,15 @@ def asked(page: Path, width: int, act: str = "", *words: str) -> list:
     return re.search(r"<title>\[(\d+),(\d+),\"([^\"]*)\"\]", found.replace("&quot;", '"')).groups()
 
 
+# Without a graphics card, and what viser says of itself; Chromium logs every line as INFO.
+_HARMLESS = ("WebGL", "GPU", "Detected chrome version", "Embedded data loaded!")
+
+
 @pytest.mark.parametrize("kind", ["flights", "comparison", "cover", "plan"])
 def test_a_page_loads_without_an_error_and_asks_for_nothing(pages, kind):
     said = browse(pages[kind], "--screenshot=" + str(pages[kind].with_suffix(".png"))).stderr
     console = [line for line in said.splitlines() if "CONSOLE" in line]
-    assert not [line for line in console if "WebGL" not in line and "GPU" not in line], console
+    assert not [line for line in console if not any(word in line for word in _HARMLESS)], console
     assert pages[kind].with_suffix(".png").stat().st_size > 20_000
 
 

@@ -20,7 +20,7 @@ def faults():
 def judge(faults, tmp_path_factory):
     folder = tmp_path_factory.mktemp("corridor")
     faults.make_world(folder)
-    return faults.Judge(folder)
+    return faults.Judge(folder, "cone-backup")
 
 
 def along_x(until_m, speed_m_s=1.0, height_m=1.5):
