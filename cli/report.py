@@ -172,7 +172,7 @@ def _figures_of(output: Path) -> list[Path]:
 
 
 def _ascii(line: str) -> str:
-    """Escape what is not ASCII in text that is JSON, for files whose metadata has no other letters."""
+    """Escape all characters beyond ASCII in JSON text, for files whose metadata is ASCII."""
     return "".join(
         mark if ord(mark) < 128 else "".join(f"\\u{unit:04x}" for unit in _utf16(mark)) for mark in line
     )

@@ -79,7 +79,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         comparison: in words, each run against the first one.
         differences: the same as tables, with 95 % intervals.
         guaranteed: what is proven or was checked, in plain words.
-        not_guaranteed: what is not.
+        not_guaranteed: limits of the guarantee.
         statements: exact statements.
         tables: in reading order, with all trials.
         figures: in reading order.

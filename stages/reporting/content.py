@@ -25,6 +25,7 @@ from alula.stages.reporting.brief import Brief, brief
 from alula.stages.reporting.differences import difference_tables, difference_words
 from alula.stages.reporting.figures import Figure, all_figures
 from alula.stages.reporting.flight_figures import flight_figures
+from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.still import still
@@ -172,6 +173,6 @@ def to_report_markdown(content: Content, first_line: str) -> str:
     lines += [f"- Not covered: {markdown_cell(line)}" for line in found.limits]
     lines += [f"- {markdown_cell(name)}: {markdown_cell(words)}" for name, words in found.statements]
     if lines:
-        parts.append("\n".join(["## What is guaranteed, and what is not", "", *lines]))
+        parts.append("\n".join([f"## {GUARANTEES}", "", *lines]))
     parts += [markdown_table(table) for table in content.tables]
     return "\n\n".join(part for part in parts if part) + "\n"

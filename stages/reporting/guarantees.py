@@ -7,9 +7,11 @@ from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, Material, coverage
 from alula.stages.reporting.table import text
 
+GUARANTEES = "Guarantees and their limits"  # heading in every format
+
 
 def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What is proven or was checked, and what is not covered, in plain words; equal lines once."""
+    """Proofs and checks of a report, and their limits, in plain words; equal lines once."""
     proofs, limits = [], []
     covered = coverage(material.certificate)
     if covered is True:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
+from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.paper import COLUMN_INCH
 from alula.stages.reporting.table import Table, folded, text
 
@@ -68,7 +69,7 @@ def to_tex(content: Content, figures: Sequence[tuple[Figure, str]], first_line: 
     for table in content.differences:
         parts.append(_list(difference_words(table)))
         parts.append(_table(folded(table)))
-    parts += [r"\section*{What is guaranteed, and what is not}", _list(found.proofs)]
+    parts += [rf"\section*{{{GUARANTEES}}}", _list(found.proofs)]
     parts.append(_list([f"Not covered: {line}" for line in found.limits]))
     for figure, file in figures:
         width = r"\linewidth" if figure.wide else f"{COLUMN_INCH}in"

@@ -20,6 +20,7 @@ from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.flight_figures import NAME as FLIGHT
+from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.headline import chain
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import run_color, themed
@@ -297,7 +298,7 @@ def _guarantees(found: Brief) -> str:
     plain = f'<ul class="panel promise">{"".join(items)}</ul>' if items else ""
     exact = _lines(found.statements)
     folded = f"<details><summary>The exact statements</summary>{exact}</details>" if exact else ""
-    return f"<h2>What is guaranteed, and what is not</h2>{plain}{folded}"
+    return f"<h2>{GUARANTEES}</h2>{plain}{folded}"
 
 
 def _in_short(facts: Mapping[str, str]) -> str:

@@ -11,6 +11,7 @@ from alula.stages.reporting.brief import BAD, FAIR, GOOD, Subject
 from alula.stages.reporting.content import Content, draw
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure, Sheet, on_paper
+from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import GREEN, INK, ORANGE, SOFT, VERMILLION, run_color
 from alula.stages.reporting.still import still
@@ -193,7 +194,7 @@ def _first_pages(content: Content) -> Iterator[_Line]:
         yield from _cells(folded(table))
     if found.proofs or found.limits:
         yield "", _BODY
-        yield "What is guaranteed, and what is not", _HEADING
+        yield GUARANTEES, _HEADING
     for words in found.proofs:
         yield from _wrapped(words)
     for words in found.limits:

@@ -131,7 +131,7 @@ def test_a_page_says_the_verdict_first_and_folds_its_tables(everything):
         'class="verdict',
         "<svg",
         "Look around",
-        "What is guaranteed",
+        "Guarantees and their limits",
         "<h2>Figures",
         "<h2>Tables",
         "Written by",

@@ -126,7 +126,7 @@ class _Served:
         if self._flight is not None:
             self._send(self._flight.path())
         if any(channel.has_sinks() for channel in self._channels.values()):
-            time.sleep(_DRAIN_S)  # the server drops what is not sent yet when it is stopped
+            time.sleep(_DRAIN_S)  # a server that is stopped drops its unsent messages
         closing = threading.Thread(target=self.server.stop, daemon=True)
         closing.start()
         closing.join(_CLOSE_S)
