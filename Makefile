@@ -53,7 +53,7 @@ setup: .venv/.installed ## make the environment in .venv/
 	touch $@
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e .
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e '.[all]'
 	touch $@
 
 firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute

@@ -16,6 +16,7 @@ from alula.cli.interruption import InterruptedWithAdvice, Interruption
 from alula.cli.present import echo, print_json
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
+from alula.schemas.extras import EXTRAS, missing
 
 # name: (module, first line of its help); a test compares the lines with the commands.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -166,6 +167,8 @@ def _worded(error: Exception) -> tuple[str, ExitCode]:
             return f"{error.format_message().rstrip('.')} (see '{name} -h')", ExitCode.USAGE
         case click.ClickException():
             return error.format_message(), ExitCode.USAGE
+        case ModuleNotFoundError(name=str(module)) if module.partition(".")[0] in EXTRAS:
+            return str(missing(module.partition(".")[0])), ExitCode.USAGE
         case MemoryError():
             return "out of memory", ExitCode.INTERNAL
         case OSError(strerror=str(reason)):
