@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -124,6 +124,12 @@ test-wheel: wheel ## run smoke tests against the built wheel in an environment o
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check --no-deps dist/*.whl
 	build/wheel-venv/bin/python -P -c 'import alula._core; assert "wheel-venv" in alula._core.__file__'
 	build/wheel-venv/bin/python -P -m pytest -m 'not slow' $(WHEEL_TESTS)
+
+test-core: wheel ## install the wheel without extras, run the pipeline with it, and fail where it is too large
+	$(BIN)/python -P benchmarks/installation.py dist/*.whl --core
+
+bench-installation: wheel ## the same with every extra, some minutes, into docs/dependencies.md
+	$(BIN)/python -P benchmarks/installation.py dist/*.whl --markdown docs/dependencies.md
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge
