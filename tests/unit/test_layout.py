@@ -192,6 +192,8 @@ def test_the_top_level_is_as_the_design_card_says():
             "README.md",
             "CHANGELOG.md",
             "CONTRIBUTING.md",
+            "CITATION.cff",
+            "Dockerfile",
             "LICENSE",
         ),
     }
