@@ -38,6 +38,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("export", "Convert a cover, a scene or a run for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),
     "doctor": ("doctor", "Check that everything alula needs is installed."),
+    "help": ("help", "Show the help of alula or of a command."),
+    "completion": ("completion", "Print the completion script of a shell."),
 }
 
 
@@ -102,7 +104,7 @@ class LazyGroup(click.Group):
     epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input, 4 a check does not hold, "
     "5 infeasible, 6 link or vehicle, 130 interrupted, 141 broken pipe.",
 )
-@click.version_option(__version__, prog_name="alula")
+@click.version_option(__version__, "-V", "--version", prog_name="alula")
 def cli() -> None:
     """From a Gaussian splat to a safe flight."""
 

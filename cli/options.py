@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 
 import click
 
+from alula.cli import completion
 from alula.schemas.errors import UsageError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -239,6 +240,8 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
             names = field.metadata.get("option", option_of(field))
             names = (names,) if isinstance(names, str) else names
             keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
+            if field.name == "filter":
+                keywords["shell_complete"] = completion.filters
             if "metavar" in field.metadata:
                 keywords["metavar"] = field.metadata["metavar"]
             if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
