@@ -52,7 +52,16 @@ def export_bag(log: Path, common: Common) -> None:
 
         return write, summary
 
-    run(common, "alula/export", "1.0", {"format": "rosbag2"}, {"input": log}, make, mark=METADATA)
+    run(
+        common,
+        "alula/export",
+        "1.0",
+        {"format": "rosbag2"},
+        {"input": log},
+        make,
+        mark=METADATA,
+        members=r".*\.mcap",
+    )
 
 
 def _damage(log: Path) -> str:
