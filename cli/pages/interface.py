@@ -22,7 +22,7 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "Reading and writing files": (
-        "Readers refuse what is damaged, of another kind, or newer than they know, with an error of one line.",
+        "Readers refuse what is damaged, of another kind or too new, with an error of one line.",
         (
             "stages.reconstruction.formats.registry.read_splats",
             "schemas.artifact.Artifact",

@@ -1,0 +1,188 @@
+"""Every command line of README.md and docs/ runs, or the real parser accepts it where it cannot run here."""
+
+import itertools
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import click
+import pytest
+
+from alula.cli.main import COMMANDS, cli, run
+from support.command_lines import PAGES, CommandLine, command_lines, spans
+from support.doc_files import DocFiles
+from support.paths import EXAMPLES, ROOT
+
+LINES = [line for page in PAGES for line in command_lines(page)]
+ALULA = [line for line in LINES if line.words[0] == "alula"]
+
+# Command lines that are parsed and not run: pattern, reason.
+PARSED = (
+    (r"^alula fly ", "flies in real time, and mostly needs a vehicle; tests/realtime flies"),
+    (r"^alula identify ", "measures a vehicle in real time"),
+    (r"^alula sim-vehicle ", "serves until it is stopped"),
+    (r"^alula view (?!.* -o )", "serves a browser until it is stopped"),
+    (r"^alula doctor", "is about the machine"),
+)
+HELP = "docs/guide/commands.md"  # the examples of the help: parsed
+ELLIPSIS = re.compile(r" \.\.\. ")  # leaves a part out
+
+# Command lines of other programs: pattern, reason why they are not run.
+ELSEWHERE = (
+    (r"^(git|docker|bash|sudo|\.|source|pip|curl|cd|ros2|\./waf|Tools/|~/|unzip)\b|^\. ", "not of alula"),
+    (r"^\./waf ", "builds ArduPilot"),
+    (r"^(Tools|~)/", "starts an autopilot"),
+    (r"^make px4_sitl ", "builds PX4"),
+    (r"^make CRAZYFLIE_BASE=", "builds the firmware of a Crazyflie, from its sources"),
+    (r"^make upload ", "writes to a board"),
+)
+
+
+def parse(words: tuple[str, ...]) -> click.Context:
+    """Parse a command line as the program does: options, types, arguments."""
+    top = cli.make_context("alula", list(words[1:2]), resilient_parsing=True)
+    command = cli.get_command(top, words[1])
+    assert command is not None, f"no command is called {words[1]}"
+    return command.make_context(words[1], list(words[2:]), parent=click.Context(cli, info_name="alula"))
+
+
+def reason(table, text: str) -> str | None:
+    return next((why for pattern, why in table if re.search(pattern, text)), None)
+
+
+def runs(line: CommandLine) -> bool:
+    return line.page != HELP and not ELLIPSIS.search(str(line)) and not reason(PARSED, " ".join(line.words))
+
+
+def test_pages_have_command_lines():
+    assert len(ALULA) > 150
+    assert len([line for line in ALULA if runs(line)]) > 70
+    assert {line.words[1] for line in ALULA} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("page", sorted({line.page for line in ALULA}))
+def test_command_lines_are_parsed(page):
+    for line in ALULA:
+        if line.page == page and not ELLIPSIS.search(str(line)):
+            try:
+                parse(line.words)
+            except click.ClickException as error:
+                pytest.fail(f"{line}: {error.format_message()}")
+
+
+def test_command_lines_within_sentences_have_only_options_that_exist():
+    found = [(page.name, text) for page in PAGES for text in spans(page)]
+    assert len(found) > 50
+    for page, text in found:
+        name = text.split()[1]
+        assert name in COMMANDS, f"{page}: {text}"
+        top = cli.make_context("alula", [name], resilient_parsing=True)
+        command = cli.get_command(top, name)
+        assert command is not None
+        known = {option for param in command.params for option in (*param.opts, *param.secondary_opts)}
+        known |= {"-h", "--help"}
+        for option in re.findall(r"(?<=[ \[])--?[a-zA-Z][\w-]*", text):
+            assert option in known, f"{page}: {text}: {option}"
+
+
+def test_command_lines_of_other_programs_are_known():
+    for line in LINES:
+        text = " ".join(line.words)
+        if line.words[0] in ("alula", "make") or reason(ELSEWHERE, text):
+            continue
+        assert line.words[0] == "python", f"{line}: neither run nor in a table of this test"
+        script = next(word for word in line.words if word.endswith(".py"))
+        folders = (ROOT, EXAMPLES / "rehearsal")
+        path = next((folder / script for folder in folders if (folder / script).is_file()), None)
+        assert path is not None, f"{line}: there is no {script}"
+        for option in re.findall(r"(?<= )--[\w-]+", text):
+            assert f'"{option}"' in path.read_text(), f"{line}: {script} has no {option}"
+
+
+@pytest.mark.parametrize(
+    "words",
+    sorted({line.words for line in LINES if line.words[0] == "make"}),
+    ids=lambda words: " ".join(words),
+)
+def test_make_lines_have_targets(words):
+    if reason(ELSEWHERE, " ".join(words)):
+        return
+    folders = [ROOT, EXAMPLES / "rehearsal"]  # of the pages that work in the latter
+    ends = [
+        subprocess.run(
+            [words[0], "-n", *words[1:]],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            env=os.environ,
+            check=False,
+        )
+        for folder in folders
+        if folder == ROOT or "-C" not in words
+    ]
+    assert 0 in [end.returncode for end in ends], ends[0].stderr
+
+
+SHORT = {"--trials": "2", "--gaussians": "3000"}
+QUICK = ("info", "scenario", "export", "import-splat", "scale-align", "voxelize", "merge", "demo-scene")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return DocFiles(tmp_path_factory.mktemp("docs"))
+
+
+def shortened(words: tuple[str, ...]) -> list[str]:
+    """The words with few trials: a scenario flies its own number of them otherwise."""
+    result = [SHORT.get(before, word) for before, word in zip(("", *words), words, strict=False)]
+    flies = words[1] == "simulate" and "--trials" not in words and "--pairs-from" not in words
+    return result + (["--trials", "2"] if flies and not words[2].endswith(".plan.npz") else [])
+
+
+def inputs(words: tuple[str, ...]) -> list[str]:
+    """Names that may be those of files which the line reads."""
+    pairs = itertools.pairwise(words[1:])
+    return [word.partition("=")[2] or word for before, word in pairs if before != "-o" and word[0] != "-"]
+
+
+def cases():
+    seen = set()
+    for line in filter(runs, ALULA):
+        if line.words not in seen:
+            seen.add(line.words)
+            is_quick = line.words[1] in QUICK and (line.page, line.words[1]) not in seen
+            seen.add((line.page, line.words[1]))
+            marks = [] if is_quick else [pytest.mark.slow]
+            yield pytest.param(line, id=f"{line.page}: {' '.join(line.words)}", marks=marks)
+
+
+@pytest.mark.parametrize("line", list(cases()))
+def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
+    here = tmp_path / "place" / line.folder
+    here.mkdir(parents=True, exist_ok=True)
+    for part in ("room", "world", "dr-acbf", "geofencing", "vehicles"):
+        ignored = shutil.ignore_patterns("out", "*.py")
+        shutil.copytree(
+            EXAMPLES / part, tmp_path / "place/examples" / part, ignore=ignored, dirs_exist_ok=True
+        )
+    texts = [(here / name).read_text() for name in inputs(line.words) if (here / name).is_file()]
+    for name in inputs(line.words):
+        target = here / name
+        if not target.exists() and files.put(name, target) and name.endswith(".toml"):
+            texts.append(target.read_text())
+    for text in texts:  # files that a scenario names
+        for name in re.findall(r'^\w+ = "([\w./-]+\.(?:npz|toml))"', text, re.MULTILINE):
+            if not (here / name).exists():
+                files.put(name, here / name)
+    for position, word in enumerate(line.words[:-1]):
+        if word == "-o":
+            Path(here / line.words[position + 1]).parent.mkdir(parents=True, exist_ok=True)
+    monkeypatch.chdir(here)
+    code = run(shortened(line.words)[1:])
+    printed = capsys.readouterr()
+    assert code in ((0, 4) if line.words[1] == "simulate" else (0,)), printed.err
+    for position, word in enumerate(line.words[:-1]):
+        if word == "-o":
+            assert (here / line.words[position + 1]).exists()
