@@ -16,6 +16,20 @@ OUT = re.compile(r"(\]\()((?:\.\./)+[\w./-]+)(\))")
 LANGUAGES = {".hpp": "cpp", ".h": "c", ".py": "python", ".toml": "toml"}
 
 
+def on_startup(**_: Any) -> None:
+    """Link the sources under one namespace, for the pages that are made from docstrings."""
+    view = ROOT / "build/docs/alula"
+    view.mkdir(parents=True, exist_ok=True)
+    sources = [
+        *(ROOT / "native/python/alula").iterdir(),
+        *(ROOT / part for part in ("cli", "stages", "schemas")),
+    ]
+    for source in sources:
+        link = view / source.name
+        if not link.is_symlink():
+            link.symlink_to(source)
+
+
 def on_files(files: Files, *, config: Any) -> Files:
     """Add what is not in docs/: generated pages, and source files that a page links to."""
     for uri, text in generated_pages().items():

@@ -135,10 +135,15 @@ def files(tmp_path_factory):
 
 
 def shortened(words: tuple[str, ...]) -> list[str]:
-    """The words with few trials: a scenario flies its own number of them otherwise."""
+    """The words with few trials: flights of random pairs, or of a scenario that says how many."""
     result = [SHORT.get(before, word) for before, word in zip(("", *words), words, strict=False)]
-    flies = words[1] == "simulate" and "--trials" not in words and "--pairs-from" not in words
-    return result + (["--trials", "2"] if flies and not words[2].endswith(".plan.npz") else [])
+    if words[1] != "simulate" or "--trials" in words or "--pairs-from" in words:
+        return result
+    source = Path(words[2])
+    many = source.name.endswith((".cover.npz", ".scene.npz")) or (
+        source.suffix == ".toml" and re.search(r"^(trials|count) = ", source.read_text(), re.MULTILINE)
+    )
+    return [*result, "--trials", "2"] if many else result
 
 
 def inputs(words: tuple[str, ...]) -> list[str]:
@@ -168,14 +173,15 @@ def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
             EXAMPLES / part, tmp_path / "place/examples" / part, ignore=ignored, dirs_exist_ok=True
         )
     texts = [(here / name).read_text() for name in inputs(line.words) if (here / name).is_file()]
+    place = "garden" if any(word.startswith("garden") for word in line.words) else "room"
     for name in inputs(line.words):
         target = here / name
-        if not target.exists() and files.put(name, target) and name.endswith(".toml"):
+        if not target.exists() and files.put(name, target, place) and name.endswith(".toml"):
             texts.append(target.read_text())
     for text in texts:  # files that a scenario names
         for name in re.findall(r'^\w+ = "([\w./-]+\.(?:npz|toml))"', text, re.MULTILINE):
             if not (here / name).exists():
-                files.put(name, here / name)
+                files.put(name, here / name, place)
     for position, word in enumerate(line.words[:-1]):
         if word == "-o":
             Path(here / line.words[position + 1]).parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """Small files for the command lines of the documentation: a made one for each name that a page uses.
 
-Names that begin with `garden` are of an open place with a few posts, in which the points of README.md are
-free; all others are of the built-in room. Each file is made by its command when a line first needs it.
+The garden is an open place with a few posts, in which the points of README.md are free; the room is the
+built-in one. Each file is made by its command when a line first needs it.
 """
 
 import shutil
@@ -15,7 +15,8 @@ from support.command_lines import DOCS
 from support.paths import EXAMPLES, VEHICLES
 from support.pipeline import COLUMNS
 
-ROOM_GAUSSIANS = 8000
+ROOM_GAUSSIANS = 40000
+SIZE = "0.05"  # of voxels [m]
 PAIRS = "0 0 0 1 0 0\n1 0 0 3 0 0\n0 2 0 1 4 0\n0 0 3 1 0 6\n1 1 1 3 2 2\n"
 
 
@@ -49,10 +50,9 @@ class DocFiles:
         self.folder = folder
         self.made = cache(self._make)
 
-    def put(self, name: str, target: Path) -> bool:
-        """Put the file that a page calls `name` at `target`; False if the page means no file by it."""
+    def put(self, name: str, target: Path, place: str) -> bool:
+        """Put the file of a place that a page calls `name` at `target`; False if it means no file by it."""
         base = Path(name).name
-        place = "garden" if base.startswith("garden") else "room"
         source = self._example(base) or next(
             (self.made(place, kind) for kind in _KINDS if base.endswith(kind) or name.endswith(kind)), None
         )
@@ -115,11 +115,11 @@ class DocFiles:
             case ".scene.npz":
                 return ["import-splat", of(".ply"), *(["--min-opacity", "0.1"] if is_room else [])]
             case ".voxels.npz":
-                return ["voxelize", of(".metric.scene.npz"), "--size", "0.1"]
+                return ["voxelize", of(".metric.scene.npz"), "--size", SIZE]
             case ".cover.npz":
-                return ["merge", of(".voxels.npz"), "--hulls", "120"]
+                return ["merge", of(".voxels.npz"), "--hulls", "300"]
             case ".seen.npz":
-                given = ["--voxels", of(".voxels.npz"), "--size", "0.1", "--radius", "0.1"]
+                given = ["--voxels", of(".voxels.npz"), "--radius", "0.15"]
                 return ["observe", of(".metric.scene.npz"), *given, "--colmap", cameras[0]]
             case ".certificate.json":
                 given = ["--voxels", of(".voxels.npz"), "--scene", of(".metric.scene.npz")]
@@ -137,7 +137,8 @@ class DocFiles:
                     "0.25",
                 ]
             case ".run.mcap":
-                return ["simulate", of(".metric.scene.npz"), "--filter", "cone-backup", "--trials", "3"]
+                given = ["--filter", "cone-backup", "--speed", "3", "--set", "world.confidence=0.99"]
+                return ["simulate", of(".metric.scene.npz"), *given, "--trials", "3"]
             case ".bin":
                 return ["export", of(".cover.npz")]
         raise AssertionError(kind)
