@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 from alula.cli.pages.tables import code, structs, summary_and_attributes, table
 from alula.schemas.generate import documents
@@ -37,11 +38,14 @@ def artifact_pages() -> dict[str, str]:
     return pages | {name: _record_page(name, *what) for name, what in RECORDS.items()}
 
 
+_documents = cache(documents)
+
+
 def _schema(beginning: str) -> tuple[str, dict[str, object]]:
     (name,) = (
-        file for file in documents() if file.startswith(beginning + "-") or file.startswith(beginning + ".")
+        file for file in _documents() if file.startswith(beginning + "-") or file.startswith(beginning + ".")
     )
-    return name, json.loads(documents()[name])
+    return name, json.loads(_documents()[name])
 
 
 def _arrays_page(kind: Kind) -> str:
