@@ -11,6 +11,7 @@ Schema = Mapping[str, Any]
 
 _SECTION = re.compile(r"^Attributes:\n", re.MULTILINE)
 _ATTRIBUTE = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {8,}\S.*)*)", re.MULTILINE)
+_NAMES = {"string": "text", "boolean": "true or false", "integer": "whole number", None: "anything"}
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
@@ -114,9 +115,8 @@ def type_text(schema: Schema, links: Mapping[str, str]) -> str:
     if kind == "object":
         values = schema.get("additionalProperties")
         return f"table of {type_text(values, links)}" if isinstance(values, dict) and values else "table"
-    words = [f"{sign} {schema[key]:g}" for key, sign in _LIMITS.items() if key in schema]
-    name = {"string": "text", "boolean": "true or false", "integer": "whole number", None: "anything"}
-    return ", ".join([name.get(kind, str(kind)), *words])
+    limits = [f"{sign} {schema[key]:g}" for key, sign in _LIMITS.items() if key in schema]
+    return ", ".join([_NAMES.get(kind, str(kind)), *limits])
 
 
 def _array(schema: Schema, links: Mapping[str, str]) -> str:

@@ -13,7 +13,7 @@ import pytest
 from alula.cli.main import COMMANDS, cli, run
 from support.command_lines import PAGES, CommandLine, command_lines, spans
 from support.doc_files import DocFiles
-from support.paths import EXAMPLES, ROOT
+from support.paths import DOCS, EXAMPLES, ROOT
 
 LINES = [line for page in PAGES for line in command_lines(page)]
 ALULA = [line for line in LINES if line.words[0] == "alula"]
@@ -31,9 +31,12 @@ ELLIPSIS = re.compile(r" \.\.\. ")  # leaves a part out
 
 # Command lines of other programs: pattern, reason why they are not run.
 ELSEWHERE = (
-    (r"^(git|docker|bash|sudo|\.|source|pip|curl|cd|ros2|\./waf|Tools/|~/|unzip)\b|^\. ", "not of alula"),
-    (r"^\./waf ", "builds ArduPilot"),
-    (r"^(Tools|~)/", "starts an autopilot"),
+    (
+        r"^(git|docker|bash|sudo|apt-get|apt|pip|pipx|uv|curl|wget|unzip|mkdir|export) ",
+        "prepares the machine",
+    ),
+    (r"^(cd|source|\.) ", "of the shell"),
+    (r"^(\./waf|Tools/\S+|~/\S+) ", "builds or starts an autopilot"),
     (r"^make px4_sitl ", "builds PX4"),
     (r"^make CRAZYFLIE_BASE=", "builds the firmware of a Crazyflie, from its sources"),
     (r"^make upload ", "writes to a board"),
@@ -54,6 +57,54 @@ def reason(table, text: str) -> str | None:
 
 def runs(line: CommandLine) -> bool:
     return line.page != HELP and not ELLIPSIS.search(str(line)) and not reason(PARSED, " ".join(line.words))
+
+
+PAGE = """# A page
+
+Text with `alula info FILE --json`, and a list:
+
+1. A step:
+
+    ```sh
+    alula info a.npz   # what it is
+    cd inner && alula view a.npz \\
+      -o page.html
+    ```
+
+```toml
+alula = "no command"
+```
+
+    make -n demo
+    a table of text
+
+```
+LIVE=1 .venv/bin/alula doctor > found.txt &
+what it prints
+```
+"""
+
+
+def test_command_lines_are_found_in_all_kinds_of_blocks(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(PAGE)
+    found = {(line.number, line.folder, line.words) for line in command_lines(page)}
+    assert found == {
+        (8, "", ("alula", "info", "a.npz")),
+        (9, "inner", ("cd", "inner")),
+        (9, "inner", ("alula", "view", "a.npz", "-o", "page.html")),
+        (17, "", ("make", "-n", "demo")),
+        (21, "", ("alula", "doctor")),
+    }
+    assert spans(page) == ["alula info FILE --json"]
+
+
+@pytest.mark.parametrize(
+    "line", ["alula voxelise a.npz", "alula merge a.npz -o b.npz --hull 3", "alula merge a.npz"]
+)
+def test_a_wrong_command_line_is_refused(line):
+    with pytest.raises((click.ClickException, AssertionError)):
+        parse(tuple(line.split()))
 
 
 def test_pages_have_command_lines():
@@ -126,7 +177,8 @@ def test_make_lines_have_targets(words):
 
 
 SHORT = {"--trials": "2", "--gaussians": "3000"}
-QUICK = ("info", "scenario", "export", "import-splat", "scale-align", "voxelize", "merge", "demo-scene")
+LIGHT = ("info", "scenario", "demo-scene")
+LIGHT_IN_THE_GARDEN = (*LIGHT, "import-splat", "scale-align", "voxelize", "merge", "export")
 
 
 @pytest.fixture(scope="module")
@@ -152,12 +204,17 @@ def inputs(words: tuple[str, ...]) -> list[str]:
     return [word.partition("=")[2] or word for before, word in pairs if before != "-o" and word[0] != "-"]
 
 
+def place_of(line: CommandLine) -> str:
+    return "garden" if any(word.startswith("garden") for word in line.words) else "room"
+
+
 def cases():
     seen = set()
     for line in filter(runs, ALULA):
         if line.words not in seen:
             seen.add(line.words)
-            is_quick = line.words[1] in QUICK and (line.page, line.words[1]) not in seen
+            light = LIGHT_IN_THE_GARDEN if place_of(line) == "garden" else LIGHT
+            is_quick = line.words[1] in light and (line.page, line.words[1]) not in seen
             seen.add((line.page, line.words[1]))
             marks = [] if is_quick else [pytest.mark.slow]
             yield pytest.param(line, id=f"{line.page}: {' '.join(line.words)}", marks=marks)
@@ -173,7 +230,7 @@ def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
             EXAMPLES / part, tmp_path / "place/examples" / part, ignore=ignored, dirs_exist_ok=True
         )
     texts = [(here / name).read_text() for name in inputs(line.words) if (here / name).is_file()]
-    place = "garden" if any(word.startswith("garden") for word in line.words) else "room"
+    place = place_of(line)
     for name in inputs(line.words):
         target = here / name
         if not target.exists() and files.put(name, target, place) and name.endswith(".toml"):
@@ -192,3 +249,20 @@ def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
     for position, word in enumerate(line.words[:-1]):
         if word == "-o":
             assert (here / line.words[position + 1]).exists()
+
+
+PYTHON = [
+    pytest.param(block, id=page.name)
+    for page in sorted((DOCS / "howto").glob("*.md"))
+    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", PYTHON)
+def test_python_of_how_to_guides_runs(block, files, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in re.findall(r"[\w.]+\.(?:npz|mcap)", block):
+        assert files.put(name, tmp_path / name, "garden")
+    exec(compile(block, "how-to", "exec"), {})
+    assert capsys.readouterr().out.strip()

@@ -41,6 +41,7 @@ def command_lines(page: Path) -> list[CommandLine]:
     `alula`, `make` and `python`. The others are text.
     """
     found = []
+    name = str(page.relative_to(ROOT)) if page.is_relative_to(ROOT) else page.name
     for is_shell, block in _blocks(page.read_text()):
         folder = ""
         for number, line in _joined(block):
@@ -49,7 +50,7 @@ def command_lines(page: Path) -> list[CommandLine]:
                     continue
                 if words[0] == "cd":
                     folder = f"{folder}/{words[1]}".lstrip("/")
-                found.append(CommandLine(str(page.relative_to(ROOT)), number, tuple(words), folder))
+                found.append(CommandLine(name, number, tuple(words), folder))
     return found
 
 
@@ -98,15 +99,17 @@ def _joined(block):
 
 
 def _commands(line: str) -> list[list[str]]:
-    """The commands of a line, which && joins."""
+    """The commands of a line, which && joins, without prompt, redirections and settings of variables."""
     try:
         words = shlex.split(line, comments=True)
     except ValueError:  # a sentence with an apostrophe
         return []
     commands: list[list[str]] = [[]]
-    for word in words:
-        if word in ("&&", ";", "|"):
+    for word, before in zip(words, ["", *words], strict=False):
+        if word in ("&&", ";", "|", "&"):
             commands.append([])
-        elif not (not commands[-1] and re.match(r"^[A-Z_]+=", word)):
-            commands[-1].append(word)
+        elif word in (">", "2>", "$") or before in (">", "2>"):
+            continue
+        elif commands[-1] or not re.match(r"^[A-Z_]+=", word):
+            commands[-1].append("alula" if not commands[-1] and word.endswith("/bin/alula") else word)
     return [command for command in commands if command]

@@ -107,7 +107,7 @@ class DocFiles:
             case ".ply":
                 size = ["--gaussians", str(ROOM_GAUSSIANS)]
                 return ["demo-scene", *size, "--colmap", cameras[0], "--reference", cameras[1]]
-            case ".splat":
+            case ".splat" | ".spz":
                 return ["export", of(".scene.npz")]
             case ".metric.scene.npz":
                 how = ["--colmap", cameras[0], "--reference", cameras[1]] if is_room else ["--scale", "1"]
@@ -146,6 +146,6 @@ class DocFiles:
 
 _KINDS = (
     *(".metric.scene.npz", ".scene.npz", ".voxels.npz", ".cover.npz", ".seen.npz", ".plan.npz"),
-    *(".certificate.json", ".run.mcap", ".bin", ".ply", ".splat"),
+    *(".certificate.json", ".run.mcap", ".bin", ".ply", ".splat", ".spz"),
     *("sparse/0", "colmap", "surveyed_cameras.csv", "reference.csv", "pairs.csv"),
 )
