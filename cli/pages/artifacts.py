@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from functools import cache
 
 from alula.cli.pages.tables import code, structs, summary_and_attributes, table
+from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.decode import decode_plain_json
 from alula.schemas.generate import documents
 from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES
@@ -30,6 +32,7 @@ RECORDS: dict[str, tuple[str, str]] = {
     "scenario": ("alula-scenario-2", "a scenario of version 2.0 (`.toml`)"),
 }
 """Pages of the kinds that are not arrays: the beginning of the schema's file name, and what the kind is."""
+FLY = {field.name: field.metadata.get("help", "") for field in dataclasses.fields(FlyConfig)}
 
 
 def artifact_pages() -> dict[str, str]:
@@ -45,7 +48,7 @@ def _schema(beginning: str) -> tuple[str, dict[str, object]]:
     (name,) = (
         file for file in _documents() if file.startswith(beginning + "-") or file.startswith(beginning + ".")
     )
-    return name, json.loads(_documents()[name])
+    return name, decode_plain_json(_documents()[name])
 
 
 def _arrays_page(kind: Kind) -> str:
@@ -82,7 +85,7 @@ A reader that meets a name in `requires` that it does not know must refuse the f
 
 ## Manifest
 
-{structs(schema, 3, inherited)}"""
+{structs(schema, 3, {kind.manifest.__name__: inherited})}"""
 
 
 def _record_page(name: str, beginning: str, what: str) -> str:
@@ -91,4 +94,4 @@ def _record_page(name: str, beginning: str, what: str) -> str:
 
 From this page you learn every key of {what}. The JSON Schema is `schemas/json/{file}`.
 
-{structs(schema)}"""
+{structs(schema, more={"FlyTable": FLY})}"""

@@ -49,13 +49,13 @@ def summary_and_attributes(docstring: str) -> tuple[str, dict[str, str]]:
     return head.strip(), meanings
 
 
-def structs(schema: Schema, level: int = 2, inherited: Mapping[str, str] | None = None) -> str:
+def structs(schema: Schema, level: int = 2, more: Mapping[str, Mapping[str, str]] | None = None) -> str:
     """Every struct of a JSON Schema: what it is, and its fields; the outermost first.
 
     Args:
         schema: as `msgspec.json.schema` makes it: a reference and `$defs`.
         level: of the headings.
-        inherited: meanings of fields that the outermost struct has from its bases.
+        more: meanings of fields by the names of struct and field, where the schema has none.
     """
     definitions = schema["$defs"]
     order: list[str] = []
@@ -67,16 +67,13 @@ def structs(schema: Schema, level: int = 2, inherited: Mapping[str, str] | None 
             waiting += _references(definitions[name].get("properties", {}))
     links = {name: f"#{name.lower()}" for name in order}
     return "\n".join(
-        _struct(name, definitions[name], level, links, (inherited or {}) if name == order[0] else {})
-        for name in order
+        _struct(name, definitions[name], level, links, (more or {}).get(name, {})) for name in order
     )
 
 
-def _struct(
-    name: str, schema: Schema, level: int, links: Mapping[str, str], inherited: Mapping[str, str]
-) -> str:
+def _struct(name: str, schema: Schema, level: int, links: Mapping[str, str], more: Mapping[str, str]) -> str:
     text, own = summary_and_attributes(schema.get("description", ""))
-    meanings = {**inherited, **own}
+    meanings = {**more, **own}
     required = set(schema.get("required", ()))
     rows = [
         (
