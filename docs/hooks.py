@@ -71,9 +71,9 @@ def _uri(path: str) -> str:
 
 
 def _add_results(files: Files, config: Any) -> None:
-    """Add pages of docs/results that the nav does not name to the end of Results."""
+    """Add pages of docs/results that the nav does not name to Results; the one on all papers comes first."""
     named = str(config.nav)
     (results,) = (part["Results"] for part in config.nav if "Results" in part)
     for file in sorted(files.documentation_pages(), key=lambda file: file.src_uri):
         if file.src_uri.startswith("results/") and f"'{file.src_uri}'" not in named:
-            results.append(file.src_uri)
+            results.insert(0 if file.name == "papers" else len(results), file.src_uri)

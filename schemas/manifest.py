@@ -330,7 +330,7 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
 
     Attributes:
         radius_m: distance that the plan keeps from all obstacles [m].
-        speed_m_s: top speed that was asked for [m/s].
+        speed_m_s: speed limit of the plan [m/s].
         certificate: what was proven of the curve, with numbers.
         margin_m: part of `radius_m` beyond the radius of the vehicle [m].
         via_m: points to pass between start and goal, in their order [m].

@@ -368,7 +368,7 @@ class Vehicle(_Table, frozen=True, kw_only=True):
         rates: the loop that follows rate commands.
         throttle: for pilots.
         tracking: gains of the controller.
-        disturbance: what the simulated vehicle suffers.
+        disturbance: of the vehicle in simulation.
         assumed: what controller and filters assume.
         velocities: how its own controller follows velocities.
         identified: what was measured.
