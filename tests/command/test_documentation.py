@@ -81,6 +81,20 @@ def test_pages_on_filters_name_each_of_them(page):
     assert [name for name in FILTERS if not re.search(rf"(`|## |, |and ){name}\b", text)] == []
 
 
+def test_the_times_of_filters_are_those_of_the_results():
+    measured = (DOCS / "results/benchmarks-world.md").read_text()
+    rows = re.findall(r"^\| ([\w-]+) \|.*\| (\d+) / \d+ \|$", measured, re.MULTILINE)
+    shown = (DOCS / "howto/choose-a-filter.md").read_text()
+    cells = re.findall(r"^\| ([^|]+) \|.*\| ([\d–.]+) \|$", shown, re.MULTILINE)
+    times = {name: time.split("–") for names, time in cells for name in re.findall(r"`([\w-]+)`", names)}
+    checked = [name for name, p50 in rows if name in times and name != "none"]
+    assert len(checked) >= 8
+    for name, p50 in rows:
+        if name in checked:
+            low, high = times[name][0], times[name][-1]
+            assert float(low) <= float(p50) <= float(high), name
+
+
 def test_troubleshooting_has_every_exit_code_and_messages_that_exist():
     codes, messages = (DOCS / "howto/troubleshooting.md").read_text().split("## Messages")
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)} == {
