@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,8 @@ def on_startup(**_: Any) -> None:
         *(ROOT / part for part in ("cli", "stages", "schemas")),
     ]
     for source in sources:
-        link = view / source.name
-        if not link.is_symlink():
-            link.symlink_to(source)
+        with suppress(FileExistsError):
+            (view / source.name).symlink_to(source)
 
 
 def on_files(files: Files, *, config: Any) -> Files:

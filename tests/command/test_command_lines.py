@@ -20,7 +20,8 @@ ALULA = [line for line in LINES if line.words[0] == "alula"]
 
 # Command lines that are parsed and not run: pattern, reason.
 PARSED = (
-    (r"^alula fly ", "flies in real time, and mostly needs a vehicle; tests/realtime flies"),
+    (r"^alula fly .*sim:", "flies in real time; its checks run in a test of their own"),
+    (r"^alula fly ", "needs a vehicle; tests/realtime flies"),
     (r"^alula identify ", "measures a vehicle in real time"),
     (r"^alula sim-vehicle ", "serves until it is stopped"),
     (r"^alula view (?!.* -o )", "serves a browser until it is stopped"),
@@ -222,8 +223,8 @@ def cases():
             yield pytest.param(line, id=f"{line.page}: {' '.join(line.words)}", marks=marks)
 
 
-@pytest.mark.parametrize("line", list(cases()))
-def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
+def put_inputs(line: CommandLine, files: DocFiles, tmp_path: Path) -> Path:
+    """Put the files that a line reads into a folder, and the examples; the folder in which it runs."""
     here = tmp_path / "place" / line.folder
     here.mkdir(parents=True, exist_ok=True)
     for part in ("room", "world", "dr-acbf", "geofencing", "vehicles"):
@@ -244,6 +245,12 @@ def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
     for position, word in enumerate(line.words[:-1]):
         if word == "-o":
             Path(here / line.words[position + 1]).parent.mkdir(parents=True, exist_ok=True)
+    return here
+
+
+@pytest.mark.parametrize("line", list(cases()))
+def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
+    here = put_inputs(line, files, tmp_path)
     monkeypatch.chdir(here)
     code = run(shortened(line.words)[1:])
     printed = capsys.readouterr()
@@ -251,6 +258,22 @@ def test_command_lines_run(line, files, tmp_path, monkeypatch, capsys):
     for position, word in enumerate(line.words[:-1]):
         if word == "-o":
             assert (here / line.words[position + 1]).exists()
+
+
+IN_SIMULATION = {
+    line.words: line for line in ALULA if line.words[1] == "fly" and "sim:" in str(line) and line.page != HELP
+}
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("words", sorted(IN_SIMULATION), ids=lambda words: " ".join(words))
+def test_flights_of_the_simulated_vehicle_pass_their_checks(words, files, tmp_path, monkeypatch, capsys):
+    here = put_inputs(IN_SIMULATION[words], files, tmp_path)
+    monkeypatch.chdir(here)
+    code = run([*words[1:], "--dry-run"])
+    printed = capsys.readouterr()
+    assert code == 0, printed.err
+    assert printed.out.startswith(f"{words[words.index('-o') + 1]}: dry-run")
 
 
 PYTHON = [
