@@ -176,8 +176,10 @@ bench-world: setup ## fly the combined scenario behind every list of filters, an
 	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --keep build/bench-world \
 	  --markdown docs/results/benchmarks-world.md
 
-docs: setup ## regenerate the command reference
+docs: setup ## regenerate the command reference, and build the documentation into build/site/
 	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
+	@echo "documentation: $(CURDIR)/build/site/index.html"
 
 schemas: setup ## regenerate what follows from the schemas, and the type stub of the native module
 	$(BIN)/python -P -m alula.schemas.generate .

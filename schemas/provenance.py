@@ -34,6 +34,15 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     Text formats hold it as JSON behind `MARK` in one line, JSON files under the key `provenance`, GLB files
     under `asset.extras.provenance`, array artifacts in their manifest, MCAP logs in their metadata, and
     onboard maps in a line after the image.
+
+    Attributes:
+        schema: kind of the output.
+        version: of the kind.
+        producer: the program that wrote it.
+        parameters: of the command, defaults included.
+        seed: of the random numbers; null without any.
+        inputs: the files that it was made from.
+        summary: counts and sizes for people.
     """
 
     schema: str
