@@ -170,7 +170,7 @@ def field(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
         "provenance": np.frombuffer(provenance.line().encode(), np.uint8),
     }
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    np.savez(buffer, **arrays)
     yield buffer.getvalue()
 
 

@@ -95,12 +95,15 @@ def test_usd_has_a_collider_for_each_hull(room, tmp_path):
     assert read_provenance(out).parameters["format"] == "usda"
 
 
-def test_urdf_loads_with_its_meshes(room, tmp_path):
-    yourdfpy = pytest.importorskip("yourdfpy")
+def test_mujoco_loads_the_urdf_with_its_meshes(room, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
     out = exported(room, tmp_path / "model", "--format", "urdf")
-    robot = yourdfpy.URDF.load(str(out / "map.urdf"))
-    assert [len(link.collisions) for link in robot.robot.links] == [2]
-    np.testing.assert_allclose(robot.scene.bounds, [[-2, -2, -0.1], [2, 2, 0.8]], atol=1e-9)
+    model = mujoco.MjModel.from_xml_path(str(out / "map.urdf"))
+    assert model.nmesh == 2
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    centre = np.sort(data.geom_xpos[model.geom_dataid >= 0][:, 2])
+    assert set(np.round(centre, 6).tolist()) == {-0.05, 0.4}
     assert run(["export", str(room), "-o", str(out), "--format", "urdf"]) == 0  # unchanged
 
 
