@@ -53,8 +53,8 @@ def model_of(parts: Iterable[Part]) -> Model:
     shown = [part for part in parts if part.visible]
     faces = [each for part in shown if isinstance(part, Faces | Copies) for each in _meshes(part)]
     lines = [part for part in shown if isinstance(part, Lines)]
-    counts = [len(part.segments) for part in lines]
-    triangles = [len(part.triangles) for part in faces]
+    counts = np.array([len(part.segments) for part in lines], np.int64)
+    triangles = np.array([len(part.triangles) for part in faces], np.int64)
     return Model(
         gaussians=[part for part in shown if isinstance(part, Gaussians)],
         corners=_joined([part.corners[part.triangles] for part in faces], (3, 3)),
@@ -64,7 +64,7 @@ def model_of(parts: Iterable[Part]) -> Model:
         ends=_joined([part.segments for part in lines], (2, 3)),
         line_color=np.concatenate([np.empty((0, 3), np.uint8), *map(_line_colors, lines)]),
         width_px=np.repeat(np.array([part.width_px for part in lines], np.float64), counts),
-        line_opacity=np.ones(sum(counts)),
+        line_opacity=np.ones(int(counts.sum())),
         line=np.repeat(np.arange(len(lines), dtype=np.int32), counts),
     )
 

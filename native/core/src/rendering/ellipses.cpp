@@ -53,6 +53,7 @@ bool project_one(const Camera& camera, const Gaussians& g, std::size_t i, const 
              as_float(xx / determinant),
              as_float(opacity),
              as_float(most),
+             as_float(reach_y),
              as_float(p.z),
              {static_cast<float>(g.color[3 * i]), static_cast<float>(g.color[3 * i + 1]),
               static_cast<float>(g.color[3 * i + 2])}};

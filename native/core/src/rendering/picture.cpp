@@ -68,8 +68,7 @@ class Canvas {
 
   // (x, y): upper left corner of the tile.
   void add(const Ellipse& e, float x, float y) {
-    const float reach_y = std::sqrt(2 * e.most * e.xx / (e.xx * e.yy - e.xy * e.xy));
-    const int top = clipped(e.y - reach_y - y - 0.5f), bottom = clipped(e.y + reach_y - y + 0.5f);
+    const int top = clipped(e.y - e.reach_y - y - 0.5f), bottom = clipped(e.y + e.reach_y - y + 0.5f);
     for (int row = top; row < bottom; ++row) {
       const float dy = y + static_cast<float>(row) + 0.5f - e.y;
       // along the row the exponent is a quadratic: where it is at most `most`
@@ -113,8 +112,10 @@ class Canvas {
   void reserve_seen(std::size_t count) { seen_.assign(count, 0); }
 
  private:
+  // The next whole number of pixels within the tile; 0 for NaN.
   static int clipped(float pixel) {
-    return static_cast<int>(std::clamp(std::ceil(pixel), 0.0f, static_cast<float>(kTile)));
+    constexpr auto most = static_cast<float>(kTile);
+    return pixel > 0 ? static_cast<int>(std::ceil(std::min(pixel, most))) : 0;
   }
 
   void add_row(const Ellipse& e, std::size_t row, int left, int right, float dx0, float dy) {

@@ -15,9 +15,9 @@ constexpr std::size_t kTile = 16, kTilePixels = kTile * kTile;
 constexpr std::uint32_t kSamples = 4;
 
 // A Gaussian in the picture: centre [px], inverse of its covariance (xx, xy, yy) [1/px^2], opacity, depth, colour.
-// Beyond exponent `most` its alpha is below kLeastAlpha.
+// Beyond exponent `most`, and so more than `reach_y` above or below its centre, its alpha is below kLeastAlpha.
 struct Ellipse {
-  float x, y, xx, xy, yy, opacity, most, depth;
+  float x, y, xx, xy, yy, opacity, most, reach_y, depth;
   std::array<float, 3> color;
 };
 
