@@ -5,13 +5,13 @@
   console.error = (...words) => {
     if (!/computeBoundingSphere\(\): Computed radius is NaN/.test(words.join(" "))) complain(...words);
   };
+  let name = "none";
+  try {
+    const gl = document.createElement("canvas").getContext("webgl2"), info = gl.getExtension("WEBGL_debug_renderer_info");
+    name = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+    gl.getExtension("WEBGL_lose_context").loseContext();
+  } catch (error) { window.alulaFlat = name === "none"; }
   window.alulaDraws = (few, fewCount, many, count) => {
-    let name = "";
-    try {
-      const gl = document.createElement("canvas").getContext("webgl2"), info = gl.getExtension("WEBGL_debug_renderer_info");
-      name = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
-      gl.getExtension("WEBGL_lose_context").loseContext();
-    } catch (error) { name = "none"; }
     if (!/swiftshader|llvmpipe|softpipe|software|basic render|^none$/i.test(name)) return many;
     window.alulaNote = fewCount.toLocaleString("en") + " of " + count.toLocaleString("en") + " Gaussians, because this browser draws without a GPU";
     return few;

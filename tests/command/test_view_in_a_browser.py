@@ -19,14 +19,14 @@ SIZE = {"width": 420, "height": 360}
 
 
 @contextmanager
-def browser(**options):
+def browser(*, flags=(), **options):
     """A page of Chromium, and what it printed as errors and asked for elsewhere."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is needed")
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     if program is None:
         pytest.skip("needs Chromium: apt-get install chromium")
     with api.sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=program, args=SOFTWARE)
+        chromium = play.chromium.launch(executable_path=program, args=[*SOFTWARE, *flags])
         shown = chromium.new_page(viewport=SIZE, **options)
         errors, requests = [], []
         shown.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
@@ -78,6 +78,28 @@ def test_a_page_shows_its_scene_and_scrubbing_moves_the_vehicle(tmp_path):
     assert scene_rows.sum() > 60
     assert "4.5 s" in words
     assert dark.strip() == "#e8ecf1"
+
+
+@pytest.mark.parametrize("lacks", ["WebGL", "scripts", "nothing"])
+def test_a_page_is_a_picture_where_webgl_or_scripts_are_missing(lacks, tmp_path):
+    scene = make_scene(300, low=(0, -1, 0), high=(5, 1, 0.5))
+    scene["color"][:] = (200, 30, 30)
+    content = content_of(Shown(title="seen", scenes=[("s", scene)], runs=[run_of([make_trial(0)])]))
+    (tmp_path / "page.html").write_text(page(content))
+    flags = ["--disable-3d-apis"] if lacks == "WebGL" else []
+    with browser(flags=flags, java_script_enabled=lacks != "scripts") as (shown, _, requests):
+        shown.goto(f"file://{tmp_path}/page.html")
+        still = shown.locator("#alula-still")
+        if lacks == "nothing":
+            shown.wait_for_function("window.alulaTime && alulaTime() !== null", timeout=60_000)
+            assert not still.is_visible()
+            return
+        still.wait_for(state="visible", timeout=60_000)
+        assert still.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)") == 1000
+        seen = pixels(shown)
+    assert requests == []
+    red = (seen[..., 0] > seen[..., 1] + 60) & (seen[..., 0] > seen[..., 2] + 60)
+    assert red.mean() > 0.01
 
 
 def test_the_view_in_a_report_runs_in_its_sandbox(pipeline, tmp_path):
