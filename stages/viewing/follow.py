@@ -97,10 +97,12 @@ def _directions(play: Play, time: FloatArray, up: FloatArray) -> FloatArray:
     if not len(moves):
         return np.tile(np.roll(up, 1), (len(time), 1))
     nearest = moves[np.abs(moves[None] - np.arange(len(time))[:, None]).argmin(axis=1)]
-    return chord[nearest] / np.linalg.norm(chord[nearest], axis=1, keepdims=True)
+    found: FloatArray = chord[nearest] / np.linalg.norm(chord[nearest], axis=1, keepdims=True)
+    return found
 
 
 def _smooth(value: FloatArray, time: FloatArray, part: float = 1.0) -> FloatArray:
     """Mean over time with Gaussian weights, shape (n, 3)."""
     weight = np.exp(-0.5 * ((time[:, None] - time[None]) / (part * _SMOOTH_S)) ** 2)
-    return (weight @ value) / weight.sum(axis=1, keepdims=True)
+    found: FloatArray = (weight @ value) / weight.sum(axis=1, keepdims=True)
+    return found

@@ -119,6 +119,32 @@ def picture(
         through: opacity of lines of the last model where something hides them.
         jobs: threads, 0 for all processors.
     """
+    image, light = _drawn(models, sight, through, jobs)
+    return _bytes(image + light[:, :, None] * np.asarray(background, np.float32))
+
+
+def translucent(model: Model, sight: Sight, *, jobs: int = 0) -> NDArray[np.uint8]:
+    """Draw a model with red, green, blue and opacity, for any background, shape (rows, columns, 4).
+
+    Args:
+        model: what is drawn.
+        sight: the camera.
+        jobs: threads, 0 for all processors.
+    """
+    image, light = _drawn([model], sight, 0.0, jobs)
+    opacity = 1 - light[:, :, None]
+    return _bytes(np.concatenate([image / np.maximum(opacity, 1e-6), 255 * opacity], axis=2))
+
+
+def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    found: NDArray[np.uint8] = np.clip(np.round(values), 0, 255).astype(np.uint8)
+    return found
+
+
+def _drawn(
+    models: Sequence[Model], sight: Sight, through: float, jobs: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Colours without what is behind, (rows, columns, 3), and how much of it is seen, (rows, columns)."""
     gaussians = [part for model in models for part in model.gaussians]
     corners, color, opacity = zip(*(_lit(model, sight) for model in models), strict=True)
     width = np.concatenate([model.width_px for model in models]) * max(sight.rows / _PAGE_ROWS, 0.5)
@@ -147,9 +173,7 @@ def picture(
         line=np.concatenate([model.line + np.int32(at) for model, at in zip(models, first, strict=False)]),
         jobs=jobs,
     )
-    shown = image + light[:, :, None] * np.asarray(background, np.float32)
-    found: NDArray[np.uint8] = np.clip(np.round(shown), 0, 255).astype(np.uint8)
-    return found
+    return image, light
 
 
 def _lit(model: Model, sight: Sight) -> tuple[FloatArray, NDArray[np.uint8], NDArray[np.float32]]:
