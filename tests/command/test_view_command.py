@@ -68,6 +68,8 @@ def test_a_picture_is_of_its_inputs_and_the_same_each_time(name, pipeline, tmp_p
     again = tmp_path / f"again-{name}"
     assert run(["view", *files, "-o", str(again), *words, "--jobs", "1", "-q"]) == 0
     assert again.read_bytes() == out.read_bytes()
+    assert run(["info", str(out)]) == 0
+    assert "a page, a picture or a moving picture" in " ".join(capsys.readouterr().out.split())
     assert run(["view", *files, "-o", str(out), *words, "--size", "32x32"]) == 2
     assert 'size was "64x48", now "32x32"' in capsys.readouterr().err
 

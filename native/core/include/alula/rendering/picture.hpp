@@ -14,8 +14,9 @@
 // back,
 //   C += T alpha c,   T *= 1 - alpha,   T = 1 at first,
 // until T is below 1/1000 in all pixels of a tile of 16 x 16 pixels.
-// Source: Zwicker, Pfister, van Baar and Gross 2001, EWA splatting, eqs. 26-31; Kerbl, Kopanas, Leimkuehler and
-// Drettakis 2023, 3D Gaussian splatting, eqs. 2, 3, 5 and appendix C.
+// Source: Zwicker, Pfister, van Baar and Gross 2001, EWA volume splatting (the tangent J and the low-pass filter);
+// Kerbl, Kopanas, Leimkuehler and Drettakis 2023, 3D Gaussian splatting, eqs. 3 (compositing) and 5 (Sigma'),
+// appendix C (0.99 and 1/255), and its program (0.3 and 1.3).
 //
 // Triangles are flat, and seen from both sides. Each pixel has four samples, which a triangle covers or not, at the
 // depth of its plane at the pixel's centre. Lines have round ends, a width in pixels, and the coverage
