@@ -15,8 +15,8 @@ from alula.schemas.configs.view import PictureConfig, ViewConfig
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
+    from alula.stages.drawing.content import Content
     from alula.stages.viewing.compose import Shown
-    from alula.stages.viewing.content import Content
 
 EXAMPLES = """\b
 Examples:

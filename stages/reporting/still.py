@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.stages.drawing.content import Part
+from alula.stages.drawing.picture import model_of, translucent
+from alula.stages.drawing.sight import Sight
+from alula.stages.drawing.solids import drawn, solids_of_cover
+from alula.stages.drawing.splat import chosen, gaussians
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 from alula.stages.reporting.palette import BLACK, COLORS, DASHES, PURPLE, SOFT, run_color
-from alula.stages.viewing.content import Part
-from alula.stages.viewing.picture import model_of, translucent
-from alula.stages.viewing.sight import Sight
-from alula.stages.viewing.solids import drawn, solids_of_cover
-from alula.stages.viewing.splat import chosen, gaussians
 
 NAME = "still"
 _AZIMUTH, _ELEVATION = np.deg2rad([-60.0, 48.0])  # of the viewer, seen from the scene

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.drawing.content import Body, Color, Faces, Lines, Part, Play, segments_of
 from alula.stages.rotation import matrix_from_quat_wxyz
-from alula.stages.viewing.content import Body, Color, Faces, Lines, Part, Play, segments_of
 from alula.stages.viewing.shapes import ball_mesh, disc_mesh, frame_mesh
 
 BODY_COLOR, ROTOR_COLOR = (45, 50, 60), (250, 200, 40)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.content import Camera
+from alula.stages.drawing.content import Camera
+from alula.stages.drawing.sight import FIELD_RAD
 
-FIELD_RAD = np.deg2rad(50.0)
 _FROM = np.array((-0.55, -0.8, 0.62)) / np.linalg.norm((-0.55, -0.8, 0.62))  # towards the camera
 _CORE = (0.03, 0.97)  # quantiles: a splat has far outliers
 _SURROUNDINGS = 2.5  # a scene at most so many times as large is shown whole

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.actors import ball_parts, nearest_line, path_part, vehicle_parts
-from alula.stages.viewing.camera import FIELD_RAD
-from alula.stages.viewing.content import (
+from alula.stages.drawing.content import (
     CUT,
     Body,
     Camera,
@@ -24,6 +22,8 @@ from alula.stages.viewing.content import (
     Part,
     Play,
 )
+from alula.stages.drawing.sight import FIELD_RAD
+from alula.stages.viewing.actors import ball_parts, nearest_line, path_part, vehicle_parts
 
 PLAYBACK = "Playback"
 GAP_S = 1.0  # a flight stays at its end so long before the next one begins

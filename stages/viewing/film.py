@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.drawing.content import CUT, Camera, Content, Gaussians, Lines, Part, Play, rgb
+from alula.stages.drawing.picture import Model, model_of, picture
+from alula.stages.drawing.sight import Sight, sight_of
 from alula.stages.reporting.palette import COLORS
 from alula.stages.viewing.actors import moment
 from alula.stages.viewing.camera import upright
-from alula.stages.viewing.content import CUT, Camera, Content, Gaussians, Lines, Part, Play, rgb
 from alula.stages.viewing.follow import FLOWN, ORBIT, sights
-from alula.stages.viewing.picture import Model, model_of, picture
-from alula.stages.viewing.sight import Sight, sight_of
 
 THROUGH = 0.3  # opacity of a flight's lines behind what hides them
 _FAINT = 0.25  # opacity of the map's edges beside a splat

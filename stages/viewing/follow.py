@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.drawing.content import CUT, Camera, Content, Play
+from alula.stages.drawing.sight import Sight, sight_of
 from alula.stages.viewing.actors import pose_at
 from alula.stages.viewing.camera import upright
-from alula.stages.viewing.content import CUT, Camera, Content, Play
-from alula.stages.viewing.sight import Sight, sight_of
 
 CHASE, COCKPIT, ORBIT, FIXED = "chase", "cockpit", "orbit", "fixed"
 FLOWN = (CHASE, COCKPIT)  # cameras that are in the world, so nothing of it is cut away

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.stages.viewing.content import Content, Gaussians
+from alula.stages.drawing.content import Content, Gaussians
 from alula.stages.viewing.draw import Span, draw, record
 from alula.stages.viewing.encode import still_webp
 from alula.stages.viewing.film import still

@@ -10,14 +10,14 @@ from PIL import Image
 from alula.schemas.configs.view import PictureConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.flight_samples import Moving
+from alula.stages.drawing.content import CUT, Camera, Copies, Faces, Gaussians, Lines
+from alula.stages.drawing.picture import BACKGROUND, model_of, picture
+from alula.stages.drawing.sight import Sight, sight_of, turned_to
 from alula.stages.viewing import encode
 from alula.stages.viewing.actors import ACTS_COLOR, moment, pose_at
 from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.content import CUT, Camera, Copies, Faces, Gaussians, Lines
 from alula.stages.viewing.film import film, still
 from alula.stages.viewing.follow import sights
-from alula.stages.viewing.picture import BACKGROUND, model_of, picture
-from alula.stages.viewing.sight import Sight, sight_of, turned_to
 from support.fabricate import box, make_cover, make_scene, make_trial
 from support.viewed_runs import run_of
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.camera import FIELD_RAD
-from alula.stages.viewing.content import Camera
+from alula.stages.drawing.content import Camera
 
+FIELD_RAD = np.deg2rad(50.0)  # vertical field of view
 _NEAR = 1e-3  # of the distance to what is looked at
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
+from alula.stages.drawing.content import Copies, Faces, Gaussians, Lines, Part
+from alula.stages.drawing.sight import Sight
 from alula.stages.rotation import matrix_from_quat_wxyz
-from alula.stages.viewing.content import Copies, Faces, Gaussians, Lines, Part
-from alula.stages.viewing.sight import Sight
 
 BACKGROUND = (240, 243, 247)
 _PAGE_ROWS = 800.0  # height of the page that widths of lines are meant for [px]
