@@ -31,6 +31,16 @@ def upright(up: str) -> FloatArray:
     return found
 
 
+def view_direction(up: str) -> FloatArray:
+    """Direction of sight of the first camera, a unit vector, shape (3,).
+
+    Args:
+        up: axis that points up.
+    """
+    found: FloatArray = -(upright(up) @ _FROM)
+    return found
+
+
 def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
     """Fit a camera to flights and plans, or to the scene where there are none.
 
@@ -54,4 +64,4 @@ def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
     away = reach / np.sin(FIELD_RAD / 2) * _CLOSER
     centre = centre - _LOWER * reach * upright(up)[:, 2]
     everything = max((float(np.ptp(p, axis=0).max()) for p in (solid, flown) if len(p)), default=reach)
-    return Camera(centre + away * (upright(up) @ _FROM), centre, 4 * (away + everything))
+    return Camera(centre - away * view_direction(up), centre, 4 * (away + everything))

@@ -14,7 +14,7 @@ from alula.stages.drawing.picture import Model, model_of, picture
 from alula.stages.drawing.sight import Sight, sight_of
 from alula.stages.reporting.palette import COLORS
 from alula.stages.viewing.actors import moment
-from alula.stages.viewing.camera import upright
+from alula.stages.viewing.camera import upright, view_direction
 from alula.stages.viewing.follow import FLOWN, ORBIT, sights
 
 THROUGH = 0.3  # opacity of a flight's lines behind what hides them
@@ -22,6 +22,7 @@ _FAINT = 0.25  # opacity of the map's edges beside a splat
 _FILLS = 0.94  # of a picture, by what it shows
 _CORE = (0.01, 0.99)  # quantiles of Gaussians
 _ROUNDS = 8
+_LEAST_AWAY = 1e-6  # of the coordinates: least distance of the camera
 _TURN_S = 8.0  # of a scene without flights
 
 
@@ -162,11 +163,12 @@ def framed(content: Content, world: Model, size: tuple[int, int]) -> Camera:
         size: columns and rows [px].
     """
     camera, up = content.camera, upright(content.up)[:, 2]
-    away = float(np.linalg.norm(camera.position - camera.look_at))
+    least = _LEAST_AWAY * float(np.abs(camera.look_at).max(initial=1.0))  # far away, smaller steps are lost
+    away = max(float(np.linalg.norm(camera.position - camera.look_at)), least)
     points = _outline(world, camera.look_at, 0.6 * away)
+    along = view_direction(content.up)
     if len(points) < 2:
-        return camera
-    along = (camera.look_at - camera.position) / away
+        return Camera(camera.look_at - away * along, camera.look_at, camera.far_m)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     for _ in range(_ROUNDS):
         sight = sight_of(Camera(centre - away * along, centre), size, up)
@@ -177,6 +179,7 @@ def framed(content: Content, world: Model, size: tuple[int, int]) -> Camera:
         shift = ((low + high - np.array(size)) / 2) * away / sight.focal
         centre = centre + shift @ sight.R_camera_world[:2]
         away *= float(np.clip(((high - low) / (_FILLS * np.array(size))).max(), 0.5, 2.0))
+        away = max(away, least)
     return Camera(centre - away * along, centre, camera.far_m)
 
 

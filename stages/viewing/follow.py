@@ -23,10 +23,10 @@ _WIDE_RAD = np.deg2rad(62.0)
 _AROUND_S = 0.7  # half the time that a direction of flight is taken from
 _SMOOTH_S = 0.6  # standard deviation of the camera's smoothing
 _SWEEP_RAD = np.deg2rad(50.0)  # of a camera that turns in front of a room
-_TURN_S = 1.5  # standard deviation of the smoothing of one that turns with the flight
-_CLOSER = 0.6  # of the first camera's distance, for one that turns with the flight
+_TURN = 0.12  # of the time: standard deviation of the smoothing of one that turns with the flight
+_CLOSER = 0.56  # of the first camera's distance, for one that turns with the flight
 _LOWER = np.deg2rad(24.0)  # how far it looks down
-_LEAN = 0.5  # of the way from the middle to the vehicle: what it looks at
+_LEAN = 0.55  # of the way from the middle to the vehicle: what it looks at
 
 
 def sights(
@@ -63,7 +63,7 @@ def sights(
     flat = along - np.outer(along @ up, up)
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
     away = max(_AWAY * play.body.radius_m, _LEAST_AWAY_M)
-    place = _smooth(place, time, 0.5)
+    place = _smooth(place, time, 0.5 * _SMOOTH_S)
     eye = place - away * np.cos(_ABOVE) * flat + away * np.sin(_ABOVE) * up
     return [
         sight_of(Camera(e, p + _AHEAD * away * d), size, up, field_rad=float(_WIDE_RAD), near_m=_HIDES * away)
@@ -81,9 +81,11 @@ def _turned(camera: Camera, angle: float, up: FloatArray) -> Camera:
 def _around(first: Camera, place: FloatArray, time: FloatArray, up: FloatArray) -> list[Camera]:
     """Cameras that see the scene behind the vehicle: outwards from the scene's middle."""
     away = _CLOSER * float(np.linalg.norm(first.position - first.look_at))
-    arm = place - first.look_at
-    arm = _smooth(arm - np.outer(arm @ up, up), time, _TURN_S / _SMOOTH_S)
-    arm /= np.maximum(np.linalg.norm(arm, axis=1, keepdims=True), 1e-9)
+    ahead, side = np.roll(up, 1), np.cross(up, np.roll(up, 1))
+    arm = _smooth(place - first.look_at, time)
+    angle = np.unwrap(np.arctan2(arm @ side, arm @ ahead))[:, None]  # smooth where it passes the middle too
+    angle = _smooth(angle, time, _TURN * max(float(time[-1] - time[0]), 1e-3))
+    arm = np.cos(angle) * ahead + np.sin(angle) * side
     aim = first.look_at + _LEAN * (_smooth(place, time) - first.look_at)
     eye = aim + away * (np.cos(_LOWER) * arm + np.sin(_LOWER) * up)
     return [Camera(e, a, first.far_m) for e, a in zip(eye, aim, strict=True)]
@@ -101,8 +103,8 @@ def _directions(play: Play, time: FloatArray, up: FloatArray) -> FloatArray:
     return found
 
 
-def _smooth(value: FloatArray, time: FloatArray, part: float = 1.0) -> FloatArray:
-    """Mean over time with Gaussian weights, shape (n, 3)."""
-    weight = np.exp(-0.5 * ((time[:, None] - time[None]) / (part * _SMOOTH_S)) ** 2)
+def _smooth(value: FloatArray, time: FloatArray, sigma_s: float = _SMOOTH_S) -> FloatArray:
+    """Mean of rows over time with Gaussian weights, shape (n, k)."""
+    weight = np.exp(-0.5 * ((time[:, None] - time[None]) / sigma_s) ** 2)
     found: FloatArray = (weight @ value) / weight.sum(axis=1, keepdims=True)
     return found

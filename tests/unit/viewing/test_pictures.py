@@ -186,6 +186,25 @@ def test_each_camera_has_the_vehicle_in_its_picture():
     assert inside.R_camera_world[2] == pytest.approx([1, 0, 0], abs=1e-3)
 
 
+def test_a_camera_that_turns_with_a_flight_turns_slowly_where_it_crosses_the_middle():
+    content = content_of(shown())
+    middle = replace(content, camera=replace(content.camera, look_at=np.array([2.5, 1e-3, 1])))
+    time = np.linspace(0, 5, 61)
+    turned = sights("orbit", middle, middle.plays[0], time.tolist(), SIZE)
+    ahead = np.array([each.R_camera_world[2, :2] for each in turned])
+    angle = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    assert np.ptp(angle) > np.deg2rad(150)
+    assert np.abs(np.diff(angle)).max() < np.deg2rad(11)
+
+
+def test_what_is_far_from_the_origin_or_a_single_point_is_drawn_too():
+    scene = make_scene(20)
+    for place in (0.0, 1e11):
+        scene["mean"][:], scene["color"][:], scene["opacity"][:] = place, 9, 1
+        image = still(content_of(Shown(title="t", scenes=[("s", scene)])), SIZE)
+        assert image[SIZE[1] // 2, SIZE[0] // 2].max() < 60
+
+
 def test_a_film_shows_a_flight_at_its_own_speed_or_faster():
     content = content_of(shown())
     own = film(content, "fixed", SIZE, rate_hz=2, most_s=60, jobs=1)
