@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from alula.stages.reporting.figures import Figure
+    from alula.stages.reporting.papers.claims import Paper
+    from alula.stages.reporting.papers.verdicts import PaperRow
     from alula.stages.reporting.table import Table
 
 
@@ -25,12 +27,21 @@ def comparison_words(description: str, *, tuning: bool = False) -> argparse.Name
         `folder`, `runs`, and `markdown`, which may be None; with `tuning` also that file.
     """
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    common_words(parser)
     if tuning:
         parser.add_argument("--tuning", type=Path, metavar="FILE", required=True, help="table of a search")
     parser.add_argument("folder", type=Path)
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
     return parser.parse_args()
+
+
+def common_words(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every comparison: its Markdown page, and how it was made."""
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="also write the tables to FILE, the record beside it"
+    )
+    parser.add_argument("--command", default="make", help="command that makes a target of the example")
+    parser.add_argument("--setting", choices=("full", "quick"), default="full", help="how much was flown")
 
 
 def this_machine() -> str:
@@ -78,3 +89,37 @@ def write_comparison(
         write_text(output.parent / name, text)
     if markdown is not None:
         write_text(markdown, headed(files[f"{output.name}.md"], head))
+
+
+def write_record(
+    output: Path,
+    paper: Paper,
+    rows: Sequence[PaperRow],
+    figures: Sequence[Figure],
+    options: argparse.Namespace,
+) -> None:
+    """Write the record of a comparison: OUTPUT.record.json, and a second one beside a Markdown page.
+
+    Args:
+        output: name of the comparison's files, without an ending.
+        paper: with its claims.
+        rows: in reading order.
+        figures: in reading order.
+        options: from `comparison_words`: `folder`, `command`, `setting` and `markdown`.
+
+    Raises:
+        InputError: a row belongs to no claim.
+        OutputError: a file cannot be written.
+    """
+    from alula.schemas.atomic import write_text
+    from alula.schemas.comparison import write_comparison_record
+    from alula.schemas.manifest import producer
+    from alula.stages.reporting.papers.record import Made, comparison_record
+
+    made = Made(
+        options.command, options.folder.as_posix(), f"{output.name}.html", options.setting, this_machine()
+    )
+    text = write_comparison_record(comparison_record(paper, rows, figures, made, producer()))
+    write_text(output.parent / f"{output.name}.record.json", text)
+    if options.markdown is not None:
+        write_text(options.markdown.with_suffix(".json"), text)

@@ -8,7 +8,7 @@ the same tables as one Markdown page into FILE.
 
 import json
 
-from alula.cli.comparison import comparison_words, this_machine, write_comparison
+from alula.cli.comparison import comparison_words, this_machine, write_comparison, write_record
 from alula.schemas.run import read_run
 from alula.stages.reporting.papers import (
     dracbf,
@@ -18,6 +18,7 @@ from alula.stages.reporting.papers import (
     dracbf_verdicts,
     dracbf_warning,
 )
+from alula.stages.reporting.papers.dracbf_claims import DRACBF_PAPER
 from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
 
@@ -78,3 +79,4 @@ write_comparison(
     head=f"{WRITTEN} on {this_machine()}. The tables name the numbers of trials. Times of Tables I to V were "
     "measured during the trials.",
 )
+write_record(folder / "dr-acbf", DRACBF_PAPER, verdicts, figures, options)

@@ -9,12 +9,13 @@ Tables and figures are written into FOLDER, and the same tables as one Markdown 
 import csv
 from pathlib import Path
 
-from alula.cli.comparison import comparison_words, write_comparison
+from alula.cli.comparison import comparison_words, write_comparison, write_record
 from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.papers import fastbridge, fastbridge_figures
 from alula.stages.reporting.papers.backup_feasibility import feasibility_table
+from alula.stages.reporting.papers.fastbridge_claims import FASTBRIDGE_PAPER
 from alula.stages.reporting.papers.fastbridge_verdicts import verdict_rows
 from alula.stages.reporting.papers.sweeps import Sweep
 from alula.stages.reporting.papers.verdicts import verdict_table
@@ -88,10 +89,11 @@ names = list(dict.fromkeys(path.parent.name for path in runs))
 files = sorted(dict.fromkeys(runs), key=lambda path: names.index(path.parent.name))
 sweeps = [sweep_of(path) for path in files]
 feasibility = feasibility_table()
+verdicts = verdict_rows(sweeps, names[0], feasibility)
 paper = [s for s in sweeps if is_of_the_paper(s)]
 whole = [s for s in sweeps if not is_of_the_paper(s)]
 tables = [
-    verdict_table(verdict_rows(sweeps, names[0], feasibility)),
+    verdict_table(verdicts),
     tuning_table(options.tuning),
     fastbridge.gap_table(whole),
     fastbridge.comparison_table(whole),
@@ -126,3 +128,4 @@ write_comparison(
     markdown=options.markdown,
     head=HEAD,
 )
+write_record(folder / "fastbridge", FASTBRIDGE_PAPER, verdicts, figures, options)

@@ -11,10 +11,11 @@ import json
 import re
 from pathlib import Path
 
-from alula.cli.comparison import comparison_words, this_machine, write_comparison
+from alula.cli.comparison import comparison_words, this_machine, write_comparison, write_record
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
 from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
+from alula.stages.reporting.papers.geofencing_claims import GEOFENCING_PAPER
 from alula.stages.reporting.papers.geofencing_verdicts import paper_rows
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
 from alula.stages.reporting.papers.verdicts import verdict_table
@@ -43,8 +44,9 @@ swings = sweep(GAINS, TICKS_S)
 onboard = Path(__file__).resolve().parents[2] / "docs/results/onboard.md"
 counted = re.search(r"`m7_geofence_us` \| ([\d.]+)", onboard.read_text("utf-8") if onboard.is_file() else "")
 teensy_us = float(counted[1]) if counted else None
+verdicts = paper_rows(runs, swings, measured, teensy_us)
 found = [
-    verdict_table(paper_rows(runs, swings, measured, teensy_us)),
+    verdict_table(verdicts),
     pendulum.time_table(measured),
     pendulum.gains_table(swings),
     geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
@@ -92,3 +94,4 @@ write_comparison(
     head=f"{WRITTEN} on {this_machine()}. The filter and its guarantee: "
     "[geofence.md](../theory/geofence.md).",
 )
+write_record(folder / "geofencing", GEOFENCING_PAPER, verdicts, figures, options)

@@ -16,20 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.cli.comparison import this_machine, write_comparison
+from alula.cli.comparison import common_words, this_machine, write_comparison, write_record
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.papers import polymerge
 from alula.stages.reporting.papers.polymerge import Polytopes, SceneMaps
+from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
 from alula.stages.reporting.papers.polymerge_flights import Flights, figure_5_table, from_record, table_2
 from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
 from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+common_words(parser)
 parser.add_argument("--onboard", type=Path, metavar="FILE", help="page with the figures of emulated cores")
 parser.add_argument("folder", type=Path)
 parser.add_argument("names", nargs="+", metavar="SCENE")
@@ -44,7 +45,7 @@ def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
     planes, count = len(cover["plane_offset"]), len(cover["plane_start"]) - 1
     found = measure_cover(cover, index) if index is not None else None
     growth = found.conservativeness if found else cover.manifest.conservativeness
-    return Polytopes(count, planes, growth, path.stat().st_size, found, len(encode_map(cover)))
+    return Polytopes(count, planes, growth, path.stat().st_size, found, len(encode_map(cover)), path.name)
 
 
 def why_no_coacd(path: Path) -> str:
@@ -62,7 +63,8 @@ def of_coacd(path: Path, index: np.ndarray) -> Polytopes | None:
         return None
     found = measure_points(parts, index)
     planes = sum(len(half_spaces(part)) for part in parts)
-    return Polytopes(len(parts), planes, found.conservativeness, path.stat().st_size, found)
+    size = path.stat().st_size
+    return Polytopes(len(parts), planes, found.conservativeness, size, found, file=path.name)
 
 
 def maps_of(name: str) -> SceneMaps:
@@ -114,8 +116,9 @@ triangles, then CoACD with threshold 0.05 and without its own remesh, which fill
 CoACD finds, or 300 where it finds none in that time."""
 figure_5, second = flights_of("figure-5"), flights_of("table-2")
 figures = [polymerge.volumes_figure(scenes), polymerge.curve_figure(scenes)]
+verdicts = verdict_rows(scenes, figure_5, second, onboard_rate())
 tables = [
-    verdict_table(verdict_rows(scenes, figure_5, second, onboard_rate())),
+    verdict_table(verdicts),
     polymerge.sizes_table(scenes),
     polymerge.volumes_table(scenes),
     polymerge.curve_table(scenes),
@@ -137,3 +140,4 @@ write_comparison(
     markdown=options.markdown,
     head=HEAD,
 )
+write_record(folder / "polymerge", POLYMERGE_PAPER, verdicts, [drawn.figure for drawn in figures], options)

@@ -19,9 +19,9 @@ from alula.stages.reporting.papers.geofencing import (
     select,
 )
 from alula.stages.reporting.papers.pendulum import MICRO, PROGRAM, REGULATION, SOLVER, Swing
-from alula.stages.reporting.papers.verdicts import PaperRow
-from alula.stages.reporting.statistics import Rate, rate
-from alula.stages.reporting.table import text
+from alula.stages.reporting.papers.settings import settings_rows
+from alula.stages.reporting.papers.verdicts import PaperRow, exact
+from alula.stages.reporting.statistics import Rate, difference_estimate, rate
 
 _SAME = 0.05  # relative difference up to which a simulated value counts as reproduced
 _REST_M_S = 0.1
@@ -51,6 +51,7 @@ def paper_rows(
         teensy_us: time of a tick on a Teensy 4.1 by emulated instructions [us]; None where it is not known.
     """
     return [
+        *settings_rows("geofencing"),
         *_claims(runs),
         *_theory(runs),
         *_mixing(runs),
@@ -60,6 +61,7 @@ def paper_rows(
         *_fall(runs),
         *_hardware(teensy_us),
         *_repeated(runs),
+        *_beside_the_program(runs),
     ]
 
 
@@ -67,8 +69,17 @@ def _row(item: str, quantity: str, published: str, ours: str, verdict: str, why:
     return PaperRow(item, quantity, published, ours, "", verdict, why)
 
 
+def _from(row: PaperRow, *runs: Fenced | None) -> PaperRow:
+    """The row with the runs that it is made from."""
+    flown = [run for run in runs if run is not None]
+    if not flown:
+        return row
+    files = [f"{run.scenario}/{run.variant}.run.mcap" for run in flown]
+    return row.made_from(files, sum(len(run.record.trials) for run in flown))
+
+
 def _interval(found: Rate) -> str:
-    return "" if found.low is None else f"{text(found.low)} to {text(found.high)} % of {found.n:,}"
+    return "" if found.low is None else f"{exact(found.low)} to {exact(found.high)} % of {found.n:,}"
 
 
 def _first(runs: Sequence[Fenced], scenario: str, variant: str) -> tuple[Fenced, Approach, Ticks] | None:
@@ -82,23 +93,23 @@ def _close(value: float, published: float, limit: float = _SAME) -> bool:
 
 
 def _claims(runs: Sequence[Fenced]) -> list[PaperRow]:
-    held = [
-        KM_H * max(trial.max_speed_m_s for trial in run.record.trials)
-        for run in select(runs, "wall")
-        if run.record.filter == BASE and not run.left.value
-    ]
+    kept = [run for run in select(runs, "wall") if run.record.filter == BASE and not run.left.value]
+    held = [KM_H * max(trial.max_speed_m_s for trial in run.record.trials) for run in kept]
     if not held:
         return []
     fast = sum(speed > 100 for speed in held)
     return [
-        PaperRow(
-            "abstract",
-            "speeds at which the drone is held",
-            "above 100 km/h",
-            f"{text(min(held))} to {text(max(held))} km/h, {fast} of {len(held)} approaches above 100",
-            _ONE,
-            "reproduced" if fast else "refuted",
-            "in simulation, with the vehicle as modelled",
+        _from(
+            PaperRow(
+                "abstract",
+                "speeds at which the drone is held",
+                "above 100 km/h",
+                f"{exact(min(held))} to {exact(max(held))} km/h, {fast} of {len(held)} approaches above 100",
+                _ONE,
+                "reproduced" if fast else "refuted",
+                "in simulation, with the vehicle as modelled",
+            ),
+            *kept,
         ),
         _row("abstract", "weight of the microcontroller", "10 g", "", "not available here", "hardware"),
         _row("Figures 1 and 2", "illustrations", "no numbers", "", "not comparable", "nothing is measured"),
@@ -113,15 +124,19 @@ def _theory(runs: Sequence[Fenced]) -> list[PaperRow]:
         out = rate(trial.collision for run in guarded for trial in run.record.trials)
         left = sum(trial.collision for run in guarded for trial in run.record.trials)
         rows.append(
-            PaperRow(
-                "Proposition 1",
-                "flights that leave the safe set",
-                "none, in continuous time",
-                f"{left} of {out.n:,} random flights",
-                _interval(out),
-                "refuted" if left else "bounded",
-                "a filter in ticks needs conditions that the paper does not state: the horizon reaches rest "
-                "and β D / v_c ≤ 1 (geofence.md); what violates them is refused, the rest is sampled",
+            _from(
+                PaperRow(
+                    "Proposition 1",
+                    "flights that leave the safe set",
+                    "none, in continuous time",
+                    f"{left} of {out.n:,} random flights",
+                    _interval(out),
+                    "refuted" if left else "bounded",
+                    "a filter in ticks needs conditions that the paper does not state: the horizon reaches "
+                    "rest "
+                    "and β D / v_c ≤ 1 (geofence.md); what violates them is refused, the rest is sampled",
+                ),
+                *guarded,
             )
         )
     rows.append(
@@ -139,13 +154,16 @@ def _theory(runs: Sequence[Fenced]) -> list[PaperRow]:
         count = sum(run.steps("passed") for run in passed)
         altered = sum(result.altered_passes for run in passed for result in run.results)
         rows.append(
-            _row(
-                "III-B",
-                "the pilot's command where λ is 1",
-                "passed exactly",
-                f"{altered} of {count:,} differ in a bit",
-                "refuted" if altered else "reproduced",
-                "λ rounds to 1 far from the fence only",
+            _from(
+                _row(
+                    "III-B",
+                    "the pilot's command where λ is 1",
+                    "passed exactly",
+                    f"{altered} of {count:,} differ in a bit",
+                    "refuted" if altered else "reproduced",
+                    "λ rounds to 1 far from the fence only",
+                ),
+                *passed,
             )
         )
     return rows
@@ -160,16 +178,20 @@ def _mixing(runs: Sequence[Fenced]) -> list[PaperRow]:
     speed = float(np.linalg.norm(ticks.velocity[-1]))
     rests = 0 < share[-1] < 1 and speed < _REST_M_S
     return [
-        PaperRow(
-            "Figure 3",
-            "mixing λ (9) on the way to a wall",
-            "1 far away, decreases, steady between 0 and 1 where the drone stops",
-            f"{text(float(share[0]))} at 40 m, minimum {text(a.min_lambda)}, "
-            f"at last {text(float(share[-1]))} at {text(a.rest_m + run.radius_m)} m of the centre, where the "
-            f"speed is {text(speed)} m/s",
-            _ONE,
-            "reproduced" if share[0] > 0.9 and rests else "refuted",
-            "the figure has no numbers",
+        _from(
+            PaperRow(
+                "Figure 3",
+                "mixing λ (9) on the way to a wall",
+                "1 far away, decreases, steady between 0 and 1 where the drone stops",
+                f"{exact(float(share[0]))} at 40 m, minimum {exact(a.min_lambda)}, "
+                f"at last {exact(float(share[-1]))} at {exact(a.rest_m + run.radius_m)} m of the centre, "
+                "where the "
+                f"speed is {exact(speed)} m/s",
+                _ONE,
+                "reproduced" if share[0] > 0.9 and rests else "refuted",
+                "the figure has no numbers",
+            ),
+            run,
         )
     ]
 
@@ -187,7 +209,7 @@ def _pendulum(swings: Sequence[Swing], measured: Mapping[str, Any]) -> list[Pape
             f"{program / base:.3g} with our program; all rows in a general solver: {general}",
             "bounded",
             "the paper's solver is not named; the ratio depends on it",
-        )
+        ).made_from(["pendulum.json"])
     ]
 
     def chatter(rule: str, good: Callable[[float], bool]) -> list[Swing]:
@@ -218,7 +240,7 @@ def _pendulum(swings: Sequence[Swing], measured: Mapping[str, Any]) -> list[Pape
                 "Figure 4, eqs. 11 to 14",
                 "angle, rate and input over time",
                 "curves without numbers",
-                f"settles at {text(max(s.settled_rad for s in smooth))} of 1 rad" if smooth else "",
+                f"settles at {exact(max(s.settled_rad for s in smooth))} of 1 rad" if smooth else "",
                 "not comparable",
                 "the backup controller (12) and the gains are not printed",
             ),
@@ -228,7 +250,7 @@ def _pendulum(swings: Sequence[Swing], measured: Mapping[str, Any]) -> list[Pape
 
 def _span(swings: Sequence[Swing]) -> str:
     values = [s.chatter for s in swings]
-    return f"{text(min(values))} to {text(max(values))}"
+    return f"{exact(min(values))} to {exact(max(values))}"
 
 
 def _modelling() -> list[PaperRow]:
@@ -263,59 +285,78 @@ def _wall(runs: Sequence[Fenced]) -> list[PaperRow]:
     inside = a.least_m >= 0
     pilot = "the pilot's commands are not printed; pitched by 72° here"
     return [
-        PaperRow(
-            "Figure 5a",
-            "peak speed, simulation",
-            "107 km/h",
-            f"{text(a.peak_km_h)} km/h",
-            _ONE,
-            "reproduced" if _close(a.peak_km_h, 107) else "not comparable",
-            pilot,
+        _from(
+            PaperRow(
+                "Figure 5a",
+                "peak speed, simulation",
+                "107 km/h",
+                f"{exact(a.peak_km_h)} km/h",
+                _ONE,
+                "reproduced" if _close(a.peak_km_h, 107) else "not comparable",
+                pilot,
+            ),
+            run,
         ),
-        PaperRow(
-            "Figure 5a",
-            "minimum distance, simulation",
-            "0.12 m",
-            f"{text(centre)} m of the centre, {text(a.least_m)} m of the sphere",
-            _ONE,
-            "bounded" if inside else "refuted",
-            "inside in both; the paper's radius and margins are not printed",
+        _from(
+            PaperRow(
+                "Figure 5a",
+                "minimum distance, simulation",
+                "0.12 m",
+                f"{exact(centre)} m of the centre, {exact(a.least_m)} m of the sphere",
+                _ONE,
+                "bounded" if inside else "refuted",
+                "inside in both; the paper's radius and margins are not printed",
+            ),
+            run,
         ),
-        PaperRow(
-            "Figure 7a, test 1",
-            "peak speed, flight",
-            "104 km/h",
-            f"{text(a.peak_km_h)} km/h, simulated",
-            _ONE,
-            "reproduced" if _close(a.peak_km_h, 104, 0.1) else "not comparable",
-            f"{_HARDWARE}; {pilot}",
+        _from(
+            PaperRow(
+                "Figure 7a, test 1",
+                "peak speed, flight",
+                "104 km/h",
+                f"{exact(a.peak_km_h)} km/h, simulated",
+                _ONE,
+                "reproduced" if _close(a.peak_km_h, 104, 0.1) else "not comparable",
+                f"{_HARDWARE}; {pilot}",
+            ),
+            run,
         ),
-        PaperRow(
-            "Figure 7a, test 1",
-            "distance at which it brakes, flight",
-            "15 m",
-            f"{', '.join(f'{text(d)} m at {text(v)} km/h' for v, d in slower)}, simulated",
-            _ONE,
-            "reproduced" if any(_close(d, 15) for _, d in slower) else "not comparable",
-            "of the centre, at the peak speed; without drag",
+        _from(
+            PaperRow(
+                "Figure 7a, test 1",
+                "distance at which it brakes, flight",
+                "15 m",
+                f"{', '.join(f'{exact(d)} m at {exact(v)} km/h' for v, d in slower)}, simulated",
+                _ONE,
+                "reproduced" if any(_close(d, 15) for _, d in slower) else "not comparable",
+                "of the centre, at the peak speed; without drag",
+            ),
+            find(runs, "wall", "from-36"),
+            run,
         ),
-        PaperRow(
-            "Figures 7a and 7c, test 1",
-            "tilt while braking, flight",
-            "nearly 90°",
-            f"{text(a.tilt_deg)}°, simulated",
-            _ONE,
-            "reproduced" if a.tilt_deg > 80 else "refuted",
-            "the backup controller's limit is 85.7°",
+        _from(
+            PaperRow(
+                "Figures 7a and 7c, test 1",
+                "tilt while braking, flight",
+                "nearly 90°",
+                f"{exact(a.tilt_deg)}°, simulated",
+                _ONE,
+                "reproduced" if a.tilt_deg > 80 else "refuted",
+                "the backup controller's limit is 85.7°",
+            ),
+            run,
         ),
-        PaperRow(
-            "Figure 7a, test 1",
-            "minimum distance, flight",
-            "1.7 m",
-            f"{text(centre)} m of the centre, simulated",
-            _ONE,
-            "not comparable",
-            f"{_HARDWARE}; drag, the reserve and the pilot's push at the wall are not printed",
+        _from(
+            PaperRow(
+                "Figure 7a, test 1",
+                "minimum distance, flight",
+                "1.7 m",
+                f"{exact(centre)} m of the centre, simulated",
+                _ONE,
+                "not comparable",
+                f"{_HARDWARE}; drag, the reserve and the pilot's push at the wall are not printed",
+            ),
+            run,
         ),
         _row(
             "Figure 7a, test 1",
@@ -334,78 +375,108 @@ def _fall(runs: Sequence[Fenced]) -> list[PaperRow]:
         return []
     run, a, _ = found
     others = {name: _first(runs, "fall", name) for name in ("gentle", "drag")}
-    peaks = ", ".join(f"{text(f[1].peak_km_h)} `{name}`" for name, f in others.items() if f is not None)
+    peaks = ", ".join(f"{exact(f[1].peak_km_h)} `{name}`" for name, f in others.items() if f is not None)
     beside = f" ({peaks})" if peaks else ""
-    rest = f"{text(a.rest_m + run.radius_m)} m of the centre"
+    rest = f"{exact(a.rest_m + run.radius_m)} m of the centre"
     if (gentle := others["gentle"]) is not None:
-        rest += f", {text(gentle[1].rest_m + gentle[0].radius_m)} `gentle`"
+        rest += f", {exact(gentle[1].rest_m + gentle[0].radius_m)} `gentle`"
     rows = [
-        PaperRow(
-            "Figure 5b",
-            "peak speed of the fall from 70 m, simulation",
-            "70 km/h",
-            f"{text(a.peak_km_h)} km/h{beside}",
-            _ONE,
-            "not comparable",
-            f"{_BETA}, {text(a.braking_m + run.radius_m)} m above it",
+        _from(
+            PaperRow(
+                "Figure 5b",
+                "peak speed of the fall from 70 m, simulation",
+                "70 km/h",
+                f"{exact(a.peak_km_h)} km/h{beside}",
+                _ONE,
+                "not comparable",
+                f"{_BETA}, {exact(a.braking_m + run.radius_m)} m above it",
+            ),
+            run,
+            *(find(runs, "fall", name) for name in ("gentle", "drag")),
         ),
-        PaperRow(
-            "Figure 5b",
-            "hovers above the barrier, simulation",
-            "1.2 m",
-            rest,
-            _ONE,
-            "not comparable",
-            "with no throttle the blend settles where the part of u_B hovers, which depends on β",
+        _from(
+            PaperRow(
+                "Figure 5b",
+                "hovers above the barrier, simulation",
+                "1.2 m",
+                rest,
+                _ONE,
+                "not comparable",
+                "with no throttle the blend settles where the part of u_B hovers, which depends on β",
+            ),
+            run,
+            *(find(runs, "fall", name) for name in ("gentle", "drag")),
         ),
-        PaperRow(
-            "Figure 7b, test 2",
-            "vertical speed, flight",
-            "60 km/h",
-            f"{text(a.peak_km_h)} km/h, simulated{beside}",
-            _ONE,
-            "not comparable",
-            f"{_HARDWARE}; its drag and β are not printed",
+        _from(
+            PaperRow(
+                "Figure 7b, test 2",
+                "vertical speed, flight",
+                "60 km/h",
+                f"{exact(a.peak_km_h)} km/h, simulated{beside}",
+                _ONE,
+                "not comparable",
+                f"{_HARDWARE}; its drag and β are not printed",
+            ),
+            run,
+            *(find(runs, "fall", name) for name in ("gentle", "drag")),
         ),
-        PaperRow(
-            "Figure 7b, test 2",
-            "stops above the barrier, flight",
-            "1.3 m (1.8 m above the ground)",
-            rest,
-            _ONE,
-            "not comparable",
-            f"{_HARDWARE}; as for Figure 5b",
+        _from(
+            PaperRow(
+                "Figure 7b, test 2",
+                "stops above the barrier, flight",
+                "1.3 m (1.8 m above the ground)",
+                rest,
+                _ONE,
+                "not comparable",
+                f"{_HARDWARE}; as for Figure 5b",
+            ),
+            run,
+            *(find(runs, "fall", name) for name in ("gentle", "drag")),
         ),
-        PaperRow(
-            "conclusion",
-            "recovers from a fall of 70 m",
-            "yes",
-            f"minimum distance {text(a.least_m)} m of the sphere",
-            _ONE,
-            "reproduced" if a.least_m >= 0 else "refuted",
-            "",
+        _from(
+            PaperRow(
+                "conclusion",
+                "recovers from a fall of 70 m",
+                "yes",
+                f"minimum distance {exact(a.least_m)} m of the sphere",
+                _ONE,
+                "reproduced" if a.least_m >= 0 else "refuted",
+                "",
+            ),
+            run,
         ),
     ]
     if (drag := others["drag"]) is not None:
         less = a.peak_km_h - drag[1].peak_km_h
         rows.append(
-            PaperRow(
-                "V-C",
-                "simulation without drag is faster than the flight",
-                "by 10 km/h",
-                f"by {text(less)} km/h with assumed drag",
-                _ONE,
-                "not comparable" if less > 0 else "refuted",
-                "the sign agrees; the amount depends on the drag, which is not printed",
+            _from(
+                PaperRow(
+                    "V-C",
+                    "simulation without drag is faster than the flight",
+                    "by 10 km/h",
+                    f"by {exact(less)} km/h with assumed drag",
+                    _ONE,
+                    "not comparable" if less > 0 else "refuted",
+                    "the sign agrees; the amount depends on the drag, which is not printed",
+                ),
+                run,
+                drag[0],
             )
         )
     return rows
 
 
 def _hardware(teensy_us: float | None) -> list[PaperRow]:
-    count = "" if teensy_us is None else f"{text(teensy_us)} µs by emulated instructions (onboard.md)"
+    count = "" if teensy_us is None else f"{exact(teensy_us)} µs by emulated instructions (onboard.md)"
     return [
-        _row("Figure 6, V-A", "the drone and its devices", "a 7 inch racer", "", "not available here"),
+        _row(
+            "Figure 6, V-A",
+            "the drone and its devices",
+            "a 7 inch racer, rate loop at 8 kHz, video 25 ms late",
+            "",
+            "not available here",
+            "hardware",
+        ),
         _row(
             "V-B",
             "time of an evaluation on a Teensy 4.1",
@@ -415,9 +486,14 @@ def _hardware(teensy_us: float | None) -> list[PaperRow]:
             "instructions are counted and cycles estimated; no device was measured",
         ),
         _row(
-            "V-A, V-B", "rate of navigation and filter", "400 Hz", "400 Hz, simulated", "not available here"
+            "V-A, V-B",
+            "rate of navigation and filter",
+            "400 Hz",
+            "400 Hz, simulated",
+            "not available here",
+            "hardware",
         ),
-        _row("Figure 7c", "photographs of the flight", "no numbers", "", "not available here"),
+        _row("Figure 7c", "photographs of the flight", "no numbers", "", "not available here", "photographs"),
     ]
 
 
@@ -430,24 +506,30 @@ def _repeated(runs: Sequence[Fenced]) -> list[PaperRow]:
         longest = max(result.longest_backup_s for result in run.results)
         speed = KM_H * max(trial.max_speed_m_s for trial in run.record.trials)
         rows += [
-            PaperRow(
-                "Figure 8",
-                "repeated engagements, safety maintained",
-                "4 flights, 2 to 4 engagements each, every time",
-                f"{count:,} engagements in {len(run.results)} flights at up to {text(speed)} km/h, "
-                f"{sum(t.collision for t in run.record.trials)} left",
-                f"left: {_interval(run.left)}",
-                "refuted" if run.left.value else "reproduced",
-                "simulated",
+            _from(
+                PaperRow(
+                    "Figure 8",
+                    "repeated engagements, safety maintained",
+                    "4 flights, 2 to 4 engagements each, every time",
+                    f"{count:,} engagements in {len(run.results)} flights at up to {exact(speed)} km/h, "
+                    f"{sum(t.collision for t in run.record.trials)} left",
+                    f"left: {_interval(run.left)}",
+                    "refuted" if run.left.value else "reproduced",
+                    "simulated",
+                ),
+                run,
             ),
-            PaperRow(
-                "Figure 8, V-C",
-                "λ never reaches 0",
-                "never, in 4 flights",
-                f"in {text(zero.value)} % of the flights, for up to {text(longest)} s",
-                _interval(zero),
-                "refuted" if zero.value else "reproduced",
-                "h_I includes margins, so u_B alone ends a fast approach; the paper's h_I has none",
+            _from(
+                PaperRow(
+                    "Figure 8, V-C",
+                    "λ never reaches 0",
+                    "never, in 4 flights",
+                    f"in {exact(zero.value)} % of the flights, for up to {exact(longest)} s",
+                    _interval(zero),
+                    "refuted" if zero.value else "reproduced",
+                    "h_I includes margins, so u_B alone ends a fast approach; the paper's h_I has none",
+                ),
+                run,
             ),
         ]
     silent = [run for name in ("silent", "radio-1s") if (run := find(runs, "box", name)) is not None]
@@ -455,14 +537,70 @@ def _repeated(runs: Sequence[Fenced]) -> list[PaperRow]:
         out = rate(trial.collision for run in silent for trial in run.record.trials)
         left = sum(trial.collision for run in silent for trial in run.record.trials)
         rows.append(
-            PaperRow(
-                "abstract, V-C",
-                "safe when the radio fails",
-                "yes",
-                f"{left} of {out.n:,} flights left",
-                _interval(out),
-                "refuted" if left else "reproduced",
-                "simulated",
+            _from(
+                PaperRow(
+                    "abstract, V-C",
+                    "safe when the radio fails",
+                    "yes",
+                    f"{left} of {out.n:,} flights left",
+                    _interval(out),
+                    "refuted" if left else "reproduced",
+                    "simulated",
+                ),
+                *silent,
+            )
+        )
+    return rows
+
+
+def _beside_the_program(runs: Sequence[Fenced]) -> list[PaperRow]:
+    """What the text says of the filter beside the program, and of rule (19) beside (10)."""
+    rows = []
+    ours, program = (find(runs, "filters", name) for name in (BASE, "backup-qp"))
+    if ours is not None and program is not None:
+        speeds = [[t.path_length_m / t.duration_s for t in run.record.trials] for run in (ours, program)]
+        gap = difference_estimate(speeds[1], speeds[0])
+        if gap is not None:
+            known = gap.low is not None and gap.high is not None
+            rows.append(
+                _from(
+                    PaperRow(
+                        "III-C",
+                        "the program moves faster along the boundary",
+                        "stated",
+                        f"{exact(gap.value)} m/s faster on average over whole flights",
+                        f"{exact(gap.low)} to {exact(gap.high)} m/s" if known else "",
+                        "not comparable"
+                        if gap.low is None or gap.high is None or gap.low <= 0 <= gap.high
+                        else "reproduced"
+                        if gap.low > 0
+                        else "refuted",
+                        "the same pilots; most of a flight is away from the boundary, and the paper prints "
+                        "no "
+                        "number",
+                    ),
+                    ours,
+                    program,
+                )
+            )
+    new, old = (_first(runs, "wall", name) for name in ("from-40", "from-40-rule-10"))
+    if new is not None and old is not None:
+        (run, a, _), (other, b, _) = new, old
+        nearer = a.rest_m < b.rest_m
+        rows.append(
+            _from(
+                PaperRow(
+                    "IV-C, eq. 19",
+                    "scaled by the speed, the filter is less conservative near the boundary",
+                    "stated",
+                    f"stops {exact(a.rest_m)} m from the boundary with (19), {exact(b.rest_m)} m with (10); "
+                    f"minimum {exact(a.least_m)} and {exact(b.least_m)} m",
+                    _ONE,
+                    "reproduced" if nearer else "not comparable",
+                    "the same β for both; the paper scales so that a larger β may be used",
+                ),
+                run,
+                other,
             )
         )
     return rows

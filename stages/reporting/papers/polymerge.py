@@ -25,7 +25,7 @@ class Polytopes:
     """A map of convex polytopes: number of hulls and half-planes, sizes, and volume.
 
     `measure` is None where only the manifest's `conservativeness` is known; `onboard_bytes` is None where the
-    map has no form for a microcontroller.
+    map has no form for a microcontroller; `file` is the map's name.
     """
 
     hulls: int
@@ -34,6 +34,7 @@ class Polytopes:
     file_bytes: int | None = None
     measure: Measure | None = None
     onboard_bytes: int | None = None
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,7 +88,7 @@ def test_a_published_saving_below_our_interval_is_refuted_only_if_we_save_less()
 
     assert verdict(0.10, 0.08, 0.12).verdict == "refuted"
     assert verdict(0.30, 0.28, 0.33).verdict == "reproduced"
-    assert verdict(0.60, 0.58, 0.62).verdict == "bounded"
+    assert verdict(0.60, 0.58, 0.62).verdict == "better"
     assert verdict(0.10, 0.08, 0.12).interval == "8 to 12 %"
 
 
