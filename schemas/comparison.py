@@ -16,6 +16,8 @@ from alula.schemas.manifest import Producer
 
 COMPARISON_SCHEMA = "alula/comparison"
 COMPARISON_VERSION = "1.0"
+PAPERS_SCHEMA = "alula/papers"
+PAPERS_VERSION = "1.0"
 Verdict = Literal["better", "reproduced", "bounded", "refuted", "not comparable", "not available here"]
 VERDICTS: tuple[Verdict, ...] = (
     *("better", "reproduced", "bounded", "refuted"),
@@ -80,11 +82,13 @@ class ComparedFigure(msgspec.Struct, frozen=True, kw_only=True):
         name: of the SVG file beside the record.
         title: heading.
         description: what it shows, in words.
+        setting: of the flights that it shows.
     """
 
     name: str
     title: str
     description: str
+    setting: Literal["full", "quick"]
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -111,8 +115,76 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     figures: list[ComparedFigure]
 
 
-def write_comparison_record(record: Comparison) -> str:
-    """Write a record as JSON text."""
+class JudgedClaim(msgspec.Struct, frozen=True, kw_only=True):
+    """A claim of a paper with its verdict.
+
+    Attributes:
+        name: short, unique in its paper.
+        where: table, figure or section that makes it.
+        says: the claim in plain words.
+        printed: its values as printed; empty where it has none.
+        kind: what makes it.
+        verdict: the least favourable of the rows that have a measurement, or else that of the others.
+        shows: of a figure, what the paper's figure shows.
+        rows: in the order of the paper.
+        figures: ours.
+    """
+
+    name: str
+    where: str
+    says: str
+    printed: str
+    kind: Literal["number", "table", "figure", "theorem", "statement", "setting"]
+    verdict: Verdict
+    shows: str
+    rows: list[ComparedValue]
+    figures: list[ComparedFigure]
+
+
+class JudgedPaper(msgspec.Struct, frozen=True, kw_only=True):
+    """A paper with all its claims.
+
+    Attributes:
+        name: of its folder in `examples`.
+        title: as printed.
+        source: where it is found.
+        says: its claim in one plain sentence.
+        page: the detailed page in `docs/results`.
+        counts: number of claims by verdict.
+        claims: in the paper's order.
+        made: commands that wrote the records.
+        machine: on which they were written, in words.
+    """
+
+    name: str
+    title: str
+    source: str
+    says: str
+    page: str
+    counts: dict[str, int]
+    claims: list[JudgedClaim]
+    made: list[str]
+    machine: str
+
+
+class Papers(msgspec.Struct, frozen=True, kw_only=True):
+    """All papers on one page, as data.
+
+    Attributes:
+        producer: the program that wrote it.
+        counts: number of claims by verdict, of all papers.
+        papers: in reading order.
+    """
+
+    schema: str
+    version: str
+    producer: Producer
+    counts: dict[str, int]
+    papers: list[JudgedPaper]
+
+
+def write_comparison_record(record: Comparison | Papers) -> str:
+    """Write a record, or the page of all papers, as JSON text."""
     return msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n"
 
 

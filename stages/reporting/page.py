@@ -163,7 +163,7 @@ def _hero(found: Brief, picture: Figure | None) -> str:
         said.append(_numbers(found.subjects[0]))
     still = ""
     if picture is not None:
-        still = f"<figure>{_svg(picture)}<figcaption>{escape(picture.alt)}</figcaption></figure>"
+        still = f"<figure>{inline_svg(picture)}<figcaption>{escape(picture.alt)}</figcaption></figure>"
     alone = "" if still else " alone"
     return f'<section class="hero{alone}"><div class="say">{"".join(said)}</div>{still}</section>'
 
@@ -315,7 +315,7 @@ def _figure(figure: Figure, *, name: str = "") -> str:
     kind = f' class="{names}"' if names else ""
     return (
         f'<figure id="{escape(figure.name)}"{kind}><h3>{escape(figure.title)}</h3>'
-        f"{_svg(figure)}<figcaption>{escape(figure.alt)}</figcaption></figure>"
+        f"{inline_svg(figure)}<figcaption>{escape(figure.alt)}</figcaption></figure>"
     )
 
 
@@ -325,7 +325,7 @@ _STYLE_SHEET = re.compile(r"<style[^>]*>.*?</style>", re.DOTALL)
 _ABOUT = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
 
 
-def _svg(figure: Figure) -> str:
+def inline_svg(figure: Figure) -> str:
     """An SVG as part of the page: in the page's colours, as wide as its place, with ids of its own."""
     whole = figure.svg[figure.svg.index("<svg") :]
     whole = _ABOUT.sub("", _STYLE_SHEET.sub("", whole, count=1), count=1)

@@ -9,13 +9,14 @@ import numpy as np
 
 from alula import _core
 from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.palette import AXIS, BLACK, BLUE, GREEN, ORANGE, VERMILLION
 from alula.stages.reporting.papers.dracbf import BASE, METHODS, Flown, find, select, success
 from alula.stages.reporting.papers.dracbf_analysis import collapse_cells, risk_bins, stop
 from alula.stages.reporting.papers.dracbf_difficulty import AXES, COMPARED, PUBLISHED, levels
 from alula.stages.reporting.statistics import Rate
 from alula.stages.reporting.table import text
 
-OURS, OTHER, BAD, SOFT = "#0072b2", "#e69f00", "#d7301f", "#8a9099"
+OURS, OTHER, BAD, SOFT = BLUE, ORANGE, VERMILLION, AXIS
 _LOWEST_RISK = 1e-4  # start of the axis
 
 
@@ -65,7 +66,7 @@ def difficulty_figure(flown: Sequence[Flown], axis: str) -> Figure | None:
     words = []
     with drawing(5.6, 4.2) as (axes, render):
         axes.axhspan(*PUBLISHED, color=SOFT, alpha=0.3, linewidth=0, label="published, scenario 2")
-        for method, color in zip(COMPARED, (OURS, OTHER, "#009e73", BAD), strict=True):
+        for method, color in zip(COMPARED, (OURS, OTHER, GREEN, BAD), strict=True):
             here = [(level.value, success(level.runs[method])) for level in at if method in level.runs]
             rates = [found for _, found in here]
             values = [found.value or 0.0 for found in rates]
@@ -121,7 +122,7 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
     speeds = (2.0, _core.recursive_speed(a_max, horizon_s), 5.0, 8.0)
     values = []
     with drawing(5.6, 4.2) as (axes, render):
-        for speed, color in zip(speeds, (OURS, "#009e73", OTHER, BAD), strict=True):
+        for speed, color in zip(speeds, (OURS, GREEN, OTHER, BAD), strict=True):
             flown = stop(speed, horizon_s, a_max)
             shown = slice(None, None, max(1, len(flown.time_s) // 300))
             label = f"{speed:.3g} m/s: {100 * flown.undershoot_m:.3g} cm"
@@ -129,7 +130,7 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
             axes.plot(flown.time_s[shown] / horizon_s, scaled, color=color, label=label)
             values.append(f"from {speed:.3g} m/s by {flown.undershoot_m:.3g} m")
         t = np.linspace(0, 3 * math.pi / 4, 100)
-        axes.plot(t, np.exp(-t) * np.cos(t), ":", color="#222222", linewidth=1.4, label="exp(-t/H) cos(t/H)")
+        axes.plot(t, np.exp(-t) * np.cos(t), ":", color=BLACK, linewidth=1.4, label="exp(-t/H) cos(t/H)")
         axes.axhline(0, color=SOFT, linewidth=1)
         axes.set(xlabel="t / H", ylabel="D / (v₀ H)")
         axes.legend(fontsize=9, title="from v₀, undershoot")

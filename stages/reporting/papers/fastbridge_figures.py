@@ -9,6 +9,17 @@ import numpy as np
 
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.palette import (
+    AXIS,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+)
 from alula.stages.reporting.papers.fastbridge import (
     BASELINE,
     OURS,
@@ -18,15 +29,15 @@ from alula.stages.reporting.statistics import mean_estimate
 from alula.stages.reporting.table import text
 
 COLORS = {
-    "ideal-di": "#8a9099",
-    "cone-di": "#009e73",
-    "cone-ecbf": "#0072b2",
-    "safer-splat": "#d55e00",
-    "safer-splat-gated": "#e69f00",
-    "cone-backup": "#cc79a7",
-    "safer-splat-tuned": "#8c3d00",
-    "safer-splat-gated-tuned": "#a67300",
-    "cone-ecbf-tuned": "#56b4e9",
+    "ideal-di": GREY,
+    "cone-di": GREEN,
+    "cone-ecbf": BLUE,
+    "safer-splat": VERMILLION,
+    "safer-splat-gated": ORANGE,
+    "cone-backup": PURPLE,
+    "safer-splat-tuned": BLACK,
+    "safer-splat-gated-tuned": GREY,
+    "cone-ecbf-tuned": SKY,
 }
 GAP = ("ideal-di", "cone-di", "cone-ecbf", "cone-backup")
 DRAWN = (
@@ -34,6 +45,7 @@ DRAWN = (
     *("cone-ecbf", "cone-ecbf-tuned", "cone-backup"),
 )
 PATHS = (BASELINE, "safer-splat-gated-tuned", OURS)
+_BY_SPEED = (SKY, BLUE, GREEN, ORANGE, VERMILLION)  # from slow to fast
 _SPEEDS = "peak speed of the reference [m/s]"
 
 
@@ -53,7 +65,7 @@ def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             gamma = [np.sort(run.values(lambda t: t.min_gamma)) for run in runs]
             bottom.plot(speeds, [np.median(g) for g in gamma], ".-", color=color, linewidth=1.6)
             bottom.plot(speeds, [g[0] for g in gamma], ".:", color=color, linewidth=1.2)
-        bottom.axhline(0, color="#d7301f", linewidth=1)
+        bottom.axhline(0, color=VERMILLION, linewidth=1)
         bottom.set_yscale("symlog", linthresh=0.1)
         top.set(ylabel="peak |e_a| [m/s²]")
         top.legend(fontsize=10)
@@ -84,7 +96,7 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             _line(axes[3], runs, lambda t: float(succeeded(t)), color, variant, (0.0, 1.0))
             values.append(f"{variant}: mean jerk {jerk}; top speed {reached}")
         speeds = speeds_of(sweeps, scene, (BASELINE, OURS))
-        axes[2].plot(speeds, speeds, color="#b8bec5", linewidth=1)
+        axes[2].plot(speeds, speeds, color=AXIS, linewidth=1)
         axes[1].set_yscale("log")
         axes[0].set(ylabel="mean jerk [m/s³]")
         axes[0].legend(fontsize=10)
@@ -107,8 +119,6 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
         scene: name of the scene.
         trial: index of the pair.
     """
-    from matplotlib import colormaps
-
     shown = tuple(v for v in PATHS if v == OURS or _by_speed(sweeps, scene, v))
     speeds = speeds_of(sweeps, scene, shown)
     drawn = 0
@@ -119,7 +129,7 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
                 flight = sweep.run.flights.get(trial) if sweep is not None else None
                 if flight is None:
                     continue
-                color = colormaps["viridis"](0.9 * number / max(1, len(speeds) - 1))
+                color = _BY_SPEED[number % len(_BY_SPEED)]
                 place.plot(
                     *flight.position_world[:, :2].T, color=color, linewidth=1.4, label=f"{speed:g} m/s"
                 )

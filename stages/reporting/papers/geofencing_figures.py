@@ -8,6 +8,17 @@ import numpy as np
 
 from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.palette import (
+    AXIS,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+)
 from alula.stages.reporting.papers.geofencing import (
     BASE,
     FREE,
@@ -24,8 +35,8 @@ from alula.stages.reporting.papers.pendulum import GAIN, REGULATION, Pendulum, S
 from alula.stages.reporting.papers.pendulum import PROGRAM as PROGRAM_RULE
 from alula.stages.reporting.table import text
 
-OURS, OTHER, GOOD, BAD, SOFT = "#0072b2", "#e69f00", "#009e73", "#d7301f", "#8a9099"
-_COLORS = (OURS, OTHER, GOOD, "#cc79a7", "#56b4e9", "#d55e00", "#222222", "#8c6bb1", SOFT)
+OURS, OTHER, GOOD, BAD, SOFT = BLUE, ORANGE, GREEN, VERMILLION, AXIS
+_COLORS = (OURS, OTHER, GOOD, PURPLE, SKY, VERMILLION, BLACK, GREY, SOFT)
 _RULES = {REGULATION: OURS, PROGRAM_RULE: OTHER}
 _LOWEST_CHATTER = 1e-6  # start of the axis
 _SHOWN_S = 4.0  # of a pendulum flight

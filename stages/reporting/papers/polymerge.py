@@ -9,13 +9,14 @@ from typing import Any
 
 from alula.stages.compression.measure import Measure
 from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.palette import AXIS, BLACK, BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
 from alula.stages.reporting.papers.published import POLYMERGE_SCENES, POLYMERGE_SIZES
 from alula.stages.reporting.table import Table, text
 from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE
 
 _METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "surface + CoACD"}
-_COLORS = {"default": "#0072b2", "paper": "#e69f00", "coacd": "#8a9099"}
-_SCENE_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#222222")
+_COLORS = {"default": BLUE, "paper": ORANGE, "coacd": AXIS}
+_SCENE_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE, BLACK)
 _MB = 1e6
 _HIGHEST_BAR = 4.0  # higher bars are cut off, so that the others can be compared
 
@@ -168,7 +169,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
                     hatched: dict[str, Any] = {
                         "fill": False,
                         "hatch": "////",
-                        "edgecolor": "#33404d",
+                        "edgecolor": INK,
                         "lw": 0,
                     }
                     axes.bar(at, found.measure.filled, 0.92 * width, **hatched)
@@ -182,7 +183,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
                     va="bottom",
                     fontsize=9,
                 )
-        axes.axhline(1, color="#33404d", linewidth=1)
+        axes.axhline(1, color=INK, linewidth=1)
         names = [f"{scene.name}\n{scene.same_count['default'].hulls} hulls" for scene in scenes]
         axes.set_xticks(range(len(scenes)), names)
         axes.tick_params(axis="x", length=0)
@@ -190,7 +191,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         axes.set(ylabel="volume / volume of voxels", xlim=(-0.6, len(scenes) - 0.4))
         axes.set_ylim(0, 1.12 * top)
         keys = [Patch(facecolor=_COLORS[m], alpha=0.55, label=_METHODS[m]) for m in methods]
-        keys.append(Patch(fill=False, hatch="////", edgecolor="#33404d", lw=0, label="inside voxels"))
+        keys.append(Patch(fill=False, hatch="////", edgecolor=INK, lw=0, label="inside voxels"))
         axes.figure.legend(handles=keys, loc="outside upper center", ncols=len(keys), fontsize=10)
         image, svg = _png(axes), render()
     values = "; ".join(
@@ -230,14 +231,14 @@ def curve_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         axes.set_yticks(rungs, [text(t) for t in rungs])
         axes.set_ylim(min(0.97, bottom), top)
         axes.minorticks_off()
-        axes.axhline(1, color="#33404d", linewidth=1)
+        axes.axhline(1, color=INK, linewidth=1)
         keys = [
             Line2D([], [], color=c, linewidth=1.6, label=s.name)
             for s, c in zip(scenes, _SCENE_COLORS * len(scenes), strict=False)
         ]
         keys += [
-            Line2D([], [], color="#33404d", linewidth=1.6, label="ours"),
-            Line2D([], [], color="#33404d", linewidth=1.6, linestyle=(0, (4, 2)), label="paper's rule"),
+            Line2D([], [], color=INK, linewidth=1.6, label="ours"),
+            Line2D([], [], color=INK, linewidth=1.6, linestyle=(0, (4, 2)), label="paper's rule"),
         ]
         axes.legend(handles=keys, loc="upper right", fontsize=10)
         image, svg = _png(axes), render()

@@ -106,5 +106,8 @@ def comparison_record(
         command=made.whole,
         setting=made.setting,
         rows=values,
-        figures=[ComparedFigure(name=f.name, title=f.title, description=f.alt) for f in figures],
+        figures=[
+            ComparedFigure(name=f.name, title=f.title, description=f.alt, setting=made.setting)
+            for f in figures
+        ],
     )

@@ -4,7 +4,9 @@ import pytest
 
 from alula.stages.reporting.papers import dracbf_difficulty as difficulty
 from alula.stages.reporting.papers import dracbf_figures, dracbf_verdicts, dracbf_warning
+from alula.stages.reporting.papers.dracbf_claims import DRACBF_PAPER
 from alula.stages.reporting.papers.verdicts import verdict_table
+from support.claims import open_claims
 from support.encounter_runs import flown, met, row_of, trial
 
 
@@ -112,3 +114,34 @@ def test_the_closed_form_is_never_below_and_64_samples_are():
     assert len(ours) > 8
     assert ours.min() > -0.005
     assert few.min() < -0.02
+
+
+def late(trigger, good, **parameters):
+    """A run in which commands act late, with one of the triggers."""
+    condition = {
+        "estimation__sensor__delay_s": 0.0,
+        "vehicle__actuation_delay_s": 0.3,
+        "estimation__sensor__noise_scale": 2.0,
+        "estimation__sensor__rate_hz": 20.0,
+        "estimation__sensor__detection_probability": 0.95,
+        "safety__dr_acbf__trigger": trigger,
+    }
+    return of_rate("collapse", f"{trigger}_0_0.3", good, **condition, **parameters)
+
+
+def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
+    others = ("mpc", "cbf-qp", "rp-cbf", "dr-acbf-gs", "dr-acbf-qp", "eq-19", "eq-24", "safe-imm-on")
+    changed = ("h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
+    triggers = ("trigger-simple-rows-late", "trigger-simple-long", "all-as-printed")
+    runs = [
+        *(of_rate("scenario-1", name, 20) for name in ("dr-acbf", *others, "all-as-printed")),
+        *(of_rate("scenario-2", name, 20) for name in ("dr-acbf", *others, *changed, *triggers)),
+        *(of_rate(name, "as-printed", 20) for name in ("thrown", "moving", "both")),
+        *SWEPT[2:4],
+        late("cvar", 20),
+        late("simple", 2, safety__dr_acbf__rows_before_warning=False),
+    ]
+    rows = dracbf_verdicts.verdict_rows(runs, {})
+    assert open_claims(DRACBF_PAPER, rows) == set()
+    mean = next(row for row in rows if row.quantity == "v_cl, DR-ACBF, mean")
+    assert (mean.published, mean.flights, mean.runs) == ("10.7 m/s", 20, ("scenario-1/dr-acbf.run.mcap",))

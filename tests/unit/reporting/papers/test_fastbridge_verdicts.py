@@ -3,8 +3,10 @@
 import pytest
 
 from alula.stages.reporting.papers.backup_feasibility import feasibility_table
+from alula.stages.reporting.papers.fastbridge_claims import FASTBRIDGE_PAPER
 from alula.stages.reporting.papers.fastbridge_verdicts import verdict_rows
 from alula.stages.reporting.papers.verdicts import verdict_table
+from support.claims import open_claims
 from support.sweeps import sweep, trial
 
 
@@ -87,3 +89,27 @@ def test_an_error_that_grows_is_not_near_zero_at_every_speed(feasibility):
     assert one(rows_of([at(1.1, 0.2), at(5.1, 0.2)], feasibility), "peak |e_a| of cone-ecbf").verdict == (
         "reproduced"
     )
+
+
+FLOWN = (
+    *(
+        "ideal-di",
+        "cone-di",
+        "cone-ecbf",
+        "cone-backup",
+        "ecbf-gate-3m",
+        "safer-splat",
+        "safer-splat-gated-3m",
+    ),
+    *("printed-ecbf-14-clf", "printed-ecbf-4", "printed-backup", "printed-backup-split"),
+)
+
+
+def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim(feasibility):
+    runs = [sweep(name, speed, [trial(i) for i in range(3)]) for name in FLOWN for speed in (1.1, 5.1)]
+    rows = verdict_rows(runs, "room", feasibility)
+    assert open_claims(FASTBRIDGE_PAPER, rows) == set()
+    gap = next(row for row in rows if row.quantity.startswith("peak |e_a| of cone-di"))
+    assert gap.runs == ("room/cone-di@1.1.run.mcap", "room/cone-di@5.1.run.mcap")
+    assert gap.flights == 6
+    assert [n.value for n in gap.numbers if n.cell == "ours"] == [1.0, 1.0]  # the mean of 0.5, 1 and 1.5

@@ -9,10 +9,12 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
 from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
+from alula.stages.reporting.papers.geofencing_claims import GEOFENCING_PAPER
 from alula.stages.reporting.papers.geofencing_verdicts import paper_rows
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
 from alula.stages.reporting.papers.verdicts import VERDICTS, PaperRow, verdict_table
 from alula.stages.verdict import wilson_interval
+from support.claims import open_claims
 
 
 def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):
@@ -338,3 +340,22 @@ def test_the_table_has_the_columns_of_the_other_papers_and_refuses_unknown_verdi
     with pytest.raises(InputError, match="a verdict is one of"):
         PaperRow("a", "b", "c", "d", "", "confirmed", "")
     assert np.array(table.rows, dtype=object).shape[1] == 7
+
+
+def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
+    runs = [
+        *(
+            flown("wall", name, [trial(0, 0.3, speed=30.0)], braking())
+            for name in ("from-40", "from-40-rule-10")
+        ),
+        *(flown("fall", name, [trial(0, 0.3)], braking()) for name in ("fall", "drag", "gentle")),
+        flown("engaged", "geofence", [trial(k, 0.3) for k in range(4)]),
+        flown("box", "silent", [trial(k, 0.4) for k in range(3)]),
+        flown("filters", "geofence", [trial(k) for k in range(3)]),
+        flown("filters", "backup-qp", [trial(k) for k in range(3)], name="backup-qp"),
+    ]
+    rows = paper_rows(runs, sweep({REGULATION: (5.0,), PROGRAM: (50.0,)}, (0.01,)), MEASURED, 332.3)
+    assert open_claims(GEOFENCING_PAPER, rows) == set()
+    (fall,) = (row for row in rows if row.quantity == "vertical speed, flight")
+    assert fall.runs == ("fall/fall.run.mcap", "fall/gentle.run.mcap", "fall/drag.run.mcap")
+    assert fall.flights == 3

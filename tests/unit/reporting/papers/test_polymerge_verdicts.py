@@ -6,6 +6,7 @@ import json
 import pytest
 
 from alula.schemas.errors import InputError
+from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
 from alula.stages.reporting.papers.polymerge_flights import (
     COACD,
     OURS,
@@ -20,6 +21,8 @@ from alula.stages.reporting.papers.polymerge_flights import (
 from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
 from alula.stages.reporting.papers.verdicts import VERDICTS, verdict_table
 from alula.stages.reporting.table import HIGH, LOW
+from support.claims import open_claims
+from support.polymerge_maps import OURS as OURS_MAP
 from support.polymerge_maps import ROOM, TREE
 
 
@@ -162,3 +165,22 @@ def test_a_cover_that_leaves_voxels_out_refutes_the_theorem():
     assert row.verdict == "refuted"
     (row,) = (r for r in rows_of(item="Figure 4a") if "occupied voxels inside" in r.quantity)
     assert row.verdict == "reproduced"
+
+
+def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
+    table = [flights(hulls=n) for n in (10, 30, 50, 100, 150)]
+    rows = rows_of([flights(), flights(COACD), flights(SAFER, us=500.0)], table, hz=628.0)
+    # No map of the room has 100 to 150 hulls of a known size.
+    assert open_claims(POLYMERGE_PAPER, rows) == {"flash"}
+    (pair,) = (row for row in rows if row.item == "Figure 5a")
+    assert (pair.runs, pair.flights) == (("room.figure-5.json",), 20)
+
+
+def test_a_smaller_map_is_better_and_a_larger_one_refutes():
+    (size,) = (row for row in rows_of() if row.quantity == "bytes per half-plane")
+    assert (size.ours, size.verdict) == ("4", "better")
+    large = dataclasses.replace(
+        ROOM, same_count={"default": dataclasses.replace(OURS_MAP, onboard_bytes=10**6)}
+    )
+    (size,) = (row for row in rows_of(scenes=[large]) if row.quantity == "bytes per half-plane")
+    assert size.verdict == "refuted"
