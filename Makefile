@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -133,6 +133,9 @@ bench-installation: wheel ## the same with every extra, some minutes, into docs/
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge
+
+papers: setup ## every table, figure and number of the four papers beside ours, on one page: hours, minutes with QUICK=1; SCHEDULER=tcp://host:port flies elsewhere
+	@$(MAKE) --no-print-directory -C examples/papers
 
 bench: setup ## time the stages, and covers against those of other tools, side by side
 	$(BIN)/python -P benchmarks/pipeline.py
