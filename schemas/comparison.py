@@ -128,6 +128,7 @@ class JudgedClaim(msgspec.Struct, frozen=True, kw_only=True):
         shows: of a figure, what the paper's figure shows.
         rows: in the order of the paper.
         figures: ours.
+        see: the claim that already has our figure of this one; empty without.
     """
 
     name: str
@@ -139,6 +140,7 @@ class JudgedClaim(msgspec.Struct, frozen=True, kw_only=True):
     shows: str
     rows: list[ComparedValue]
     figures: list[ComparedFigure]
+    see: str
 
 
 class JudgedPaper(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,9 +2,10 @@
 
 Usage: python papers.py [--markdown FILE] [--head TEXT] [--links FOLDER] OUTPUT RECORD [RECORD ...]
 
-A record is EXAMPLE.record.json of a compare.py, its figures beside it. Of several records of one paper the first
-counts; later ones fill the claims that it leaves open. OUTPUT.html, OUTPUT.md and OUTPUT.json are written; FILE
-gets the Markdown page, with TEXT below its title, and its data beside it. FOLDER has the detailed pages, as seen from OUTPUT.html.
+A record is EXAMPLE.record.json of a compare.py, its figures beside it. Of several records of one paper the
+first counts; later ones fill the claims that it leaves open. OUTPUT.html, OUTPUT.md and OUTPUT.json are
+written; FILE gets the Markdown page, with TEXT below its title, and its data beside it. FOLDER has the
+detailed pages, as seen from OUTPUT.html.
 """
 
 import argparse

@@ -24,6 +24,7 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.papers import polymerge
 from alula.stages.reporting.papers.polymerge import Polytopes, SceneMaps
 from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
+from alula.stages.reporting.papers.polymerge_figures import flights_figure
 from alula.stages.reporting.papers.polymerge_flights import Flights, figure_5_table, from_record, table_2
 from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
 from alula.stages.reporting.papers.verdicts import verdict_table
@@ -116,6 +117,8 @@ triangles, then CoACD with threshold 0.05 and without its own remesh, which fill
 CoACD finds, or 300 where it finds none in that time."""
 figure_5, second = flights_of("figure-5"), flights_of("table-2")
 figures = [polymerge.volumes_figure(scenes), polymerge.curve_figure(scenes)]
+shown = [drawn.figure for drawn in figures]
+shown += [drawn] if (drawn := flights_figure(figure_5)) is not None else []
 verdicts = verdict_rows(scenes, figure_5, second, onboard_rate())
 tables = [
     verdict_table(verdicts),
@@ -135,9 +138,9 @@ write_comparison(
     [(path.name, path) for path in files],
     polymerge.in_short(scenes),
     tables,
-    [drawn.figure for drawn in figures],
+    shown,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
     head=HEAD,
 )
-write_record(folder / "polymerge", POLYMERGE_PAPER, verdicts, [drawn.figure for drawn in figures], options)
+write_record(folder / "polymerge", POLYMERGE_PAPER, verdicts, shown, options)

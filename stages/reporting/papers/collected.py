@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from alula.schemas.comparison import (
     PAPERS_SCHEMA,
@@ -28,8 +28,8 @@ PAPERS = (POLYMERGE_PAPER, FASTBRIDGE_PAPER, DRACBF_PAPER, GEOFENCING_PAPER)
 def collect(records: Sequence[Comparison], producer: Producer) -> Papers:
     """Put the records together: every claim of every paper, with its rows, its verdict and our figures.
 
-    Of several records of a paper the first counts; rows of later ones fill the claims that it leaves open, and
-    the cells of tables. A claim that no record judges says so in a row of its own.
+    Of several records of a paper the first counts; rows of later ones fill the claims and the cells of tables
+    that it leaves open. A claim that no record judges says so in a row of its own.
 
     Args:
         records: of any papers, in any order; a paper without a record has all its claims open.
@@ -63,7 +63,7 @@ def _collected(paper: Paper, records: Sequence[Comparison]) -> JudgedPaper:
                 rows[row.claim].append(row)
     for claim in paper.claims:
         rows[claim.name] = rows[claim.name] or [_open(claim, paper)]
-    figures = _figures(paper, records)
+    figures, see = _figures(paper, records)
     verdicts = {name: [row.verdict for row in known] for name, known in rows.items()}
     return JudgedPaper(
         name=paper.name,
@@ -83,6 +83,7 @@ def _collected(paper: Paper, records: Sequence[Comparison]) -> JudgedPaper:
                 shows=claim.shows,
                 rows=rows[claim.name],
                 figures=figures.get(claim.name, []),
+                see=see.get(claim.name, ""),
             )
             for claim in paper.claims
         ],
@@ -109,14 +110,20 @@ def _open(claim: Claim, paper: Paper) -> ComparedValue:
     )
 
 
-def _figures(paper: Paper, records: Sequence[Comparison]) -> Mapping[str, list[ComparedFigure]]:
-    """Our figures by claim: each belongs to the claim that names the longest beginning of its name."""
+def _figures(
+    paper: Paper, records: Sequence[Comparison]
+) -> tuple[dict[str, list[ComparedFigure]], dict[str, str]]:
+    """Our figures by claim, and by claim the other one that already has its figure.
+
+    A figure belongs to the first of the claims that name the longest beginning of its name.
+    """
     found: dict[str, list[ComparedFigure]] = {}
-    if not records:
-        return found
+    see: dict[str, str] = {}
     shown = next((record.figures for record in records if record.figures), [])
     for figure in shown:
         fits = [(len(s), c.name) for c in paper.claims for s in c.figures if figure.name.startswith(s)]
-        if fits:
-            found.setdefault(max(fits)[1], []).append(figure)
-    return found
+        named = [name for length, name in fits if length == max(fits)[0]]
+        if named:
+            found.setdefault(named[0], []).append(figure)
+            see |= dict.fromkeys(named[1:], named[0])
+    return found, see

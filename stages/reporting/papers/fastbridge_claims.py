@@ -85,7 +85,6 @@ FASTBRIDGE_PAPER = Paper(
             "",
             ("III-E | ",),
             "statement",
-            pytest_of("tests/unit/filtering/test_cone_backup.py"),
         ),
         Claim(
             "caps",
@@ -155,6 +154,7 @@ FASTBRIDGE_PAPER = Paper(
             ("Figure 2, right | ",),
             "figure",
             shows="Minimum γ over the speed of the reference, for two filters.",
+            figures=("figure-2-",),
         ),
         Claim(
             "figure-3-paths",

@@ -71,6 +71,7 @@ GEOFENCING_PAPER = Paper(
             ("Figure 3 | ",),
             "figure",
             shows="A sketch: pilot's command, backup command and their blend on the way to a wall.",
+            figures=("wall",),
         ),
         Claim(
             "order-of-magnitude",
@@ -215,6 +216,7 @@ GEOFENCING_PAPER = Paper(
             ("Figure 7a, test 1 | distance at which",),
             "figure",
             shows="Distance, speed, pitch, λ and tracking of the rates in flight over time.",
+            figures=("wall",),
         ),
         Claim(
             "flown-minimum",
@@ -256,6 +258,7 @@ GEOFENCING_PAPER = Paper(
             ("Figure 7b, test 2 | vertical speed",),
             "figure",
             shows="Height, speed, the pilot's throttle and the filter's in flight over time.",
+            figures=("fall",),
         ),
         Claim(
             "flown-stop",

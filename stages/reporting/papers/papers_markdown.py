@@ -54,6 +54,8 @@ def _paper(paper: JudgedPaper) -> str:
         + (
             f"Ours: {'; '.join(markdown_cell(f.title) for f in claim.figures)}."
             if claim.figures
+            else f"Ours: as for {claim.see}."
+            if claim.see
             else "Ours: the values above."
         )
         for claim in paper.claims

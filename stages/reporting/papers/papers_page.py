@@ -130,13 +130,15 @@ def _choice(counts: Mapping[str, int]) -> str:
 def _paper(paper: JudgedPaper, drawings: Mapping[tuple[str, str], str], folder: str) -> str:
     drawn = [claim for claim in paper.claims if claim.shows]
     made = "".join(f"<p>Made by <code>{escape(command)}</code></p>" for command in paper.made)
+    copied = any(row.copied_from for claim in paper.claims for row in claim.rows)
+    digits = f"<p>Rows from {escape(paper.page)} have the digits printed there.</p>" if copied else ""
     where = f" on {escape(paper.machine)}" if paper.machine else ""
     return (
         f'<section id="{paper.name}"><h2>{escape(paper.title)}</h2>'
         f'<p class="soft">{escape(paper.source)}</p><p>{escape(paper.says)}</p>'
         f"<p>{escape(sentence(paper.counts))} Everything else that was measured: "
         f'<a href="{escape(folder)}/{escape(paper.page)}">{escape(paper.page)}</a>.</p>'
-        f'<div class="made soft">{made}{f"<p>{where.strip()}</p>" if where and made else ""}</div>'
+        f'<div class="made soft">{made}{f"<p>{where.strip()}</p>" if where and made else ""}{digits}</div>'
         f"<h3>Claims</h3>{_claims(paper)}"
         f'<h3>Figures: theirs in words, ours beside them</h3><div class="drawn">'
         f"{''.join(_beside(paper, claim, drawings) for claim in drawn)}</div></section>"
@@ -178,7 +180,7 @@ def _chip(verdict: str) -> str:
 def _row(row: ComparedValue) -> str:
     notes = ["no flights" if row.flights is None else _flights(row)]
     if row.copied_from:
-        notes.append(f"copied from {row.copied_from}, with the digits printed there")
+        notes.append(f"from {row.copied_from}")
     why = f" {_CODE.sub(_as_code, escape(row.why))}" if row.why else ""
     return (
         f'<tr class="value"><td data-label="what">{escape(row.quantity)}</td>'
@@ -230,13 +232,16 @@ def _beside(paper: JudgedPaper, claim: JudgedClaim, drawings: Mapping[tuple[str,
                 f'<figure id="{escape(own.name)}"><h3>{escape(own.title)}</h3>'
                 f"{inline_svg(own)}<figcaption>{escape(own.alt)}</figcaption></figure>"
             )
-    ours = "".join(shown) or (
-        "<p>Ours: no figure on this page. "
-        f'<a href="#{escape(paper.name)}-{escape(claim.name)}">The claim</a> has the values and the reason.'
-        "</p>"
+    ours = "".join(shown)
+    if not ours and claim.see:
+        ours = f'<p>Ours: <a href="#{escape(paper.name)}-{escape(claim.see)}-drawn">the figure above</a>.</p>'
+    ours = ours or (
+        f'<p>Ours: no figure. <a href="#{escape(paper.name)}-{escape(claim.name)}">The claim</a> has the '
+        "values and the reason.</p>"
     )
+    place = f"{paper.name}-{claim.name}-drawn"
     return (
-        f'<div class="panel beside apart"><div><h3>{escape(claim.where)}</h3>'
+        f'<div class="panel beside apart" id="{escape(place)}"><div><h3>{escape(claim.where)}</h3>'
         f"<p><b>In the paper:</b> {escape(claim.shows)}</p><p>It claims: {escape(claim.says)}.</p>"
         f"<p>{_chip(claim.verdict)}</p></div><div>{ours}</div></div>"
     )

@@ -300,6 +300,7 @@ POLYMERGE_PAPER = Paper(
             ("Figure 5a | ",),
             "figure",
             shows="Bars: mean time of a simulation on a GPU, three methods in nine scenes.",
+            figures=("figure-5",),
         ),
         Claim(
             "figure-5b",
@@ -309,6 +310,7 @@ POLYMERGE_PAPER = Paper(
             ("Figure 5b | ",),
             "figure",
             shows="Bars: fraction of 100 pairs that reach the goal, three methods in nine scenes.",
+            figures=("figure-5",),
         ),
         Claim(
             "figure-5c",
@@ -318,6 +320,7 @@ POLYMERGE_PAPER = Paper(
             ("Figure 5c | ",),
             "figure",
             shows="Bars: length of the paths over those of PolyMerge, where all methods succeed.",
+            figures=("figure-5",),
         ),
         *_table_2(),
         Claim(

@@ -149,6 +149,9 @@ def test_our_figures_stand_beside_theirs_in_words_and_in_the_colours_of_the_page
         "figure-3-paths": ["figure-3-paths-room"],
         "mean-jerk": ["figure-3-room"],
     }
+    right = next(c for c in papers.papers[1].claims if c.name == "figure-2-right")
+    assert right.see == "figure-2-left"  # one figure has both
+    assert '<a href="#fastbridge-figure-2-left-drawn">the figure above</a>' in html
     assert html.count("stroke: var(--c0072b2)") == 3
     assert "Our figure-2-room (quick setting)" in html
     assert 'id="fastbridge-figure-2-room-line"' in html

@@ -7,6 +7,7 @@ import pytest
 
 from alula.schemas.errors import InputError
 from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
+from alula.stages.reporting.papers.polymerge_figures import flights_figure
 from alula.stages.reporting.papers.polymerge_flights import (
     COACD,
     OURS,
@@ -184,3 +185,10 @@ def test_a_smaller_map_is_better_and_a_larger_one_refutes():
     )
     (size,) = (row for row in rows_of(scenes=[large]) if row.quantity == "bytes per half-plane")
     assert size.verdict == "refuted"
+
+
+def test_figure_5_draws_every_method_with_its_numbers_in_words():
+    figure = flights_figure([flights(), flights(SAFER, good=5, us=500.0, path=3.0)])
+    assert f"room, {SAFER}: 500 µs, 50 % (" in figure.alt
+    assert "path over ours" in figure.svg
+    assert flights_figure([]) is None
