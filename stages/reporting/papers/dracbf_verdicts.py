@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from alula import _core
+from alula.schemas.comparison import VERDICTS
 from alula.schemas.run import ObstacleResult
 from alula.stages.reporting.papers.dracbf import (
     BASE,
@@ -27,9 +28,10 @@ from alula.stages.reporting.papers.dracbf import (
 )
 from alula.stages.reporting.papers.dracbf_analysis import collapse_cells, has_collapsed, stop
 from alula.stages.reporting.papers.dracbf_difficulty import PUBLISHED, crossing, levels, mean_success, paired
+from alula.stages.reporting.papers.dracbf_flown import flown_settings
 from alula.stages.reporting.papers.published import DRACBF_PRINTED
 from alula.stages.reporting.papers.settings import settings_rows
-from alula.stages.reporting.papers.verdicts import VERDICTS, PaperRow, exact
+from alula.stages.reporting.papers.verdicts import PaperRow, exact
 from alula.stages.reporting.statistics import Rate, mean_estimate, mean_of
 from alula.stages.reporting.table import HIGH, LOW, Table, text
 
@@ -62,6 +64,7 @@ def verdict_rows(flown: Sequence[Flown], times: Times) -> list[PaperRow]:
     """
     return [
         *settings_rows("dr-acbf"),
+        *flown_settings(flown),
         *_claims(flown, times),
         *_equations(flown),
         *_table_1(flown),

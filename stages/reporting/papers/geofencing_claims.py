@@ -242,6 +242,14 @@ GEOFENCING_PAPER = Paper(
             ("Figures 7a and 7c, test 1 | ",),
         ),
         Claim(
+            "away-again",
+            "IV-B, V-C",
+            "the pilot can fly away from the boundary again",
+            "",
+            ("IV-B, V-C | ",),
+            "statement",
+        ),
+        Claim(
             "figure-7c",
             "Figure 7c",
             "photographs of the flight",

@@ -504,6 +504,7 @@ def _repeated(runs: Sequence[Fenced]) -> list[PaperRow]:
         count = sum(result.interventions for result in run.results)
         zero = rate(result.backup_steps > 0 for result in run.results)
         longest = max(result.longest_backup_s for result in run.results)
+        again = sum(result.interventions > 1 for result in run.results)
         speed = KM_H * max(trial.max_speed_m_s for trial in run.record.trials)
         rows += [
             _from(
@@ -516,6 +517,18 @@ def _repeated(runs: Sequence[Fenced]) -> list[PaperRow]:
                     f"left: {_interval(run.left)}",
                     "refuted" if run.left.value else "reproduced",
                     "simulated",
+                ),
+                run,
+            ),
+            _from(
+                PaperRow(
+                    "IV-B, V-C",
+                    "the pilot can fly away from the boundary again",
+                    "yes",
+                    f"{again} of {len(run.results)} flights engage the fence again after they left it",
+                    "",
+                    "reproduced" if again else "refuted",
+                    "u_B moves away from the boundary, so the blend never stops the drone there for good",
                 ),
                 run,
             ),

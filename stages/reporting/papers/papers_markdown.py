@@ -76,8 +76,8 @@ def _paper(paper: JudgedPaper) -> str:
 
 
 def _row(where: str, says: str, row: ComparedValue, *, is_first: bool) -> str:
-    setting = "quick: " if row.setting == "quick" and row.flights is not None else ""
-    flights = "–" if row.flights is None else f"{setting}{row.flights:,}"
+    setting = "quick: " if row.setting == "quick" else ""
+    flights = f"{setting}{'–' if row.flights is None else format(row.flights, ',')}"
     cells = [
         *((where, says) if is_first else ("", "")),
         *(row.quantity, row.published, row.ours or "–", row.interval or "–", row.verdict, row.why or "–"),

@@ -178,7 +178,7 @@ def _chip(verdict: str) -> str:
 
 
 def _row(row: ComparedValue) -> str:
-    notes = ["no flights" if row.flights is None else _flights(row)]
+    notes = [_flights(row)]
     if row.copied_from:
         notes.append(f"from {row.copied_from}")
     why = f" {_CODE.sub(_as_code, escape(row.why))}" if row.why else ""
@@ -194,7 +194,8 @@ def _row(row: ComparedValue) -> str:
 
 def _flights(row: ComparedValue) -> str:
     few = " (quick setting)" if row.setting == "quick" else ""
-    return f"{row.flights:,} flight{'s' * (row.flights != 1)}{few}"
+    counted = "no flights" if row.flights is None else f"{row.flights:,} flight{'s' * (row.flights != 1)}"
+    return f"{counted}{few}"
 
 
 def _as_code(found: re.Match[str]) -> str:

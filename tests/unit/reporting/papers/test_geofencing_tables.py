@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from alula.schemas.comparison import VERDICTS
 from alula.schemas.errors import InputError
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.manifest import Guarantee
@@ -12,7 +13,7 @@ from alula.stages.reporting.papers import geofencing, geofencing_figures, pendul
 from alula.stages.reporting.papers.geofencing_claims import GEOFENCING_PAPER
 from alula.stages.reporting.papers.geofencing_verdicts import paper_rows
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
-from alula.stages.reporting.papers.verdicts import VERDICTS, PaperRow, verdict_table
+from alula.stages.reporting.papers.verdicts import PaperRow, verdict_table
 from alula.stages.verdict import wilson_interval
 from support.claims import open_claims
 

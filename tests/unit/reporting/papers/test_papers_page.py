@@ -204,6 +204,7 @@ def test_a_row_names_the_command_of_its_runs_of_its_test_or_of_the_whole_compari
         ".venv/bin/pytest tests/unit/filtering/test_equations_fastbridge.py -k realisation_gap",
         "make -C examples/fastbridge QUICK=1 out/quick/fastbridge.html",
     ]
+    assert [row.setting for row in made_of.rows] == ["quick", "full", "quick"]  # a test is the same in both
     one = flown.made_from(runs[:1], 2)
     assert command_of(one, claim_of(FASTBRIDGE_PAPER, one.item, one.quantity), made).endswith(
         "room/a@1.run.mcap"

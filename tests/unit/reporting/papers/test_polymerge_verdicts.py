@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from alula.schemas.comparison import VERDICTS
 from alula.schemas.errors import InputError
 from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
 from alula.stages.reporting.papers.polymerge_figures import flights_figure
@@ -20,7 +21,7 @@ from alula.stages.reporting.papers.polymerge_flights import (
     table_2,
 )
 from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
-from alula.stages.reporting.papers.verdicts import VERDICTS, verdict_table
+from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import HIGH, LOW
 from support.claims import open_claims
 from support.polymerge_maps import OURS as OURS_MAP
