@@ -160,6 +160,7 @@ def drawing(
         axes = figure.subplots(rows, columns, sharex=rows > 1, sharey=columns > 1, height_ratios=heights)
 
         def render() -> str:
+            _plain_ticks(figure)
             if paper is not None:
                 return ""
             out = io.StringIO()
@@ -167,6 +168,22 @@ def drawing(
             return out.getvalue()
 
         yield axes, render
+
+
+def _plain_ticks(figure: Any) -> None:
+    """Write the ticks of logarithmic axes as numbers: what is drawn is text, which is not parsed as TeX."""
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Plain(LogFormatterSciNotation):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return text(float(x)) if super().__call__(x, pos) else ""
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            for of, is_minor in ((axis.get_major_formatter(), False), (axis.get_minor_formatter(), True)):
+                if type(of) is LogFormatterSciNotation:
+                    plain = Plain(labelOnlyBase=of.labelOnlyBase, minor_thresholds=of.minor_thresholds)
+                    (axis.set_minor_formatter if is_minor else axis.set_major_formatter)(plain)
 
 
 def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

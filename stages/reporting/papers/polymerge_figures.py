@@ -41,7 +41,7 @@ def flights_figure(flown: Sequence[Flights]) -> Figure | None:
                     lengths.bar(at, ratio.value, 0.92 * width, color=color)
                 said.append(f"{scene}, {method}: {text(f.filter_us)} µs, {rate}")
         times.set(yscale="log", ylabel="filter [µs per step]")
-        times.legend(fontsize=9)
+        times.figure.legend(loc="outside upper center", ncols=len(methods), fontsize=9)
         rates.set(ylabel="success [%]", ylim=(0, 105))
         lengths.axhline(1, color=INK, linewidth=1)
         lengths.set(ylabel="path over ours")

@@ -192,4 +192,6 @@ def test_figure_5_draws_every_method_with_its_numbers_in_words():
     figure = flights_figure([flights(), flights(SAFER, good=5, us=500.0, path=3.0)])
     assert f"room, {SAFER}: 500 µs, 50 % (" in figure.alt
     assert "path over ours" in figure.svg
+    assert ">100</text>" in figure.svg  # a tick of a logarithmic axis
+    assert "mathdefault" not in figure.svg
     assert flights_figure([]) is None
