@@ -11,7 +11,7 @@ _COLUMNS = (
     (
         "file of the ellipsoids [MB]",
         "size of the ellipsoids of each scene [MB]",
-        [f"{p[1]:g}" for p in POLYMERGE_SIZES],
+        [f"{p[1]:.1f}" for p in POLYMERGE_SIZES],
     ),
     ("hulls, the same for both", "hulls of each scene", [f"{p[1]:,}" for p in POLYMERGE_SCENES]),
     (
@@ -22,7 +22,7 @@ _COLUMNS = (
     (
         "file, surface + CoACD [MB]",
         "size of SuGaR + CoACD of each scene [MB]",
-        [f"{p[3]:g}" for p in POLYMERGE_SIZES],
+        [f"{p[3]:.1f}" for p in POLYMERGE_SIZES],
     ),
     (
         "half-planes, ours",
@@ -32,7 +32,7 @@ _COLUMNS = (
     (
         "file, ours [MB]",
         "size of PolyMerge's hulls of each scene [MB]",
-        [f"{p[4]:g}" for p in POLYMERGE_SIZES],
+        [f"{p[4]:.1f}" for p in POLYMERGE_SIZES],
     ),
 )
 _ONBOARD = "make bench-onboard"
