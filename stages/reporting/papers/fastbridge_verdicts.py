@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from alula import _core
-from alula.schemas.run import TrialResult
 from alula.stages.reporting.papers.fastbridge import BASELINE, SAME_RADIUS, TUNED
+from alula.stages.reporting.papers.fastbridge_rows import (
+    above,
+    ends_of,
+    flights_span,
+    goals,
+    outcomes,
+    row_of,
+    runs_of,
+    share,
+    span,
+)
+from alula.stages.reporting.papers.fastbridge_theory import equations, propositions
 from alula.stages.reporting.papers.published import FASTBRIDGE
 from alula.stages.reporting.papers.settings import settings_rows
 from alula.stages.reporting.papers.sweeps import (
@@ -18,12 +28,10 @@ from alula.stages.reporting.papers.sweeps import (
     find,
     realisation_error,
     speeds_of,
-    succeeded,
 )
 from alula.stages.reporting.papers.verdicts import PaperRow, exact, lower_is_better
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import Table
-from alula.stages.verdict import wilson_interval
 
 PRINTED = ("printed-ecbf-14-clf", "safer-splat-gated-3m")  # the paper's program, with the CLF and our lambda
 CONES = ("cone-ecbf", "safer-splat-gated-cones")
@@ -52,8 +60,8 @@ def verdict_rows(sweeps: Sequence[Sweep], scene: str, feasibility: Table) -> lis
     here = [sweep for sweep in sweeps if sweep.scene == scene]
     return [
         *settings_rows("fastbridge"),
-        *_equations(),
-        *_propositions(feasibility),
+        *equations(),
+        *propositions(feasibility),
         *_gap(here),
         *_slow(here),
         *_comparison(here),
@@ -61,181 +69,6 @@ def verdict_rows(sweeps: Sequence[Sweep], scene: str, feasibility: Table) -> lis
         *_programs(here),
         *_hardware(here),
     ]
-
-
-def _row(
-    item: str,
-    quantity: str,
-    published: str,
-    ours: str,
-    verdict: str,
-    why: str,
-    interval: str = "",
-    *,
-    flown: Iterable[Sweep] = (),
-) -> PaperRow:
-    row = PaperRow(item, quantity, published, ours, interval, verdict, why)
-    sweeps = list(flown)
-    if not sweeps:
-        return row
-    files = [f"{s.scene}/{s.variant}@{s.speed_m_s:g}.run.mcap" for s in sweeps]
-    return row.made_from(files, sum(len(s.run.record.trials) for s in sweeps))
-
-
-def _equations() -> list[PaperRow]:
-    """Statements that a test checks, without a flight."""
-    return [
-        _row(
-            "III-B",
-            "thrust and torque reach the position at its fourth derivative",
-            "dynamic feedback linearization",
-            "the rows over thrust and torque are the derivatives of the flight that they cause",
-            "reproduced",
-            "checked against flights by finite differences",
-        ),
-        _row(
-            "III-C, eqs. 8 and 9",
-            "a ray meets an ellipsoid exactly when the cone says so",
-            "necessary and sufficient",
-            "agrees with the intersection of ray and ellipsoid",
-            "reproduced",
-            "a test with random ellipsoids and velocities",
-        ),
-        _row(
-            "III-D, eq. 15",
-            "the barrier has relative degree three; its row is affine in thrust and torque",
-            "derived",
-            "gradients and derivatives agree with complex steps and power series",
-            "reproduced",
-            "",
-        ),
-        _at_rest(),
-        _row(
-            "III-A",
-            "the reference is a septic polynomial, rest to rest",
-            "7th degree",
-            "the same; its peak speed is 2.1875 L/T",
-            "reproduced",
-            "",
-        ),
-        _row(
-            "III-E1",
-            "states whose backup flow stays safe and ends at rest are control invariant",
-            "derived",
-            "holds along the flow, to the error of its integration",
-            "bounded",
-            "between the nodes nothing is checked in the paper; ours certifies every tick by the whole flow",
-        ),
-        _row(
-            "III-E2, eq. 20",
-            "the sensitivity of the backup flow is integrated beside it",
-            "RK4",
-            "equals the derivative of the discrete flow",
-            "reproduced",
-            "",
-        ),
-        _row(
-            "VI-A, eq. 24",
-            "the torque of the policy brakes the horizontal motion",
-            "derived at σ = 0",
-            "equals an independent model of the policy",
-            "reproduced",
-            "",
-        ),
-    ]
-
-
-def _at_rest(ellipsoids: int = 100) -> PaperRow:
-    """Evaluate both barriers at rest beside random ellipsoids."""
-    rng = np.random.default_rng(0)
-    rest = (0.0, 0.0, 0.0)
-    cones = [
-        _core.collision_cone(
-            rng.uniform(2, 5, 3).tolist(),
-            np.diag(rng.uniform(1, 100, 3)),
-            rest,
-            rest,
-            acceleration=rest,
-            jerk=rest,
-        )
-        for _ in range(ellipsoids)
-    ]
-    vanish, stay = sum(c["h"] == 0 for c in cones), sum(c["gamma"] > 0 for c in cones)
-    return _row(
-        "III-E",
-        "at rest the barrier of the cone vanishes, the terminal barrier does not",
-        "h = 0 at v = 0",
-        f"h is 0 beside {vanish} and γ above 0 beside {stay} of {ellipsoids} random ellipsoids",
-        "reproduced" if vanish == stay == ellipsoids else "refuted",
-        "evaluated for this page",
-    )
-
-
-def _propositions(feasibility: Table) -> list[PaperRow]:
-    printed = [row for row in feasibility.rows if "printed" in row[0]]
-    states = sum(row[2] for row in printed)
-    condition = sum(row[3] for row in printed)
-    rows = [
-        _row(
-            "Proposition 1",
-            "ḣ_real - ḣ_DI = ∇_v h · e_a",
-            "an identity",
-            "holds to 1e-9 in 200 random states",
-            "reproduced",
-            "a test with another derivation of both rates",
-        ),
-        _row(
-            "Proposition 2",
-            "π_b within the rotors' limits",
-            "for every state",
-            "every random state",
-            "reproduced",
-            "a test; both readings of d",
-        ),
-        _row(
-            "Proposition 3",
-            "π_b meets ḣ_b + α h_b ≥ 0 in a safe state",
-            "always",
-            f"{condition:,} of {states:,} states",
-            "reproduced" if condition == states else "refuted",
-            "h_b of the discrete flow, by finite differences",
-            _share(condition, states),
-        ),
-    ]
-    for row in printed:
-        _, alpha, count, _, every, *_ = row
-        rows.append(
-            _row(
-                "Proposition 3, eqs. 21-22",
-                f"π_b is a feasible point of the program, α_R = {alpha:g}/s",
-                "whenever the flow is safe",
-                f"{every} of {count} safe states",
-                "reproduced" if every == count else "refuted",
-                "the rows at the nodes ask more than the proposition proves; the paper does not print α_R",
-                _share(every, count),
-            )
-        )
-    rows.append(
-        _row(
-            "Lemma 1",
-            "Lipschitz constant κ (m k_vz + K_σ + K_ω + k_vh)",
-            "global",
-            "exceeded at 200 m/s, held at 5 m/s",
-            "refuted",
-            "the slope of S R(σ) v by σ grows with v; at flown speeds the bound holds",
-        )
-    )
-    rows.append(
-        _row(
-            "VI-C",
-            "the policy converges to hover",
-            "locally exponentially",
-            "to yaw zero",
-            "reproduced",
-            "from a heading of 3 rad it turns and drifts 0.9 m sideways",
-        )
-    )
-    return rows
 
 
 def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
@@ -246,11 +79,11 @@ def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
         ("cone-ecbf", "near zero at every speed"),
         ("cone-backup", "not in the figure"),
     ):
-        ends = _ends(here, variant, realisation_error)
+        ends = ends_of(here, variant, realisation_error)
         if ends is None:
             continue
         (slow, low), (fast, high) = ends
-        grows = _above(high, low)
+        grows = above(high, low)
         verdict = {
             "ideal-di": "reproduced" if high.value == 0 else "refuted",
             "cone-di": "reproduced" if grows else "refuted",
@@ -264,22 +97,22 @@ def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
             "cone-backup": "the paper measures two of its filters",
         }[variant]
         rows.append(
-            _row(
+            row_of(
                 "Figure 2, left",
                 f"peak |e_a| of {variant} [m/s²]",
                 claim,
                 f"{exact(low.value, '.3g')} at {slow:g} m/s, {exact(high.value, '.3g')} at {fast:g} m/s",
                 verdict,
                 why,
-                _span(high),
-                flown=_of(here, variant, slow, fast),
+                span(high),
+                flown=runs_of(here, variant, slow, fast),
             )
         )
     for variant, claim in (
         ("cone-di", "almost no margin, never below 0"),
         ("cone-ecbf", "above that of the double integrator, grows with the speed"),
     ):
-        ends = _ends(here, variant, lambda t: t.min_gamma)
+        ends = ends_of(here, variant, lambda t: t.min_gamma)
         if ends is None:
             continue
         (slow, low), (fast, high) = ends
@@ -290,10 +123,10 @@ def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
                 ("reproduced", "") if least >= 0 else ("refuted", "inside a grown ellipsoid at speed")
             )
         else:
-            verdict = "reproduced" if _above(high, low) else "bounded"
-            why = "" if _above(high, low) else "above that of cone-di; it does not grow with the speed"
+            verdict = "reproduced" if above(high, low) else "bounded"
+            why = "" if above(high, low) else "above that of cone-di; it does not grow with the speed"
         rows.append(
-            _row(
+            row_of(
                 "Figure 2, right",
                 f"minimum γ of {variant}",
                 claim,
@@ -302,8 +135,8 @@ def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
                 f"of all {exact(least, '.3g')}",
                 verdict,
                 why,
-                _span(high),
-                flown=_of(here, variant),
+                span(high),
+                flown=runs_of(here, variant),
             )
         )
     return rows
@@ -311,22 +144,22 @@ def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
 
 def _slow(here: Sequence[Sweep]) -> list[PaperRow]:
     """What the text says of the double integrator at low speed."""
-    ends = _ends(here, "cone-di", realisation_error)
+    ends = ends_of(here, "cone-di", realisation_error)
     if ends is None:
         return []
     (slow, low), (fast, high) = ends
     return [
-        _row(
+        row_of(
             "IV-A",
             "the error of the double integrator is small at low speed",
             "below 1 m/s",
             f"{exact(low.value, '.3g')} m/s² at {slow:g} m/s, {exact(low.value / high.value, '.2f')} of that "
             "at "
             f"{fast:g} m/s",
-            "bounded" if _above(high, low) else "refuted",
+            "bounded" if above(high, low) else "refuted",
             "the slowest speed of the paper's sweep; it prints no error",
-            _span(low),
-            flown=_of(here, "cone-di", slow, fast),
+            span(low),
+            flown=runs_of(here, "cone-di", slow, fast),
         )
     ]
 
@@ -334,10 +167,10 @@ def _slow(here: Sequence[Sweep]) -> list[PaperRow]:
 def _comparison(here: Sequence[Sweep]) -> list[PaperRow]:
     p = FASTBRIDGE["comparison"]
     rows = []
-    if flown := _of(here, "cone-ecbf"):
+    if flown := runs_of(here, "cone-ecbf"):
         low, high = (end(s.speed_m_s for s in flown) for end in (min, max))
         rows.append(
-            _row(
+            row_of(
                 "IV-B",
                 "setting: peak speeds of the reference",
                 "1.1 to 5.1 m/s",
@@ -360,14 +193,14 @@ def _comparison(here: Sequence[Sweep]) -> list[PaperRow]:
         ):
             if value is not None:
                 rows.append(
-                    _row(
+                    row_of(
                         "Abstract, Figure 3",
                         words,
                         f"× {published:g}",
                         f"× {exact(value.value, '.2f')}",
                         lower_is_better(value, published),
                         f"{whose}; {at}",
-                        _span(value),
+                        span(value),
                         flown=[*ours, *theirs],
                     )
                 )
@@ -385,7 +218,7 @@ def _time_row(found: Comparison, whose: str, published: float, flown: Sequence[S
         verdict = "bounded"
     else:
         verdict = "better" if ratio < published - digit else "reproduced"
-    return _row(
+    return row_of(
         "Abstract, Figure 3",
         "time of the filter, ratio",
         f"× {published:.2f} (2.25 times as fast)",
@@ -414,27 +247,27 @@ def _limits(here: Sequence[Sweep]) -> list[PaperRow]:
         found = mean_estimate(sweep.values(lambda t: t.max_speed_m_s))
         assert found is not None
         rows.append(
-            _row(
+            row_of(
                 "IV-B, Figure 3",
                 f"top speed of {variant} at a reference of {top:g} m/s",
                 f"{p[key]:g} m/s",
                 f"{exact(found.value, '.2f')} m/s",
                 "not comparable",
                 "a barrier on the distance bounds the speed by the free distance, which is the scene's",
-                _span(found),
+                span(found),
                 flown=[sweep],
             )
         )
-        good, count = _goals(sweep)
+        good, count = goals(sweep)
         rows.append(
-            _row(
+            row_of(
                 "IV-B, Figure 3",
                 f"goals of {variant} at a reference of {top:g} m/s",
                 "none beyond about 5 m/s",
                 f"{good} of {count}",
                 "reproduced" if good == 0 else "better" if key == "top_speed_m_s" else "refuted",
                 "in time and without a collision",
-                _share(good, count),
+                share(good, count),
                 flown=[sweep],
             )
         )
@@ -449,15 +282,15 @@ def _limits(here: Sequence[Sweep]) -> list[PaperRow]:
         hits = sum(t.collision for t in flown)
         speeds = ", ".join(f"{w:g}" for w in sorted({s.speed_m_s for s in here if s.variant == variant}))
         rows.append(
-            _row(
+            row_of(
                 "IV-B",
                 f"collisions of {variant} at {speeds} m/s",
                 "none",
                 f"{hits} of {len(flown)} flights",
                 "reproduced" if hits == 0 else "refuted",
                 "exact clearance of the flown path",
-                _share(hits, len(flown)),
-                flown=_of(here, variant),
+                share(hits, len(flown)),
+                flown=runs_of(here, variant),
             )
         )
     return rows
@@ -487,17 +320,17 @@ def _programs(here: Sequence[Sweep]) -> list[PaperRow]:
         ),
         ("IV, CLF", "ours with the CLF", ("cone-di-clf", "cone-ecbf-clf", "cone-backup-clf")),
     ):
-        parts = [f"{v}: {words}" for v in variants if (words := _outcomes(here, v))]
+        parts = [f"{v}: {words}" for v in variants if (words := outcomes(here, v))]
         if parts:
             rows.append(
-                _row(
+                row_of(
                     item,
                     quantity,
                     "no number",
                     "; ".join(parts),
                     "not comparable",
                     "the paper prints neither λ nor the CLF's weight, and no flight of either reading",
-                    flown=_of(here, variants),
+                    flown=runs_of(here, variants),
                 )
             )
     return rows
@@ -516,17 +349,17 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
         clear = [t.scene_clearance_m for t in trials if t.scene_clearance_m is not None]
         seconds = sum(t.duration_s for t in trials)
         rows = [
-            _row(
+            row_of(
                 "Figure 4, table",
                 "feasible ticks",
                 f"{100 * f['feasible']:.1f} % of {f['ticks']:,.0f}",
                 f"{exact(100 * (ticks - infeasible) / ticks, '.1f')} % of {ticks:,}",
                 "not comparable",
                 f"{whose}; another scene and another path. Ticks of a flight are not independent",
-                _flights_span([1 - t.infeasible_steps / t.steps for t in trials]),
+                flights_span([1 - t.infeasible_steps / t.steps for t in trials]),
                 flown=[found],
             ),
-            _row(
+            row_of(
                 "Figure 4, table",
                 "minimum clearance",
                 f"{f['min_clearance_m']:g} m",
@@ -535,7 +368,7 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
                 f"{whose}; one flight against {len(clear)} through a furnished room",
                 flown=[found],
             ),
-            _row(
+            row_of(
                 "Figure 4, table",
                 "mean and maximum speed",
                 f"{f['mean_speed_m_s']:g} and {f['max_speed_m_s']:g} m/s",
@@ -549,7 +382,7 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
         mean, p99, most = (found.timing(f"tick_{key}_s") for key in ("mean", "p99", "max"))
         if mean is not None and p99 is not None and most is not None:
             rows.append(
-                _row(
+                row_of(
                     "Figure 4, table",
                     "loop mean, p99 and max",
                     f"{f['loop_mean_us'] / 1e3:.1f}, {f['loop_p99_us'] / 1e3:.1f}, "
@@ -562,25 +395,25 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
                 )
             )
     rows += [
-        _row(
+        row_of(
             "Figure 4, IV-C",
             "30 Hz filter, 10 Hz gate, 50 Hz controller, body rates",
             "one flight, stopped by hand",
-            "; ".join(f"{v}: {words}" for v in _LOOPS if (words := _outcomes(here, v))) or "not flown",
+            "; ".join(f"{v}: {words}" for v in _LOOPS if (words := outcomes(here, v))) or "not flown",
             "not comparable",
             "simulated; -rates: body rates at 100 Hz, -split: the rates of the hardware too",
-            flown=_of(here, _LOOPS),
+            flown=runs_of(here, _LOOPS),
         ),
-        _row(
+        row_of(
             "V",
             "the backup filter flies without a collision in real time",
             "one flight",
-            _outcomes(here, "printed-backup-split") or "not flown",
+            outcomes(here, "printed-backup-split") or "not flown",
             "not comparable",
             "ours is simulated, in another scene, with more flights; the paper's policy as printed",
-            flown=_of(here, "printed-backup-split"),
+            flown=runs_of(here, "printed-backup-split"),
         ),
-        _row(
+        row_of(
             "Figure 4, table",
             "loop overruns, termination",
             "1 of 822, by hand",
@@ -588,7 +421,7 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
             "not available here",
             _HARDWARE,
         ),
-        _row(
+        row_of(
             "IV-C",
             "backup CBF in SITL",
             "omitted in the paper",
@@ -596,7 +429,7 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
             "not available here",
             "no number is printed",
         ),
-        _row(
+        row_of(
             "IV",
             "scene of 395,000 Gaussians",
             "trained by the authors",
@@ -604,7 +437,7 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
             "not available here",
             _OTHER_SCENE,
         ),
-        _row(
+        row_of(
             "Figure 3, left",
             "paths from above",
             "one pair of points",
@@ -612,54 +445,13 @@ def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
             "not comparable",
             _OTHER_SCENE,
         ),
-        _row("Figure 1", "architecture", "a drawing", "", "not comparable", "no number"),
+        row_of("Figure 1", "architecture", "a drawing", "", "not comparable", "no number"),
     ]
     return rows
 
 
 def _printed(*names: str) -> tuple[str, ...]:
     return tuple(f"printed-ecbf-{name}" for name in names)
-
-
-def _outcomes(here: Sequence[Sweep], variant: str) -> str:
-    """Goals and collisions of a variant by speed, in words; empty where it was not flown."""
-    parts = []
-    for sweep in sorted((s for s in here if s.variant == variant), key=lambda s: s.speed_m_s):
-        good, count = _goals(sweep)
-        hits = sum(t.collision for t in sweep.run.record.trials)
-        parts.append(f"{good} reached and {hits} collided of {count} at {sweep.speed_m_s:g} m/s")
-    return ", ".join(parts)
-
-
-def _of(here: Sequence[Sweep], variants: str | Sequence[str], *speeds: float) -> list[Sweep]:
-    """Runs of variants, at all speeds or at some."""
-    names = (variants,) if isinstance(variants, str) else variants
-    return [s for s in here if s.variant in names and (not speeds or s.speed_m_s in speeds)]
-
-
-def _goals(sweep: Sweep) -> tuple[int, int]:
-    trials = sweep.run.record.trials
-    return sum(succeeded(t) for t in trials), len(trials)
-
-
-def _ends(
-    here: Sequence[Sweep], variant: str, get: Callable[[TrialResult], float | None]
-) -> tuple[tuple[float, Estimate], tuple[float, Estimate]] | None:
-    """Mean of a value at the lowest and the highest speed of a variant."""
-    flown = sorted((s for s in here if s.variant == variant), key=lambda s: s.speed_m_s)
-    found = []
-    for sweep in flown[:1] + flown[-1:]:
-        values = sweep.values(get)
-        mean = mean_estimate(values[np.isfinite(values)])
-        if mean is None:
-            return None
-        found.append((sweep.speed_m_s, mean))
-    return (found[0], found[1]) if len(found) == 2 and found[0][0] < found[1][0] else None
-
-
-def _above(high: Estimate, low: Estimate) -> bool:
-    """Return whether the interval of one mean lies above that of another."""
-    return (high.value if high.low is None else high.low) > (low.value if low.high is None else low.high)
 
 
 def _against(here: Sequence[Sweep], speed: float, high: Estimate) -> str:
@@ -669,21 +461,3 @@ def _against(here: Sequence[Sweep], speed: float, high: Estimate) -> str:
     values = other.values(realisation_error)
     share = high.value / float(np.mean(values[np.isfinite(values)]))
     return f"{100 * share:.0f} % of that of cone-di at this speed"
-
-
-def _span(found: Estimate) -> str:
-    if found.low is None or found.high is None:
-        return ""
-    return f"{exact(found.low, '.3g')} to {exact(found.high, '.3g')}"
-
-
-def _share(good: int, of: int) -> str:
-    low, high = wilson_interval(good, of)
-    return f"{exact(100 * low, '.1f')} to {exact(100 * high, '.1f')} %"
-
-
-def _flights_span(shares: Sequence[float]) -> str:
-    found = mean_estimate(np.array(shares), bounds=(0.0, 1.0))
-    if found is None or found.low is None or found.high is None:
-        return ""
-    return f"{exact(100 * found.low, '.1f')} to {exact(100 * found.high, '.1f')} % (flights)"
