@@ -21,7 +21,10 @@ def make(folder, *words):
     return [line for line in done.stdout.splitlines() if line.startswith("alula simulate ")]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    ["fastbridge", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dr-acbf", "geofencing"))],
+)
 def test_after_an_interruption_only_the_missing_run_is_made(tmp_path, name):
     group, missing, _ = NAMES[name]
     folder = tmp_path / "examples" / name
