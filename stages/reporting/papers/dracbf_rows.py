@@ -10,7 +10,6 @@ from alula.schemas.run import ObstacleResult
 from alula.stages.reporting.papers.dracbf import BASE, Flown, milli, reaction_in_ticks, success
 from alula.stages.reporting.papers.verdicts import PaperRow, exact
 from alula.stages.reporting.statistics import Rate, mean_estimate, mean_of
-from alula.stages.reporting.table import text
 
 MATLAB = "MATLAB on a laptop there, C here: only ratios compare"
 COURSES = "the paper leaves out the speeds and courses that decide it; those here are our choice"
@@ -66,7 +65,7 @@ def success_row(item: str, quantity: str, published: float, f: Flown, obstacle: 
     else:
         verdict, why = "refuted", "lower than published, with our speeds, noise and courses"
     row = PaperRow(
-        *(item, quantity, f"{text(published)} %", f"{exact(now.value)} %", span(now.low, now.high, " %")),
+        *(item, quantity, f"{published:g} %", f"{exact(now.value)} %", span(now.low, now.high, " %")),
         *(verdict, why),
     )
     return made_of(row, f)
@@ -88,12 +87,12 @@ def mean_row(
     values = [value for value in each if value is not None]
     found = mean_estimate(values) if values else None
     if found is None:
-        return missing(item, quantity, f"{text(published)}{unit}")
+        return missing(item, quantity, f"{published:g}{unit}")
     known = found.low is not None and found.high is not None
     inside = found.low is not None and found.high is not None and found.low <= published <= found.high
     verdict = "reproduced" if inside else "not comparable" if why != HARDWARE else "not available here"
     row = PaperRow(
-        *(item, quantity, f"{text(published)}{unit}", f"{exact(found.value)}{unit}"),
+        *(item, quantity, f"{published:g}{unit}", f"{exact(found.value)}{unit}"),
         span(found.low, found.high, unit) if known else "",
         *(verdict, "" if inside else why),
     )

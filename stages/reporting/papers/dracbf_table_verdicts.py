@@ -30,6 +30,8 @@ from alula.stages.reporting.papers.verdicts import PaperRow, exact
 from alula.stages.reporting.statistics import mean_estimate
 from alula.stages.reporting.table import text
 
+_SYMBOLS = ("s", "v_cl", "t_r", "t_cm", "d_s")
+
 
 def _obstacle_rows(item: str, method: str, printed: Mapping[str, Any], f: Flown) -> list[PaperRow]:
     """Judge the values that Tables I and III print for each of the two obstacles."""
@@ -43,7 +45,7 @@ def _obstacle_rows(item: str, method: str, printed: Mapping[str, Any], f: Flown)
         )
         rows.append(reaction_row(item, f"t_r, {of}", printed["t_r"][i], f, i))
         command = milli(f.timing("command_mean_s", i))
-        rows.append(time_row(item, f"t_cm, {of}", f"{text(printed['t_cm'][i])} ms", command, None, f))
+        rows.append(time_row(item, f"t_cm, {of}", f"{printed['t_cm'][i]:g} ms", command, None, f))
         rows.append(mean_row(item, f"d_s, {of}", apart, f, lambda m: m.separation_m, obstacle=i, unit=" m"))
     closing, apart = printed["v_cl"][2], printed["d_s"][2]
     rows += [
@@ -51,7 +53,7 @@ def _obstacle_rows(item: str, method: str, printed: Mapping[str, Any], f: Flown)
         mean_row(item, f"v_cl, {method}, mean", closing, f, lambda m: m.closing_m_s, unit=" m/s"),
         reaction_row(item, f"t_r, {method}, mean", printed["t_r"][2], f),
         time_row(
-            item, f"t_cm, {method}, mean", f"{text(printed['t_cm'][2])} ms", milli(command_time(f)), None, f
+            item, f"t_cm, {method}, mean", f"{printed['t_cm'][2]:g} ms", milli(command_time(f)), None, f
         ),
         mean_row(item, f"d_s, {method}, mean", apart, f, lambda m: m.separation_m, unit=" m"),
     ]
@@ -65,7 +67,7 @@ def table_1(flown: Sequence[Flown]) -> list[PaperRow]:
         f = find(flown, "scenario-1", name)
         method = NAMES[name]
         if f is None:
-            rows.append(missing("Table I", method, ""))
+            rows += [missing("Table I", f"{symbol}, {method}, mean", "") for symbol in (*_SYMBOLS, "t_cp")]
             continue
         rows.extend(_obstacle_rows("Table I", method, printed, f))
         rows.append(
@@ -99,7 +101,7 @@ def table_2(flown: Sequence[Flown]) -> list[PaperRow]:
         horizon, clearance, hold = (text(value) for value in printed["set"])
         words = f"H_max {horizon} s, d_cl {clearance} m, t_hd {hold} s"
         if f is None:
-            rows.append(missing("Table II", words, ""))
+            rows += [missing("Table II", f"{symbol}, {words}", "") for symbol in (*_SYMBOLS, "t_cp")]
             continue
         s, v, tr, tcm, tcp, d = printed["values"]
         rows.append(success_row("Table II", f"s, {words}", s, f, None))
@@ -195,7 +197,7 @@ def table_3(flown: Sequence[Flown]) -> list[PaperRow]:
         printed = DRACBF_PRINTED["table-3"][state]
         f = find(flown, "scenario-2", name)
         if f is None:
-            rows.append(missing("Table III", f"DR-CVaR {state}", ""))
+            rows += [missing("Table III", f"{symbol}, DR-CVaR {state}, mean", "") for symbol in _SYMBOLS]
             continue
         rows.extend(_obstacle_rows("Table III", f"DR-CVaR {state}", printed, f))
     gone = [cell for cell in collapse_cells(flown) if has_collapsed(cell)]

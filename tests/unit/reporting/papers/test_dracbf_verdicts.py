@@ -146,3 +146,11 @@ def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
     assert open_claims(DRACBF_PAPER, rows) == {"vehicle", "scenario-1", "scenario-2", "crazyflie"}
     mean = next(row for row in rows if row.quantity == "v_cl, DR-ACBF, mean")
     assert (mean.published, mean.flights, mean.runs) == ("10.7 m/s", 20, ("scenario-1/dr-acbf.run.mcap",))
+
+
+def test_a_run_that_is_missing_leaves_rows_that_say_so_for_each_of_its_claims():
+    rows = dracbf_verdicts.verdict_rows([], {})
+    tables = {c.name for c in DRACBF_PAPER.claims if c.name.startswith(("table-1/", "table-2/", "table-3/"))}
+    assert not open_claims(DRACBF_PAPER, rows) & tables
+    one = next(row for row in rows if row.quantity == "t_cp, MPC, mean")
+    assert (one.verdict, one.why) == ("not available here", "not flown in this run")

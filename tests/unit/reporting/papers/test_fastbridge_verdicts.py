@@ -38,6 +38,7 @@ def test_a_page_without_flights_still_has_a_row_for_all_that_cannot_be_flown(fea
     rows = rows_of([], feasibility)
     lone = [sweep("cone-ecbf", 3.1, [trial(0)])]  # one speed shows no growth
     assert not [row for row in rows_of(lone, feasibility) if row.item == "Figure 2, left"]
+    assert "mean-jerk" in open_claims(FASTBRIDGE_PAPER, rows)
     assert one(rows, "loop overruns").verdict == "not available here"
     assert one(rows, "π_b meets").verdict == "reproduced"
     assert one(rows, "π_b is a feasible point of the program, α_R = 2/s").verdict == "refuted"

@@ -357,6 +357,7 @@ def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
     ]
     rows = paper_rows(runs, sweep({REGULATION: (5.0,), PROGRAM: (50.0,)}, (0.01,)), MEASURED, 332.3)
     assert open_claims(GEOFENCING_PAPER, rows) == set()
+    assert "figure-8" in open_claims(GEOFENCING_PAPER, paper_rows([], [], MEASURED))
     (fall,) = (row for row in rows if row.quantity == "vertical speed, flight")
     assert fall.runs == ("fall/fall.run.mcap", "fall/gentle.run.mcap", "fall/drag.run.mcap")
     assert fall.flights == 3

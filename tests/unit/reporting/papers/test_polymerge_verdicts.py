@@ -174,6 +174,7 @@ def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
     rows = rows_of([flights(), flights(COACD), flights(SAFER, us=500.0)], table, hz=628.0)
     # No map of the room has 100 to 150 hulls of a known size.
     assert open_claims(POLYMERGE_PAPER, rows) == {"flash"}
+    assert "figure-5a" in open_claims(POLYMERGE_PAPER, rows_of())
     (pair,) = (row for row in rows if row.item == "Figure 5a")
     assert (pair.runs, pair.flights) == (("room.figure-5.json",), 20)
 
