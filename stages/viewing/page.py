@@ -16,12 +16,12 @@ import numpy as np
 from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.viewing.content import Content, Gaussians
 from alula.stages.viewing.draw import Span, draw, record
+from alula.stages.viewing.light import LIGHT_GAUSSIANS, lightened
 from alula.stages.viewing.overlay import MARKUP, asset
 from alula.stages.viewing.plots import flight_data
 
 HOST = "127.0.0.1"
 MOST_BYTES = 7_000_000
-LIGHT_GAUSSIANS = 20_000
 _AROUND_BYTES = 150_000  # of what stands around the scene
 _DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
 # The policy blocks every request. viser's code, workers and the decoder of the data are inside the page.
@@ -86,7 +86,7 @@ def within(
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
-    For browsers without a GPU it also has the scene with at most `LIGHT_GAUSSIANS`, and never fewer.
+    For browsers without a GPU it also has the scene as `lightened`. It never has fewer Gaussians than that.
 
     Args:
         make: content of a view with at most so many Gaussians.
@@ -99,7 +99,7 @@ def within(
         The page, and what it shows.
     """
     content = make(most_gaussians)
-    light = make(LIGHT_GAUSSIANS) if content.gaussians > LIGHT_GAUSSIANS else content
+    light = lightened(content, make)
     few = _record(light)
     if light is content:
         return _around(few, f'"{few.data}"', content, provenance_line, other), content
@@ -110,11 +110,18 @@ def within(
         if count < content.gaussians:
             content = make(count)
         many = _record(content)
-        data = f'alulaDraws("{few.data}",{light.gaussians},"{many.data}",{content.gaussians})'
+        data = f'alulaDraws("{few.data}",{json.dumps(_less(light, content))},"{many.data}")'
         text = _around(many, data, content, provenance_line, other)
         if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
             return text, content
         room -= 1.2 * (len(text) - maximum)
+
+
+def _less(light: Content, content: Content) -> str:
+    """What a browser without a GPU leaves out, in words."""
+    if light.gaussians == content.gaussians:
+        return "fewer edges and points of paths, because this browser draws without a GPU"
+    return f"{light.gaussians:,} of {content.gaussians:,} Gaussians, because this browser draws without a GPU"
 
 
 def _bytes_each(content: Content) -> float:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from alula.stages.viewing import light
 from alula.stages.viewing import page as pages
 from alula.stages.viewing.compose import Shown, content_of
 from alula.stages.viewing.draw import GAP_S, Span
@@ -34,12 +35,13 @@ def test_flights_follow_one_another_on_the_timeline():
 
 
 def test_a_page_is_bounded_by_fewer_gaussians_and_has_a_light_one(monkeypatch):
-    monkeypatch.setattr(pages, "LIGHT_GAUSSIANS", 500)
+    for module in (pages, light):
+        monkeypatch.setattr(module, "LIGHT_GAUSSIANS", 500)
     scene = make_scene(40_000)
     make = lambda most: content_of(Shown(title="t", scenes=[("s", scene)]), most_gaussians=most)  # noqa: E731
     whole, content = within(make)
     assert content.gaussians == 40_000
-    assert re.search(r'alulaDraws\("[\w+/=]+",(499|500),"', whole)
+    assert re.search(r'alulaDraws\("[\w+/=]+","(499|500) of 40,000 Gaussians, [\w ]+","', whole)
     text, content = within(make, maximum=1_500_000)
     assert len(text) <= 1_500_000
     assert 5_000 < content.gaussians < 40_000
