@@ -189,7 +189,7 @@ def _clearances(material: Material, run: Run, flight: Flight) -> tuple[Curve, ..
         # the path of a flight is in metres, and so is only a scene that was aligned
         is_metric = material.scene is not None and material.scene.manifest.unit == "m"
         if material.scene is not None and is_metric and _is_same(run, material.inputs, "scene"):
-            ellipsoids = scene_obstacles(material.scene, _sigma(run))
+            ellipsoids = scene_obstacles(material.scene, sigma_of(run))
             distance = path_clearance(path, ellipsoids, cap_m=_CAP_M)
             found.append(Curve("splats", to_end, distance - radius))
         if (moving := flight.moving) is not None:
@@ -228,7 +228,8 @@ def _limit(run: Run, name: str) -> float | None:
     return None
 
 
-def _sigma(run: Run) -> float:
+def sigma_of(run: Run) -> float:
+    """Level of the ellipsoids in a run's parameters; 1 where they have none."""
     parameters = run.record.provenance.parameters
     for keys in (("world", "sigma"), ("sigma",), ("map", "sigma")):
         if (value := _number(parameters, *keys)) is not None and value > 0:

@@ -15,9 +15,11 @@ from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import scene_obstacles
 from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS
+from alula.stages.reporting.flight_curves import sigma_of
 from alula.stages.reporting.material import Run
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
+from alula.stages.viewing.active import Numbered
 from alula.stages.viewing.camera import fitted
 from alula.stages.viewing.content import CUT, Content, Lines, Part, Play, tree_name
 from alula.stages.viewing.corridor import plan_parts
@@ -262,6 +264,7 @@ def _fence(name: str, corners: FloatArray, triangles: IntArray) -> list[Part]:
 
 def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float) -> list[Play]:
     obstacles = [_obstacles(shown, run) for run in shown.runs]
+    numbered = [_numbered(shown, run) for run in shown.runs]
     several = len(shown.runs) > 1
     found: list[Play] = []
     total = 0.0
@@ -273,8 +276,30 @@ def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_playe
         total += float(flight.time_s[-1] - flight.time_s[0])
         if found and flights is None and total > most_played_s:
             break
-        found.append(play_of(shown.runs[number], index, obstacles[number], several))
+        found.append(play_of(shown.runs[number], index, obstacles[number], several, numbered[number]))
     return found
+
+
+def _numbered(shown: Shown, run: Run) -> Numbered | None:
+    """Obstacles that a run flew in, by their numbers in its log; None where it flew through others."""
+    if run.label in shown.elsewhere:
+        return None
+    logged = shown.maps.get(run.label)
+    covers, scene = shown.covers, shown.scenes[0][1] if len(shown.scenes) == 1 else None
+    if logged is not None:
+        solids: Solids | None = logged.solids
+        count: int | None = logged.ellipsoid_count
+    else:
+        solids = solids_of_cover(covers[0][1]) if len(covers) == 1 else None
+        count = None if scene is None else len(scene["mean"])
+    if scene is not None and count == len(scene["mean"]):
+        quat, axes = np.asarray(scene["quat_wxyz"], np.float64), sigma_of(run) * np.asarray(scene["scale"])
+        centers = np.asarray(scene["mean"], np.float64)
+    elif logged is not None and count == len(logged.centers):
+        quat, axes, centers = logged.quat_wxyz, logged.semi_axes, logged.centers
+    else:
+        quat, axes, centers = np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 3))
+    return Numbered(solids, centers, axes, quat, count)
 
 
 def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:

@@ -117,6 +117,23 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Decides:
+    """An obstacle that decides what is sent in some samples of a flight.
+
+    Attributes:
+        name: such as "hull 12".
+        corners: shape (V, 3) [m].
+        triangles: shape (T, 3).
+        rows: samples in which it decides, shape (n,).
+    """
+
+    name: str
+    corners: FloatArray
+    triangles: IntArray
+    rows: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Play:
     """A flight to play at its own speed.
 
@@ -136,6 +153,8 @@ class Play:
         status: word of the filter, n words.
         series: curves over its time.
         marked_s: time of the worst moment [s].
+        decides: obstacles that decide what is sent.
+        plans: time from which the flight follows a new plan, and its points, shape (k, 3) [s], [m].
     """
 
     label: str
@@ -153,6 +172,8 @@ class Play:
     status: tuple[str, ...]
     series: tuple[Series, ...] = ()
     marked_s: float = 0.0
+    decides: tuple[Decides, ...] = ()
+    plans: tuple[tuple[float, FloatArray], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

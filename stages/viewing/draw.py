@@ -17,6 +17,7 @@ from alula.stages.viewing.content import (
     Camera,
     Content,
     Copies,
+    Decides,
     Faces,
     Gaussians,
     Lines,
@@ -24,6 +25,7 @@ from alula.stages.viewing.content import (
     Play,
     segments_of,
 )
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR
 from alula.stages.viewing.shapes import ball_mesh, disc_mesh, frame_mesh
 
 PLAYBACK = "Playback"
@@ -211,7 +213,7 @@ def record(server: Any, plays: Sequence[Play], sleep: Callable[[float], None]) -
 
 
 class _Actor:
-    """Nodes of one flight: vehicle, path, moving obstacles, tracks, and the line to what is nearest."""
+    """Nodes of one flight: vehicle, path, what moves, new plans, what decides, line to the nearest point."""
 
     def __init__(self, scene: Any, play: Play, number: int) -> None:
         self.play = play
@@ -229,6 +231,8 @@ class _Actor:
         scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
         self.obstacles = self._balls(scene, "moving obstacle", _OBSTACLE_COLOR, 1.0, 1.0)
         self.tracks = self._balls(scene, "track", _TRACK_COLOR, 0.35, 2.0)
+        self.decides = [self._deciding(scene, one) for one in play.decides]
+        self.plans = [self._new_plan(scene, k, points) for k, (_, points) in enumerate(play.plans, 1)]
         self.nearest: Any = None
         self.acts: bool | None = None
         if np.isfinite(play.nearest_world).any():
@@ -254,6 +258,23 @@ class _Actor:
             found.append(draw_part(scene, ball))
         return found
 
+    def _deciding(self, scene: Any, one: Decides) -> Any:
+        faces = Faces(
+            name=f"{self.name}/deciding/{one.name}",
+            corners=one.corners,
+            triangles=one.triangles,
+            color=_ACTS_COLOR,
+            opacity=0.5,
+            visible=False,
+        )
+        return draw_part(scene, faces)
+
+    def _new_plan(self, scene: Any, number: int, points: FloatArray) -> Any:
+        name, color = f"{self.name}/new plan {number}", NEW_PLAN_COLOR
+        return draw_part(
+            scene, Lines(name=name, segments=segments_of(points), color=color, width_px=4.0, visible=False)
+        )
+
     def show(self, is_shown: bool) -> None:
         """Show or hide all of it."""
         self.frame.visible = is_shown
@@ -265,6 +286,10 @@ class _Actor:
         for handles, places in ((self.obstacles, play.obstacles_world), (self.tracks, play.tracks_world)):
             for handle, place in zip(handles, places[row], strict=True):
                 _place(handle, place)
+        for one, handle in zip(play.decides, self.decides, strict=True):
+            _show(handle, bool(one.rows[row]))
+        for (time_s, _), handle in zip(play.plans, self.plans, strict=True):
+            _show(handle, bool(play.time_s[row] >= time_s))
         if self.nearest is None:
             return
         end = play.nearest_world[row]
@@ -276,10 +301,15 @@ class _Actor:
             self.nearest.colors = np.array(_ACTS_COLOR if acts else _PASSES_COLOR, np.uint8)
 
 
+def _show(handle: Any, is_shown: bool) -> None:
+    """Show or hide a node; a recording holds only changes."""
+    if handle.visible != is_shown:
+        handle.visible = is_shown
+
+
 def _place(handle: Any, place: NDArray[np.float64]) -> None:
     """Move a node, or hide it where its place is not known."""
     is_known = bool(np.isfinite(place).all())
-    if handle.visible != is_known:
-        handle.visible = is_known
+    _show(handle, is_known)
     if is_known:
         handle.position = tuple(place)
