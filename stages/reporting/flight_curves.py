@@ -17,7 +17,7 @@ from alula.stages.reporting.curves import Spell, encounter_clearance, spells
 from alula.stages.reporting.fenced import fence_distance, is_fenced
 from alula.stages.reporting.material import Material, Run, clearance_of, outcome_of
 
-_MOST_RUNS = 4
+MOST_RUNS = 4
 _CAP_M = 20.0  # larger clearances are drawn as this
 _FLOWN = {"velocity [m/s]": "max_speed_m_s", "acceleration [m/s²]": "max_acceleration_m_s2"}
 
@@ -89,7 +89,7 @@ def worst_flights(material: Material) -> list[FlightCurves]:
     for run in material.runs:
         if (chosen := closest_flight(run)) is not None:
             found.append(_curves(material, run, *chosen))
-    return found[:_MOST_RUNS]
+    return found[:MOST_RUNS]
 
 
 def closest_flight(run: Run) -> tuple[int, float | None, int | None] | None:

@@ -72,6 +72,7 @@ def content_of(
     most_gaussians: int = MOST_GAUSSIANS,
     flights: Collection[tuple[int, int]] | None = None,
     most_played_s: float = MOST_PLAYED_S,
+    first: Collection[tuple[int, int]] = (),
     up: str = "+z",
 ) -> Content:
     """Make the content of a view.
@@ -81,6 +82,7 @@ def content_of(
         most_gaussians: maximum number of Gaussians of all scenes.
         flights: those to play, as (run, trial); None for the worst ones of each run, up to `most_played_s`.
         most_played_s: maximum time of the flights to play, beyond the first [s].
+        first: flights to play before all others, as (run, trial).
         up: axis of the scene that points up.
     """
     notes: list[str] = []
@@ -106,7 +108,7 @@ def content_of(
         parts += found if len(shown.plans) == 1 else _renamed(found, "Plan", f"Plan {tree_name(name)}")
     parts += _fence_parts(shown)
     parts += path_parts(shown.runs)
-    plays = _plays(shown, flights, most_played_s)
+    plays = _plays(shown, flights, most_played_s, first)
     if any(part.name.startswith(f"{CUT}/") for part in parts):
         notes.append("ceiling and near walls are hidden at first")
     outcomes = dict.fromkeys(
@@ -262,13 +264,18 @@ def _fence(name: str, corners: FloatArray, triangles: IntArray) -> list[Part]:
     ]
 
 
-def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float) -> list[Play]:
+def _plays(
+    shown: Shown,
+    flights: Collection[tuple[int, int]] | None,
+    most_played_s: float,
+    first: Collection[tuple[int, int]],
+) -> list[Play]:
     obstacles = [_obstacles(shown, run) for run in shown.runs]
     numbered = [_numbered(shown, run) for run in shown.runs]
     several = len(shown.runs) > 1
     found: list[Play] = []
     total = 0.0
-    order = worst_first(shown.runs)
+    order = sorted(worst_first(shown.runs), key=lambda key: key not in first)
     for number, index in order if flights is None else [key for key in order if key in flights]:
         flight = shown.runs[number].flights[index]
         if len(flight.time_s) < 2 or not np.isfinite(flight.position_world).all():

@@ -141,6 +141,8 @@ class Play:
         label: run and trial.
         outcome: as in the report.
         words: its end in words.
+        run, trial: where it is logged.
+        begin_s: time in the log at which it begins [s].
         time_s: from 0, shape (n,) [s].
         position_world: shape (n, 3) [m].
         quat_world_body_wxyz: shape (n, 4).
@@ -172,6 +174,9 @@ class Play:
     status: tuple[str, ...]
     series: tuple[Series, ...] = ()
     marked_s: float = 0.0
+    run: str = ""
+    trial: int = 0
+    begin_s: float = 0.0
     decides: tuple[Decides, ...] = ()
     plans: tuple[tuple[float, FloatArray], ...] = ()
 

@@ -98,7 +98,14 @@
     const spell = f.status.filter(s => s[0] <= own).pop();
     at("now").textContent = own.toFixed(1) + " s; " + value(f, own) + (spell && spell[1] ? "; filter: " + spell[1] : "");
     draw(f, own);
+    if (window.parent !== window) window.parent.postMessage({ alula: "time", run: f.run, trial: f.trial, time: f.from + own }, "*");
   };
+  window.addEventListener("message", event => { // from the report around this page
+    const asked = event.data;
+    if (event.source !== window.parent || window.parent === window || !asked || asked.alula !== "seek") return;
+    const f = flights.find(one => one.run === asked.run && one.trial === asked.trial);
+    if (f) seek(f.begin + Math.min(Math.max(asked.time - f.from, 0), f.end - f.begin));
+  });
   at("plots").onclick = event => {
     const canvas = event.target.closest("canvas"), f = flights[shown];
     if (!canvas || !f) return;
