@@ -15,8 +15,8 @@ _MOST_PLAYED_S = 60.0
 def view(material: Material) -> View | None:
     """Make the 3D view; None when there is nothing to show. The same material gives the same text.
 
-    Those flights are played first that the report has curves of, then the worst ones. Hulls are the cover's, also
-    for runs that flew through another one, whose clearance to it is not shown.
+    Those flights are played first that the report has curves of, then the worst ones. Hulls are the cover's,
+    also for runs that flew through another one, whose clearance to it is not shown.
 
     Args:
         material: of the report.
