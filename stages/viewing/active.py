@@ -19,6 +19,7 @@ from alula.stages.viewing.solids import Solids
 ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WITHOUT_MAP = TRACKING | {"geofence", "backup-qp", "none"}  # `active` is no hull or ellipsoid
 _OF_HULLS = ("polytope-cbf",)
+DECIDES_COLOR = (230, 120, 0)
 _MOST = 60  # obstacles of a flight; those that decide longest
 _GROWN = 1.02  # drawn a little larger than the obstacle, which would hide it
 

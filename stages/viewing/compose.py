@@ -19,10 +19,10 @@ from alula.stages.reporting.flight_curves import sigma_of
 from alula.stages.reporting.material import Run
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
-from alula.stages.viewing.active import Numbered
+from alula.stages.viewing.active import DECIDES_COLOR, Numbered
 from alula.stages.viewing.camera import fitted
-from alula.stages.viewing.content import CUT, Content, Lines, Part, Play, tree_name
-from alula.stages.viewing.corridor import plan_parts
+from alula.stages.viewing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR, plan_parts
 from alula.stages.viewing.cut import Cut, find_cut
 from alula.stages.viewing.flown import MOST_PLAYED_S, faces_of, path_parts, play_of, worst_first
 from alula.stages.viewing.logged_map import LoggedMap
@@ -114,7 +114,10 @@ def content_of(
     outcomes = dict.fromkeys(
         part.name.split("/")[1].rpartition(" (")[0] for part in parts if part.name.startswith("Flights/")
     )
-    legend = {name: COLORS[name] for name in outcomes} | ({"plan": COLORS["planned"]} if shown.plans else {})
+    legend = {name: COLORS[name] for name in outcomes}
+    legend |= {"plan": hex_of(PLAN_COLOR)} if shown.plans else {}
+    legend |= {"new plan": hex_of(NEW_PLAN_COLOR)} if any(play.plans for play in plays) else {}
+    legend |= {"obstacle that decides": hex_of(DECIDES_COLOR)} if any(play.decides for play in plays) else {}
     return Content(
         title=shown.title,
         parts=tuple(_distinct(parts)),

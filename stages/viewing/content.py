@@ -223,6 +223,11 @@ def rgb(color: str) -> Color:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
+def hex_of(color: Color) -> str:
+    """A color as #rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
 def segments_of(points: FloatArray) -> FloatArray:
     """The N - 1 segments of a path of N points, shape (N - 1, 2, 3)."""
     return np.stack([points[:-1], points[1:]], axis=1)

@@ -12,8 +12,8 @@ from alula.stages.viewing.content import Lines, Part, segments_of
 from alula.stages.viewing.shapes import balls
 from alula.stages.viewing.solids import drawn
 
-PLAN_COLOR = (34, 34, 34)
-NEW_PLAN_COLOR = (204, 121, 167)
+PLAN_COLOR = (117, 112, 179)  # these two are seen on white and on black
+NEW_PLAN_COLOR = (231, 41, 138)
 _CORRIDOR = (46, 158, 91)
 _VIA = (213, 94, 0)
 _GATE = (230, 159, 0)

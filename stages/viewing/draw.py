@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.viewing.active import DECIDES_COLOR
 from alula.stages.viewing.camera import FIELD_RAD
 from alula.stages.viewing.content import (
     CUT,
@@ -32,7 +33,7 @@ PLAYBACK = "Playback"
 GAP_S = 1.0  # a flight stays at its end so long before the next one begins
 _HALF_MOST = 250.0  # largest standard deviation in units of the scale: its square fits half precision
 _BODY_COLOR, _ROTOR_COLOR = (45, 50, 60), (250, 200, 40)
-_PASSES_COLOR, _ACTS_COLOR = (110, 110, 110), (230, 120, 0)
+_PASSES_COLOR, _ACTS_COLOR = (110, 110, 110), DECIDES_COLOR
 _OBSTACLE_COLOR, _TRACK_COLOR = (204, 77, 26), (26, 115, 204)
 
 
@@ -263,7 +264,7 @@ class _Actor:
             name=f"{self.name}/deciding/{one.name}",
             corners=one.corners,
             triangles=one.triangles,
-            color=_ACTS_COLOR,
+            color=DECIDES_COLOR,
             opacity=0.5,
             visible=False,
         )

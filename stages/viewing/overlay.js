@@ -61,8 +61,11 @@
     const end = Math.max(f.end - f.begin, 1e-6);
     const x = s => left + (w - left - right) * s / end, y = v => h - bottom - (h - top - bottom) * (v - low) / (high - low);
     pen.font = "11px system-ui, sans-serif"; pen.fillStyle = style.getPropertyValue("--ink");
-    pen.fillText(plot.name, left, 13);
-    let words = left + pen.measureText(plot.name).width + 10;
+    const wide = text => pen.measureText(text).width, many = plot.curves.length > 1 ? plot.curves : [];
+    const room = w - left - many.reduce((sum, c) => sum + wide(c.label) + 8, 10);
+    const name = wide(plot.name) > room ? plot.name.split(/[:[]/)[0].trim() : plot.name;
+    pen.fillText(name, left, 13);
+    let words = left + wide(name) + 10;
     pen.strokeStyle = style.getPropertyValue("--line"); pen.strokeRect(left, top, w - left - right, h - top - bottom);
     pen.fillStyle = style.getPropertyValue("--soft"); pen.textAlign = "right";
     for (const v of [low + pad, high - pad]) pen.fillText(v.toPrecision(2), left - 4, y(v) + 4);
@@ -78,8 +81,8 @@
     });
     pen.setLineDash([]); pen.strokeStyle = style.getPropertyValue("--mark"); pen.lineWidth = 2; line(x(t), top, x(t), h);
     pen.restore();
-    if (plot.curves.length > 1) plot.curves.forEach((c, i) => {
-      pen.fillStyle = colors[i % 6]; pen.fillText(c.label, words, 13); words += pen.measureText(c.label).width + 8;
+    many.forEach((c, i) => {
+      pen.fillStyle = colors[i % 6]; pen.fillText(c.label, words, 13); words += wide(c.label) + 8;
     });
     pen.lineWidth = 1;
   });

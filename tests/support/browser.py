@@ -102,12 +102,12 @@ def opened(browser, address, *, width=640, height=520, dark=False, allowed=()):
         context.close()
 
 
-def near(pixels, color, within=70):
+def near(pixels, color):
     """Fraction of pixels whose hue is about that of a color: channels after brightness was taken out."""
     own, other = (x - x.mean(axis=-1, keepdims=True) for x in (pixels, np.array(color, float)))
     size = np.linalg.norm(own, axis=-1)
     alike = (own @ other) > 0.9 * size * np.linalg.norm(other)
-    return float((alike & (size > within / 2)).mean())
+    return float((alike & (size > 10)).mean())
 
 
 def drawn(pixels):
