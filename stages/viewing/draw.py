@@ -96,12 +96,19 @@ def draw_part(scene: Any, part: Part) -> Any:
         return scene.add_line_segments(
             name,
             part.segments.astype(np.float32),
-            color if isinstance(color, np.ndarray) else np.array(color, np.uint8),
+            _linear(color) if isinstance(color, np.ndarray) else np.array(color, np.uint8),
             thickness=part.width_px,
             thickness_units="screen",
             visible=part.visible,
         )
     return _copies(scene, name, part)
+
+
+def _linear(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Linear light of sRGB colours: so viser reads those of single ends of lines, unlike that of a part."""
+    part = color / 255.0
+    light = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return np.round(255 * light).astype(np.uint8)
 
 
 def _gaussians(scene: Any, name: str, part: Gaussians) -> Any:

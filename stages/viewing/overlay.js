@@ -55,7 +55,7 @@
     const values = plot.curves.flatMap(c => c.v.filter(v => v !== null));
     if (plot.limit !== null) values.push(plot.limit);
     let low = Math.min(...values), high = Math.max(...values);
-    if (!(high > low)) { high = low + 1; }
+    if (!(high > low)) { low = Math.min(0, low); high = Math.max(high, low + 1); }
     const pad = 0.06 * (high - low), left = 42, right = 8, top = 20, bottom = 6;
     low -= pad; high += pad;
     const end = Math.max(f.end - f.begin, 1e-6);
@@ -68,7 +68,7 @@
     let words = left + wide(name) + 10;
     pen.strokeStyle = style.getPropertyValue("--line"); pen.strokeRect(left, top, w - left - right, h - top - bottom);
     pen.fillStyle = style.getPropertyValue("--soft"); pen.textAlign = "right";
-    for (const v of [low + pad, high - pad]) pen.fillText(v.toPrecision(2), left - 4, y(v) + 4);
+    for (const v of [low + pad, high - pad]) pen.fillText(v && Math.abs(v) < 0.01 ? v.toExponential(0) : v.toPrecision(2), left - 4, y(v) + 4);
     pen.textAlign = "left"; pen.save(); pen.beginPath(); pen.rect(left, top, w - left - right, h - top - bottom); pen.clip();
     const line = (x0, y0, x1, y1) => { pen.beginPath(); pen.moveTo(x0, y0); pen.lineTo(x1, y1); pen.stroke(); };
     if (plot.limit !== null) { pen.setLineDash([4, 3]); pen.strokeStyle = "#d7301f"; line(left, y(plot.limit), w, y(plot.limit)); pen.setLineDash([]); }
