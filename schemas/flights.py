@@ -325,6 +325,8 @@ def _flight(
     answered = {
         name: own for name, own in each.items() if len(own) == len(safety)
     }  # in the order of the answers
+    active = {name: [one.active for one in own] for name, own in answered.items()}
+    active = active or {"": [one.active for one in safety]}
     square = np.square(measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
     return Flight(
         time_s=measured("time", [state.time_s for state in states]),
@@ -340,10 +342,7 @@ def _flight(
         moving=moving([bodies.get(i) for i in order]) if bodies else None,
         commands=commands_of(safety),
         each_status={name: tuple(one.status_name for one in own) for name, own in answered.items()},
-        active={
-            name: np.array([one.active for one in own], np.int64)
-            for name, own in (answered or {"": safety}).items()
-        },
+        active={name: np.array(numbers, np.int64) for name, numbers in active.items()},
     )
 
 

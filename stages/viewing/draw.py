@@ -272,7 +272,6 @@ class _Actor:
             corners=one.corners,
             triangles=one.triangles,
             color=DECIDES_COLOR,
-            opacity=0.5,
             visible=False,
         )
         return draw_part(scene, faces)

@@ -27,7 +27,7 @@ from support.flight_logs import sample
 from support.flights import mission
 from support.viewed_pages import write_page, write_simulated
 
-SIZE, WIDE = {"width": 800, "height": 500}, {"width": 1100, "height": 760}
+SIZE, WIDE = {"width": 800, "height": 500}, {"width": 1100, "height": 600}
 PHONE = {"width": 390, "height": 700}
 SETTLES_MS = 25_000  # of a whole splat on a processor
 # A page draws less where there is no GPU; here it must not notice.
@@ -41,9 +41,8 @@ MOST_BYTES = 120_000
 
 # Name of a picture: command, files of the room or of the simulated logs, part of the first flight, dark.
 PAGES = {
-    "view-room": ("view", ["room.metric.scene.npz", "room.cover.npz", "room.plan.npz"], None, False),
     "view-gates": ("view", ["course.run.mcap", "course.plan.npz", "room.metric.scene.npz"], 0.42, False),
-    "view-deciding": ("view", ["pairs.run.mcap"], 0.6, True),
+    "view-deciding": ("view", ["hoops.run.mcap"], 0.6, True),
     "view-moving": ("view", ["moving.run.mcap"], 0.35, False),
     "view-fence": ("view", ["fenced.run.mcap"], 0.6, True),
     "report-flight": ("report", ["flight.run.mcap"], None, False),
@@ -87,7 +86,8 @@ def main(room: Path, folder: Path) -> None:
             with shown(browser, page_file.as_uri(), SIZE if command == "view" else WIDE, dark=dark) as page:
                 if command == "view":
                     at_part(page, part)
-                save(page.screenshot(), folder / f"{picture}.webp")
+                first = None if command == "view" else {"x": 0, "y": 0, "width": WIDE["width"], "height": 515}
+                save(page.screenshot(clip=first), folder / f"{picture}.webp")
         if "view-phone" in wanted:
             page_file = write_page(work, "view", "view-phone", "hoops.run.mcap", "room.metric.scene.npz")
             with shown(browser, page_file.as_uri(), PHONE, dark=True) as page:

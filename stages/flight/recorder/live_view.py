@@ -256,7 +256,7 @@ def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
     return [
         ("filter", FilterStatus(done.status).name.lower() + (", infeasible" if done.infeasible else "")),
         ("h", f"{done.margin:.3f}"),
-        ("active rows", str(done.active)),
+        ("deciding obstacle", "none" if done.active < 0 else str(done.active)),
         ("fence h", f"{done.fence_h_m:.2f} m"),
         ("fence λ", f"{done.fence_share:.2f}" + (", the fence flies" if done.fence_flies else "")),
         ("behind the plan", f"{done.error_m:.2f} m"),
