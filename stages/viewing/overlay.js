@@ -90,9 +90,12 @@
     let j = c.t.findIndex(s => s > t); j = j < 0 ? c.t.length - 1 : Math.max(0, j - 1);
     return (c.label === plot.name.split(" ")[0] ? "" : c.label + " ") + (c.v[j] === null ? "–" : c.v[j].toFixed(2)) + " " + (plot.name.match(/\[(.*)\]/) || ["", ""])[1];
   }).join(", ")).slice(0, 2).join("; ");
-  let before = null;
+  let before = null, isBegun = window.parent === window;
   const step = () => {
     const t = time();
+    if (t !== null && !isBegun) { // in a report it rests at the worst moment, and plays when it is told to
+      isBegun = true; seek(flights[0].begin + Math.max(0.01, flights[0].worst));
+    }
     if (t === null || (t === before && canvases.length && canvases[0].width === Math.round(canvases[0].clientWidth * (window.devicePixelRatio || 1)))) return;
     before = t;
     let i = flights.findIndex(f => t <= f.end + 1); if (i < 0) i = flights.length - 1;

@@ -184,6 +184,7 @@ def check_curves(shown, frame):
         found = chart.locator("line.now").bounding_box()
         return -1.0 if found is None else found["x"] - box["x"]
 
+    frame.wait_for_function(f"Math.abs(alulaTime() - {flight['begin'] + max(0.01, flight['worst'])}) < 0.02")
     middle = 0.5 * (flight["end"] - flight["begin"])
     seek(frame, flight["begin"] + middle)
     chart.scroll_into_view_if_needed()
