@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -53,7 +53,7 @@ setup: .venv/.installed ## make the environment in .venv/
 	touch $@
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e .
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e '.[all]'
 	touch $@
 
 firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute
@@ -125,6 +125,12 @@ test-wheel: wheel ## run smoke tests against the built wheel in an environment o
 	build/wheel-venv/bin/python -P -c 'import alula._core; assert "wheel-venv" in alula._core.__file__'
 	build/wheel-venv/bin/python -P -m pytest -m 'not slow' $(WHEEL_TESTS)
 
+test-core: wheel ## install the wheel without extras, run the pipeline with it, and fail where it is too large
+	$(BIN)/python -P benchmarks/installation.py dist/*.whl --core
+
+bench-installation: wheel ## the same with every extra, some minutes, into docs/dependencies.md
+	$(BIN)/python -P benchmarks/installation.py dist/*.whl --markdown docs/dependencies.md
+
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge
 
@@ -166,12 +172,17 @@ bench-plan: setup ## plan between random pairs in the built-in room and real sce
 	$(BIN)/python -P benchmarks/plan.py --markdown docs/results/benchmarks-plan.md
 	$(BIN)/python -P benchmarks/planned_flights.py --markdown docs/results/benchmarks-planned-flights.md
 
+bench-pages: setup ## size of pages, and how soon they answer in a browser without a GPU, some minutes
+	$(BIN)/python -P benchmarks/pages.py
+
 bench-world: setup ## fly the combined scenario behind every list of filters, an hour, into docs/results/benchmarks-world.md
 	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --keep build/bench-world \
 	  --markdown docs/results/benchmarks-world.md
 
-docs: setup ## regenerate the command reference
+docs: setup ## regenerate the command reference, and build the documentation into build/site/
 	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
+	@echo "documentation: $(CURDIR)/build/site/index.html"
 
 schemas: setup ## regenerate what follows from the schemas, and the type stub of the native module
 	$(BIN)/python -P -m alula.schemas.generate .

@@ -368,6 +368,7 @@ def table(found: Figures) -> str:
 
 _PREFACE = """# Filters among moving obstacles, measured
 
+Look up here how long a tick of each filter among moving obstacles takes.
 Written by `python benchmarks/dracbf.py --markdown FILE` on {machine}, Python {python}.
 
 """

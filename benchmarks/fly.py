@@ -306,6 +306,7 @@ def table(found: dict[str, Any]) -> str:
 OTHERS = "## Both autopilots\n"  # heading of the section that benchmarks/autopilots.py writes
 _PREFACE = """# Flights in real time, measured
 
+Look up here how punctual the control loop of `alula fly` is, and how near to obstacles its flights come.
 Written by `python benchmarks/fly.py --markdown FILE` on {machine}, Python {python}: `alula fly` at 100 Hz
 over MAVLink on loopback against `alula sim-vehicle` in another process, in real time, along a plan through
 the built-in room. Ticks are all of a flight, from the checks until the motors stop. A tick overruns when it

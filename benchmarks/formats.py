@@ -278,6 +278,7 @@ def _line(cells: Sequence[str]) -> str:
 
 _PREFACE = """# Splat formats, measured
 
+Look up here how fast and how exactly each splat format is read, beside other readers.
 Written by `python benchmarks/formats.py --markdown FILE` on {machine}, Python {python}. Differences are
 maxima over all rows of all files, against the oracle. *Bytes* is `numpy.fromfile` of the same
 files; ratios are those of the minimum wall seconds of {runs} runs in turns, so below 1 is in our favour.

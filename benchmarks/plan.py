@@ -320,11 +320,18 @@ def main() -> int:
     else:
         sys.stdout.write(table(found))
     if given.markdown is not None:
-        preface = "# Plans, measured\n\nWritten by `python benchmarks/plan.py --markdown FILE`.\n\n" + __doc__
-        given.markdown.write_text(f"{preface}\n{table(found)}")
+        given.markdown.write_text(f"{_PREFACE}{__doc__}\n{table(found)}")
     missed = any(each["planned_pairs"] < each["connected_pairs"] for each in found)
     missed |= any(each["gates_passed"] < 1 for each in found)
     return int(missed or any(each["limit_violations"] + each["gate_plans_unproven"] for each in found))
+
+
+_PREFACE = """# Plans, measured
+
+Look up here how often `plan` finds a way, how long that takes, and how fast its flights are.
+Written by `python benchmarks/plan.py --markdown FILE`.
+
+"""
 
 
 def table(found: list[dict[str, Any]]) -> str:

@@ -190,6 +190,8 @@ def main() -> int:
     if given.markdown is not None:
         preface = (
             "# Planned flights, measured\n\n"
+            "Look up here whether flights along plans arrive behind their filters, and how often a filter "
+            "intervenes.\n"
             "Written by `python benchmarks/planned_flights.py --markdown FILE`.\n\n"
         )
         given.markdown.write_text(f"{preface}{__doc__}\n{table(found)}")

@@ -27,6 +27,7 @@ _COLUMNS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
 
 _PREFACE = """# Compression, measured
 
+Compare here the covers of alula with those of CoACD, V-HACD and the paper's rule: size, volume, time, memory.
 Written by `python benchmarks/compression.py --markdown docs/results/benchmarks.md` on {machine},
 Python {python}. All tools got the same obstacles in one run, each in a process of its own that may use
 **{limit:g} s of CPU**; a tool that needs more has a row that says so. CPU and wall seconds are those of the

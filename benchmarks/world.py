@@ -351,6 +351,7 @@ def page(rows: list[dict[str, Any]], figures: dict[str, Any]) -> str:
     given = "\n".join(f"| `{key}` | {value} |" for key, value in figures.items() if key != "rows")
     return f"""# One world: the combined scenario
 
+Compare here how often a Crazyflie arrives, touches something or is hit behind each list of filters.
 Made by `make bench-world`; do not edit. A Crazyflie by body rates, 20 ms from measurement to command, motors
 with a lag of 30 ms, among the 300 hulls of the built-in room, inside a fence, with two balls thrown at its
 path ([examples/world/room.toml](../../examples/world/room.toml)). Every list of filters flies the same

@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 
 from alula.cli import options
+from alula.schemas.extras import EXTRAS
 
 EXAMPLES = """\b
 Examples:
@@ -21,7 +22,7 @@ Examples:
   alula doctor --json
 """
 
-# Module to import: the distribution that provides it.
+# Module to import: the distribution that provides it. What only some commands need is in EXTRAS.
 PACKAGES = {
     "click": "click",
     "numpy": "numpy",
@@ -33,19 +34,7 @@ PACKAGES = {
     "PIL": "pillow",
     "yaml": "pyyaml",
     "zstandard": "zstandard",
-    "matplotlib": "matplotlib",
-    "viser": "viser",
-    "cvxpy": "cvxpy-base",
     "clarabel": "clarabel",
-    "pymavlink": "pymavlink",
-    "open3d": "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
-    "pycolmap": "pycolmap",
-}
-# Module that only some commands need: its distribution, the extra that provides it, and its purpose.
-EXTRAS = {
-    "cflib": ("cflib", "crazyflie", "only to fly a Crazyflie"),
-    "foxglove": ("foxglove-sdk", "foxglove", "only for fly --foxglove"),
-    "rosbags": ("rosbags", "ros2", "only for export --ros2"),
 }
 # Shared library that open3d's Linux wheels load: the Debian package that provides it.
 LIBRARIES = {
@@ -144,8 +133,6 @@ def _package(module: str, distribution: str) -> Check:
     try:
         found = version(distribution)
     except PackageNotFoundError:
-        if _has_no_wheel(module):
-            return Check(module, "optional", "", "no wheel for this machine; alignment by images needs it")
         return Check(module, "missing", "", f"pip install {distribution}")
     try:
         done = subprocess.run(
@@ -166,12 +153,14 @@ def _package(module: str, distribution: str) -> Check:
 
 
 def _extra(module: str) -> Check:
-    distribution, extra, purpose = EXTRAS[module]
-    found = _package(module, distribution)
+    extra = EXTRAS[module]
+    found = _package(module, extra.distribution)
     if found.status == "ok":
         return found
-    note = f"{purpose}: pip install 'alula[{extra}]'" if not found.found else f"{purpose}; {found.note}"
-    return Check(module, "optional", found.found, note)
+    remedy = f"pip install 'alula[{extra.extra}]'" if not found.found else found.note
+    if not found.found and _has_no_wheel(module):
+        remedy = "there is no wheel for this machine"
+    return Check(module, "optional", found.found, f"{extra.purpose}: {remedy}")
 
 
 def _has_no_wheel(module: str) -> bool:

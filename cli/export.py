@@ -9,7 +9,7 @@ import click
 
 from alula.cli import options
 from alula.cli.options import Common
-from alula.schemas.configs.export import ExportConfig
+from alula.schemas.configs.export import FOLDERS, ExportConfig
 
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
@@ -20,6 +20,9 @@ Examples:
   alula export room.cover.npz -o room.glb
   alula export room.scene.npz -o room.spz
   alula export room.cover.npz -o room.map.bin --target crazyflie
+  alula export room.cover.npz -o room.xml
+  alula export room.cover.npz -o room_model --format gazebo
+  alula export room.voxels.npz -o room.bt
   alula export first.run.mcap -o first_bag --ros2
   alula export --foxglove-layout -o alula.layout.json
 """
@@ -28,7 +31,7 @@ Examples:
 @click.command(epilog=EXAMPLES)
 @click.argument("artifact", metavar="[INPUT]", required=False, type=options.input_path())
 @options.from_config(ExportConfig)
-@options.output(".glb .obj .json .stl .bin .h .ply .splat .spz")
+@options.output(".glb .obj .json .stl .bin .h .xml .usda .npz .geojson .ply .splat .spz .bt .pcd")
 def command(artifact: Path | None, config: ExportConfig, common: Common) -> None:
     """Convert a cover, a scene or a run for other programs.
 
@@ -36,6 +39,11 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     a microcontroller reads in place (.bin; .h holds the same bytes as a C array). A scene becomes PLY, SPLAT
     or SPZ (Gaussians), GLB or OBJ (points). For Gaussians, export measures and prints the loss of the format.
     Coordinates are not rotated. A .splat has no room for provenance, so only -f replaces one.
+
+    For simulators a cover becomes convex bodies: MJCF of MuJoCo (.xml), USD with the physics schema (.usda),
+    and folders with meshes for URDF and Gazebo (--format urdf, gazebo). It also becomes a signed distance
+    field (.npz) with the bound of its error, and a footprint on the map of the world (.geojson). Voxels
+    become an OctoMap (.bt), or points at their centres (.ply, .pcd). docs/guide/exports.md has the details.
 
     A run becomes a bag of ROS 2 with --ros2: a folder with odometry, paths, transforms, commands, and markers
     of map and obstacles. --foxglove-layout writes a layout for the logs of runs, and needs no INPUT.
@@ -47,11 +55,13 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     number of bytes that would fit. A map whose tick takes longer than the period of the control rate (--rate)
     ends with exit code 4. Neither writes a file.
     """
+    from alula.cli.export_model import export_model
     from alula.cli.export_run import export_bag, export_layout
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError, UsageError
+    from alula.schemas.kinds import SCENE
     from alula.schemas.targets import TARGETS
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
@@ -73,6 +83,9 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
         )
     parameters = config.parameters(common.output)
     name = str(parameters["format"])
+    if name in FOLDERS:
+        export_model(artifact, name, parameters, common)
+        return
     header = common.output.with_suffix(".h")
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
@@ -97,7 +110,7 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
                 if len(files) > 1:
                     files[1].write(_header_of(b"".join(parts), provenance))
 
-        what = {"hulls": "plane_start", "gaussians": "mean"}
+        what = {"hulls": "plane_start", "gaussians": "mean", "voxels": "index"}
         counts: dict[str, Any] = {
             word: len(found[array]) for word, array in what.items() if array in found.arrays
         }
@@ -108,7 +121,7 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
             counts |= map_facts(image)
             if config.target != "none":
                 counts |= {"header": str(header), **facts}
-        if name in SCENE_ENCODERS:
+        if found.manifest.schema == SCENE.name and name in SCENE_ENCODERS:
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:
                 counts["notes"] = ["this file does not record the loss of the scene's own source"]

@@ -28,11 +28,12 @@ def export_bag(log: Path, common: Common) -> None:
     """
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_folder
+    from alula.schemas.extras import require
     from alula.schemas.mcap_log import timed_messages
     from alula.schemas.run import open_log
-    from alula.stages.reporting.rosbag import METADATA, count_bag, require_rosbags, write_bag
+    from alula.stages.reporting.rosbag import METADATA, count_bag, write_bag
 
-    require_rosbags()
+    require("rosbags")
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         damage = _damage(log)
@@ -51,7 +52,16 @@ def export_bag(log: Path, common: Common) -> None:
 
         return write, summary
 
-    run(common, "alula/export", "1.0", {"format": "rosbag2"}, {"input": log}, make, mark=METADATA)
+    run(
+        common,
+        "alula/export",
+        "1.0",
+        {"format": "rosbag2"},
+        {"input": log},
+        make,
+        mark=METADATA,
+        members=r".*\.mcap",
+    )
 
 
 def _damage(log: Path) -> str:

@@ -16,6 +16,7 @@ from alula.cli.interruption import InterruptedWithAdvice, Interruption
 from alula.cli.present import echo, print_json
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
+from alula.schemas.extras import EXTRAS, missing
 
 # name: (module, first line of its help); a test compares the lines with the commands.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -37,6 +38,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("export", "Convert a cover, a scene or a run for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),
     "doctor": ("doctor", "Check that everything alula needs is installed."),
+    "help": ("help", "Show the help of alula or of a command."),
+    "completion": ("completion", "Print the completion script of a shell."),
 }
 
 
@@ -101,7 +104,7 @@ class LazyGroup(click.Group):
     epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input, 4 a check does not hold, "
     "5 infeasible, 6 link or vehicle, 130 interrupted, 141 broken pipe.",
 )
-@click.version_option(__version__, prog_name="alula")
+@click.version_option(__version__, "-V", "--version", prog_name="alula")
 def cli() -> None:
     """From a Gaussian splat to a safe flight."""
 
@@ -166,6 +169,8 @@ def _worded(error: Exception) -> tuple[str, ExitCode]:
             return f"{error.format_message().rstrip('.')} (see '{name} -h')", ExitCode.USAGE
         case click.ClickException():
             return error.format_message(), ExitCode.USAGE
+        case ModuleNotFoundError(name=str(module)) if module.partition(".")[0] in EXTRAS:
+            return str(missing(module.partition(".")[0])), ExitCode.USAGE
         case MemoryError():
             return "out of memory", ExitCode.INTERNAL
         case OSError(strerror=str(reason)):

@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 
 import click
 
+from alula.cli import completion
 from alula.schemas.errors import UsageError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -215,14 +216,15 @@ def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
     return decorate
 
 
-def from_config(config: type[Any]) -> Callable[[F], F]:
+def from_config(config: type[Any], argument: str = "config") -> Callable[[F], F]:
     """Decorator that adds one option per field of a configuration dataclass.
 
-    The function gets an instance as its argument `config`. The metadata of a field can have `help`, `option`
+    The function gets an instance as an argument. The metadata of a field can have `help`, `option`
     (one name or several, when they differ from the field's name) and `metavar`.
 
     Args:
         config: the dataclass; fields with the metadata `internal` get no option.
+        argument: name of the function's argument.
     """
 
     def decorate(function: F) -> F:
@@ -231,7 +233,7 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
 
         def collect(*args: Any, **kwargs: Any) -> Any:
             values = {f.name: kwargs.pop(f.name) for f in fields}
-            return function(*args, config=config(**values), **kwargs)
+            return function(*args, **{argument: config(**values)}, **kwargs)
 
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)
@@ -239,6 +241,8 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
             names = field.metadata.get("option", option_of(field))
             names = (names,) if isinstance(names, str) else names
             keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
+            if field.name == "filter":
+                keywords["shell_complete"] = completion.filters
             if "metavar" in field.metadata:
                 keywords["metavar"] = field.metadata["metavar"]
             if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:

@@ -10,7 +10,8 @@ from alula.cli.main import COMMANDS, cli
 
 HEADER = """# Command reference
 
-Made from the parsers by `make docs`; do not edit.
+This page has the help of every command: what it reads and writes, its options with their defaults, and
+examples. Exit codes come first. Made from the parsers by `make docs`; do not edit.
 
 """
 

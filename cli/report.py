@@ -112,6 +112,7 @@ def _files(
     progress: Progress,
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
     """Contents of the files of a report, the output first, and the facts to print."""
+    from alula.schemas.provenance import in_ascii
     from alula.stages.reporting.content import content_of, draw, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
     from alula.stages.reporting.tables import to_csv
@@ -120,7 +121,7 @@ def _files(
     content = content_of(material, config.table, config.paper, **everything)
     summary = dict(content.facts)
     line = provenance.line(summary)
-    plain = _ascii(line)
+    plain = in_ascii(line)
     progress(1, 3)
 
     def markdown() -> bytes:
@@ -169,18 +170,6 @@ def _figures_of(output: Path) -> list[Path]:
     """Files of the figures that a document of LaTeX shows."""
     found = re.findall(r"\\includegraphics\[[^\]]*\]\{([^}]*)\}", output.read_text(encoding="utf-8"))
     return [output.with_name(name) for name in found]
-
-
-def _ascii(line: str) -> str:
-    """Escape all characters beyond ASCII in JSON text, for files whose metadata is ASCII."""
-    return "".join(
-        mark if ord(mark) < 128 else "".join(f"\\u{unit:04x}" for unit in _utf16(mark)) for mark in line
-    )
-
-
-def _utf16(mark: str) -> list[int]:
-    raw = mark.encode("utf-16-be", "surrogatepass")
-    return [int.from_bytes(raw[at : at + 2], "big") for at in range(0, len(raw), 2)]
 
 
 def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:

@@ -109,6 +109,7 @@ def run(
     *,
     seed: int | None = None,
     mark: str = "",
+    members: str = "",
 ) -> None:
     """Produce one output of any kind, a file or a folder.
 
@@ -122,6 +123,8 @@ def run(
             file atomically, and the summary to print.
         seed: the seed, when the output depends on one.
         mark: name of the file with the provenance in an output that is a folder; empty for a file.
+        members: regular expression of the names of the other files of that folder; a folder with any other
+            file is not replaced.
 
     Raises:
         UsageError: the output exists with other provenance and --force is not given, or is an input.
@@ -133,6 +136,7 @@ def run(
         lambda provenance, progress: make(provenance(), progress),
         seed,
         mark,
+        members,
     )
 
 
@@ -145,11 +149,12 @@ def _run(
     make: Callable[[Callable[[], Provenance], Progress], tuple[Callable[[], None], dict[str, Any]]],
     seed: int | None,
     mark: str = "",
+    members: str = "",
 ) -> None:
     """As `run`, but `make` gets a function that returns the provenance, so that hashing runs beside it."""
     target = common.output / mark
     if mark and common.output.exists():
-        _check_folder(common.output, target)
+        _check_folder(common.output, target, members)
     else:
         check_output(common.output, inputs)
     if common.depfile is not None:
@@ -266,12 +271,13 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
             )
 
 
-def _check_folder(folder: Path, mark: Path) -> None:
+def _check_folder(folder: Path, mark: Path, members: str) -> None:
     """Refuse to replace a folder that is no output, whatever --force says.
 
     Args:
         folder: that exists.
         mark: its file with the provenance, which an output has.
+        members: regular expression of the names of its other files.
 
     Raises:
         OutputError: it is not a folder, or not writable.
@@ -285,7 +291,8 @@ def _check_folder(folder: Path, mark: Path) -> None:
         if not os.access(each, os.W_OK | os.X_OK):
             raise OutputError(f"{folder}: the folder {each} is not writable")
     names = {path.name for path in folder.iterdir()}
-    if names and names != {mark.name, f"{folder.name}.mcap"}:
+    is_output = mark.name in names and all(re.fullmatch(members, name) for name in names - {mark.name})
+    if names and not is_output:
         raise UsageError(f"{folder}: is a folder with other files, which is not replaced")
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import completion, options
 from alula.cli.runner import run
 from alula.schemas.errors import CheckError, UsageError
 
@@ -35,10 +35,21 @@ Examples:
 @click.argument("source", type=options.input_path())
 @click.option("--map", "map_path", type=options.input_path(), help="Cover or scene to fly in.")
 @click.option("--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover.")
-@click.option("--vehicle", metavar="NAME|FILE", help="Built-in vehicle, or vehicle file (.toml).")
+@click.option(
+    "--vehicle",
+    metavar="NAME|FILE",
+    help="Built-in vehicle, or vehicle file (.toml).",
+    shell_complete=completion.vehicles,
+)
 @click.option("--pairs-from", "pairs_path", type=options.input_path(), help="Run whose pairs to fly.")
 @click.option("--planned", is_flag=True, help="Plan each pair first, for the vehicle and the filters.")
-@click.option("--filter", "filters", metavar="NAME,…", help="Safety filters in their order, or none.")
+@click.option(
+    "--filter",
+    "filters",
+    metavar="NAME,…",
+    help="Safety filters in their order, or none.",
+    shell_complete=completion.filters,
+)
 @click.option("--speed", type=options.FINITE_FLOAT, help="Speed of the mission [m/s].")
 @click.option("--trials", type=options.Whole(1), help="Number of flights.")
 @options.settings("Set any other value; may be repeated.")

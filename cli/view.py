@@ -10,13 +10,13 @@ import click
 
 from alula.cli import options
 from alula.cli.options import Common
-from alula.schemas.configs.view import ViewConfig
+from alula.schemas.configs.view import PictureConfig, ViewConfig
 
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
+    from alula.stages.drawing.content import Content
     from alula.stages.viewing.compose import Shown
-    from alula.stages.viewing.content import Content
 
 EXAMPLES = """\b
 Examples:
@@ -24,7 +24,11 @@ Examples:
   alula view room.scene.npz room.cover.npz room.plan.npz
   alula view room.scene.npz pairs.run.mcap -o page.html
   alula view pairs.run.mcap --flight 12
+  alula view room.scene.npz room.plan.npz hoops.run.mcap -o hoops.png
+  alula view room.scene.npz hoops.run.mcap -o hoops.webp --camera chase --seconds 8
 """
+_PAGES, _STILLS, _MOVING = (".html", ".htm"), (".png",), (".webp", ".gif")
+_STILL_PX, _MOVING_PX = (1280, 800), (640, 400)
 
 
 @click.command(epilog=EXAMPLES)
@@ -37,46 +41,121 @@ Examples:
     help="Without -o: port of this machine only; 0 takes a free one.",
 )
 @options.from_config(ViewConfig)
-@options.output(".html", required=False)
+@options.from_config(PictureConfig, "pictured")
+@options.output(".html, .png, .webp or .gif", required=False)
 @click.pass_context
 def command(
-    context: click.Context, files: tuple[Path, ...], port: int, config: ViewConfig, common: Common
+    context: click.Context,
+    files: tuple[Path, ...],
+    port: int,
+    config: ViewConfig,
+    pictured: PictureConfig,
+    common: Common,
 ) -> None:
     """Show artifacts, runs and splat files in three dimensions.
 
     Without -o the page is served to a browser on this machine until Ctrl-C. With -o it is one file that
-    needs no network. Splat files are read as import-splat reads them, without its options.
+    needs no network: a page (.html), a picture (.png), or a moving picture of the first flight (.webp, .gif).
+    Pictures are drawn without a graphics card. Splat files are read as import-splat reads them, without its
+    options.
     """
     from alula.cli.runner import run
     from alula.schemas.errors import UsageError
     from alula.schemas.provenance import parameters_of
-    from alula.stages.reporting.page import comment
-    from alula.stages.viewing.page import within
 
     inputs = _inputs(files)
-    if not options.is_given(context, "output"):
+    form = common.output.suffix if options.is_given(context, "output") else ""
+    if form not in ("", *_PAGES, *_STILLS, *_MOVING):
+        raise UsageError(f"{common.output}: the output must end in .html, .png, .webp or .gif")
+    for name in ("camera", "size", "frames_per_second", "seconds"):
+        if (
+            options.is_given(context, name)
+            and form not in _MOVING
+            and not (name == "size" and form in _STILLS)
+        ):
+            known = ", ".join((*_STILLS, *_MOVING) if name == "size" else _MOVING)
+            raise UsageError(f"--{name.replace('_', '-')} needs an output that ends in {known}")
+    if not form:
         if common.dry_run or common.depfile is not None:
             raise UsageError("-n and --depfile need -o")
         _serve(files, config, port, common)
         return
-    if common.output.suffix not in (".html", ".htm"):
-        raise UsageError(f"{common.output}: the output must end in .html")
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
-        from alula.schemas.atomic import write_text
+        from alula.schemas.atomic import atomic_output
 
-        shown = _read(files, config)
-        progress(1, 2)
-        # The summary is part of the page, so it is known before the page is bounded.
-        text, content = within(
-            _composer(shown, config), most_gaussians=config.gaussians, provenance_line="PROVENANCE"
-        )
-        summary = _summary(content)
-        text = text.replace("PROVENANCE", comment(provenance.line(summary)), 1)
-        progress(2, 2)
-        return lambda: write_text(common.output, text), summary
+        compose = _composer(_read(files, config), config)
+        draw = _page if form in _PAGES else _picture
+        data, summary = draw(compose, config, pictured, form, provenance, progress, common.jobs)
 
-    run(common, "alula/view", "1.0", parameters_of(config), inputs, make)
+        def write() -> None:
+            with atomic_output(common.output) as file:
+                file.write(data)
+
+        return write, summary
+
+    parameters = parameters_of(config) | ({} if form in _PAGES else _parameters(pictured, form))
+    run(common, "alula/view", "1.1", parameters, inputs, make)
+
+
+def _parameters(pictured: PictureConfig, form: str) -> dict[str, Any]:
+    """Parameters of a picture that it depends on, with the form of its file."""
+    from alula.schemas.provenance import parameters_of
+
+    found = parameters_of(pictured) if form in _MOVING else {"size": pictured.size}
+    return found | {"form": form.removeprefix(".")}
+
+
+def _page(
+    compose: Callable[[int], Content],
+    config: ViewConfig,
+    _pictured: PictureConfig,
+    _form: str,
+    provenance: Provenance,
+    progress: Progress,
+    _jobs: int,
+) -> tuple[bytes, dict[str, Any]]:
+    """Text of a page, and the figures to print."""
+    from alula.stages.reporting.page import comment
+    from alula.stages.viewing.page import within
+
+    progress(1, 2)
+    # The summary is part of the page, so it is known before the page is bounded.
+    text, content = within(compose, most_gaussians=config.gaussians, provenance_line="PROVENANCE")
+    summary = _summary(content)
+    text = text.replace("PROVENANCE", comment(provenance.line(summary)), 1)
+    progress(2, 2)
+    return text.encode(), summary
+
+
+def _picture(
+    compose: Callable[[int], Content],
+    config: ViewConfig,
+    pictured: PictureConfig,
+    form: str,
+    provenance: Provenance,
+    progress: Progress,
+    jobs: int,
+) -> tuple[bytes, dict[str, Any]]:
+    """Bytes of a still or moving picture, and the figures to print."""
+    from alula.schemas.provenance import in_ascii
+    from alula.stages.viewing import encode
+    from alula.stages.viewing.film import film, still
+
+    content = compose(config.gaussians)
+    summary = _summary(content)
+    if form in _STILLS:
+        size = pictured.size_px(_STILL_PX)
+        summary |= {"columns": size[0], "rows": size[1]}
+        return encode.png(still(content, size, jobs), in_ascii(provenance.line(summary))), summary
+    size, rate_hz = pictured.size_px(_MOVING_PX), pictured.frames_per_second
+    found = film(
+        content, pictured.camera, size, rate_hz=rate_hz, most_s=pictured.seconds, jobs=jobs, progress=progress
+    )
+    summary |= {"columns": size[0], "rows": size[1], "frames": len(found.frames)}
+    summary |= {"times_as_fast": round(found.faster, 3)}
+    line = in_ascii(provenance.line(summary))
+    return (encode.gif if form == ".gif" else encode.webp)(found, rate_hz, line), summary
 
 
 def _inputs(files: tuple[Path, ...]) -> Mapping[str, Path]:

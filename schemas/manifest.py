@@ -37,7 +37,13 @@ Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
 class Producer(msgspec.Struct, frozen=True):
-    """The program that wrote an artifact."""
+    """The program that wrote an artifact.
+
+    Attributes:
+        name: always "alula".
+        version: of the program.
+        commit: of its source; "unknown" without one.
+    """
 
     name: str
     version: str
@@ -47,8 +53,12 @@ class Producer(msgspec.Struct, frozen=True):
 class InputRef(msgspec.Struct, frozen=True, order=True):
     """A file that an artifact was made from.
 
-    `schema` and `version` are empty for files that are not artifacts. `name` is the file's name without its
-    folder, so that equal content gives equal bytes in every folder.
+    Attributes:
+        role: what it is to the command, such as "scene".
+        schema: its kind; empty for a file that is no artifact.
+        version: of its kind; empty for a file that is no artifact.
+        sha256: of the whole file.
+        name: the file's name without its folder, so that equal content gives equal bytes in every folder.
     """
 
     role: str
@@ -59,7 +69,16 @@ class InputRef(msgspec.Struct, frozen=True, order=True):
 
 
 class ArraySpec(msgspec.Struct, frozen=True):
-    """One array: its type, shape, meaning and hash (of the little-endian C-order bytes)."""
+    """One array of an artifact.
+
+    Attributes:
+        dtype: NumPy type with byte order.
+        shape: lengths of the axes.
+        frame: the frame of its positions and directions.
+        unit: of its values.
+        meaning: in words.
+        sha256: of the little-endian C-order bytes.
+    """
 
     dtype: str
     shape: list[int]
@@ -70,14 +89,25 @@ class ArraySpec(msgspec.Struct, frozen=True):
 
 
 class Guarantee(msgspec.Struct, frozen=True):
-    """Guarantee of an artifact: a sentence, and the same as machine-readable claims."""
+    """Guarantee of an artifact.
+
+    Attributes:
+        statement: what is guaranteed, in a sentence.
+        claims: the same for programs, by name.
+    """
 
     statement: str
     claims: dict[str, Any] = {}
 
 
 class Similarity(msgspec.Struct, frozen=True):
-    """Similarity p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
+    """Similarity p_world = scale * rotation @ p_scene + translation_m.
+
+    Attributes:
+        scale: metres per unit of the scene.
+        rotation: shape (3, 3), row by row, with determinant +1.
+        translation_m: of the scene's origin [m].
+    """
 
     scale: Annotated[float, msgspec.Meta(gt=0)]
     rotation: Annotated[list[Vector], msgspec.Meta(min_length=3, max_length=3)]
@@ -85,7 +115,22 @@ class Similarity(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
-    """Fields that every artifact has."""
+    """Fields that every artifact has.
+
+    Attributes:
+        schema: the kind, such as "alula/cover".
+        version: of the kind, MAJOR.MINOR; readers refuse a higher MAJOR.
+        producer: the program that wrote it.
+        parameters: of the command, defaults included.
+        inputs: the files that it was made from.
+        frame: the frame of all positions: "scene", or the name of a world frame.
+        unit: of lengths: "m", or "arbitrary" before the alignment.
+        arrays: type, shape, unit and hash of each array, by its name.
+        summary: counts and sizes for people; no reader depends on them.
+        seed: of the random numbers; null without any.
+        guarantee: what holds for the content; null where nothing does.
+        requires: features that a reader must know to use the file safely.
+    """
 
     schema: str
     version: str
@@ -108,6 +153,12 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     the ellipsoids as those of the original. `world_from_scene` is None until `scale-align` has run.
     `suggested_inflation_m` then bounds the alignment's position error within the scene's bounds. `source`
     describes the splat file: format, row counts, rows removed by each rule, bounds of the format's own loss.
+
+    Attributes:
+        source: the splat file: format, counts, rules that removed rows, losses.
+        world_from_scene: the alignment; null until `scale-align` has run.
+        alignment: evidence and residuals of the alignment; null without one.
+        suggested_inflation_m: bound of the alignment's position error within the scene [m].
     """
 
     source: dict[str, Any]
@@ -129,6 +180,15 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     A voxel of edge `voxel_size_m` counts when it touches `crop` and is touched by at least `min_overlap`
     ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`. Each
     ellipsoid is also grown by the scene's `loss`, unless `ignore_loss`.
+
+    Attributes:
+        voxel_size_m: edge of a voxel [m].
+        sigma: level of the ellipsoids, in standard deviations.
+        min_overlap: minimum number of ellipsoids that touch a voxel that counts.
+        inflation_m: radius of the ball added to each ellipsoid [m].
+        crop: box XMIN YMIN ZMIN XMAX YMAX ZMAX beyond which nothing counts [m]; null for none.
+        min_opacity: minimum opacity of a Gaussian that counts.
+        ignore_loss: the ellipsoids were not grown by the loss of the splat file's format.
     """
 
     unit: Literal["m"]
@@ -156,6 +216,13 @@ class SeenManifest(LevelManifest, frozen=True, kw_only=True):
     `size` voxels from voxel `lower`, and in all of its voxels that are not listed, nothing is known. A ball
     of `radius_m` around the centres of the voxels `started_from` moves by steps of one voxel along an axis
     until it has touched each voxel of the file, and touches no other voxel.
+
+    Attributes:
+        method: whether cameras saw the voxels, or they are the closed space around a point.
+        radius_m: of the ball [m].
+        lower: lower corner of the box in which anything is known [voxel].
+        size: of that box [voxel].
+        started_from: the voxels at which the ball started.
     """
 
     method: Literal["cameras", "reach"]
@@ -180,6 +247,11 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     It has the level of the covered voxels, so that a scene can be checked against the cover alone. With
     `polytopes` "hull" the polytopes are the convex hulls of their members. With "outer" they contain these
     hulls: their planes support the hull and include those of its bounding box; `requires` names this too.
+
+    Attributes:
+        conservativeness: volume of the polytopes over that of the voxels.
+        certificate: what `merge` checked of its own result.
+        polytopes: whether they are the convex hulls of their members or contain these.
     """
 
     conservativeness: Margin
@@ -233,7 +305,12 @@ class PlanPass(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlanZone(msgspec.Struct, frozen=True, kw_only=True):
-    """A box, XMIN YMIN ZMIN XMAX YMAX ZMAX [m], in which the plan keeps a lower top speed [m/s]."""
+    """A box in which the plan keeps a lower top speed.
+
+    Attributes:
+        box_m: XMIN YMIN ZMIN XMAX YMAX ZMAX [m].
+        speed_m_s: top speed in it [m/s].
+    """
 
     box_m: Annotated[list[Coordinate], msgspec.Meta(min_length=6, max_length=6)]
     speed_m_s: Length
@@ -250,6 +327,19 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     gates of all laps in their order, and `via_m` where the curve passes them; `zones` have lower top speeds.
     A plan that `requires` names unproven keeps the limits, but may lead through obstacles; only its start and
     goal keep `radius_m`.
+
+    Attributes:
+        radius_m: distance that the plan keeps from all obstacles [m].
+        speed_m_s: speed limit of the plan [m/s].
+        certificate: what was proven of the curve, with numbers.
+        margin_m: part of `radius_m` beyond the radius of the vehicle [m].
+        via_m: points to pass between start and goal, in their order [m].
+        limits: bounds of the motion at every instant, by name.
+        method: how the curve was found.
+        vehicle: name of the vehicle that it was made for.
+        maps: each map, its obstacles, and the distance that the plan keeps from them.
+        passes: waypoints and gates of all laps, in their order.
+        zones: boxes with a lower top speed.
     """
 
     unit: Literal["m"]

@@ -78,11 +78,19 @@ class ZoneTable(_Table, frozen=True, kw_only=True):
     """A box with a lower top speed."""
 
     box_m: Annotated[Box, Meta(description="XMIN YMIN ZMIN XMAX YMAX ZMAX [m]")]
-    speed_m_s: Annotated[float, Meta(ge=1e-3, le=1e3)]
+    speed_m_s: Annotated[float, Meta(ge=1e-3, le=1e3, description="top speed in it [m/s]")]
 
 
 class Mission(_Table, frozen=True, kw_only=True):
-    """A mission file."""
+    """A mission file.
+
+    Attributes:
+        schema: kind of the file.
+        version: of the kind.
+        name: of the mission.
+        start_m: first point of the flight; null: that of `plan --start` [m].
+        goal_m: last point of the flight; null: that of `plan --goal` [m].
+    """
 
     schema: Literal["alula/mission"] = MISSION_SCHEMA
     version: str = VERSION

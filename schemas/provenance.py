@@ -23,6 +23,7 @@ RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
 _MANIFEST_LIMIT = 2**26
 _MOST_PDF = 2**28
+_MOST_PICTURE = 2**30  # [B]
 _MOST_JSON = 2**30  # [B], read at once
 _MOST_MAP = 2**28  # [B]
 _NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # errors of skipping through arbitrary bytes
@@ -34,6 +35,15 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     Text formats hold it as JSON behind `MARK` in one line, JSON files under the key `provenance`, GLB files
     under `asset.extras.provenance`, array artifacts in their manifest, MCAP logs in their metadata, and
     onboard maps in a line after the image.
+
+    Attributes:
+        schema: kind of the output.
+        version: of the kind.
+        producer: the program that wrote it.
+        parameters: of the command, defaults included.
+        seed: of the random numbers; null without any.
+        inputs: the files that it was made from.
+        summary: counts and sizes for people.
     """
 
     schema: str
@@ -79,6 +89,22 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         """
         record = msgspec.structs.replace(self, summary=summary or {})
         return MARK + msgspec.json.encode(record, order="sorted").decode()
+
+
+def in_ascii(line: str) -> str:
+    """Escape all characters beyond ASCII in JSON text, for files whose metadata is ASCII.
+
+    Args:
+        line: of `Provenance.line`.
+    """
+    return "".join(
+        mark if ord(mark) < 128 else "".join(f"\\u{unit:04x}" for unit in _utf16(mark)) for mark in line
+    )
+
+
+def _utf16(mark: str) -> list[int]:
+    raw = mark.encode("utf-16-be", "surrogatepass")
+    return [int.from_bytes(raw[at : at + 2], "big") for at in range(0, len(raw), 2)]
 
 
 def parameters_of(config: Any) -> dict[str, Any]:
@@ -161,6 +187,8 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
         return _of_pdf(path)
     if head == b"\x89PNG\r\n\x1a\n":
         return _of_png(raw)
+    if head.startswith((b"GIF8", b"RIFF")):
+        return _of_moving_picture(path)
     if path.suffix == ".json" or head.startswith(b"{"):
         return _of_json(path)
     return _of_text(raw)
@@ -182,6 +210,43 @@ def _of_png(raw: bytes) -> Provenance | None:
     if mark < 0 or chunk < 4:
         return None
     return _of_text(raw[mark : chunk + 4 + int.from_bytes(raw[chunk - 4 : chunk], "big")])
+
+
+def _of_moving_picture(path: Path) -> Provenance | None:
+    """Read from the comment of a GIF, or the XMP data of a WebP."""
+    if path.stat().st_size > _MOST_PICTURE:
+        return None
+    raw = path.read_bytes()
+    return _of_text(_gif_comment(raw) if raw.startswith(b"GIF8") else _webp_chunk(raw, b"XMP "))
+
+
+def _gif_comment(raw: bytes) -> bytes:
+    """Text of the comment before the first image; empty without one.
+
+    Behind the header and its colours stand extensions: 21, a kind, and blocks, each after its length, the
+    last one empty.
+    """
+    at = 13 + (3 * 2 ** (1 + raw[10] % 8) if len(raw) > 13 and raw[10] >= 0x80 else 0)
+    while raw[at : at + 1] == b"\x21":
+        is_comment, found, at = raw[at + 1 : at + 2] == b"\xfe", b"", at + 2
+        while at < len(raw) and (length := raw[at]):
+            found += raw[at + 1 : at + 1 + length]
+            at += 1 + length
+        if is_comment:
+            return found
+        at += 1
+    return b""
+
+
+def _webp_chunk(raw: bytes, kind: bytes) -> bytes:
+    """Contents of the first chunk of a kind; empty without one."""
+    at = 12
+    while at + 8 <= len(raw):
+        length = int.from_bytes(raw[at + 4 : at + 8], "little")
+        if raw[at : at + 4] == kind:
+            return raw[at + 8 : at + 8 + length]
+        at += 8 + length + length % 2
+    return b""
 
 
 def _of_pdf(path: Path) -> Provenance | None:

@@ -33,7 +33,16 @@ class ReportNumber(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportSubject(msgspec.Struct, frozen=True, kw_only=True):
-    """A run, the map, the plan or the scene, with its verdict and its numbers."""
+    """A run, the map, the plan or the scene.
+
+    Attributes:
+        kind: which of these.
+        title: its heading.
+        words: what it is, in a line.
+        verdict: a sentence.
+        tone: of the verdict.
+        numbers: of the first screen.
+    """
 
     kind: Literal["run", "map", "plan", "scene"]
     title: str
@@ -44,7 +53,15 @@ class ReportSubject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportTable(msgspec.Struct, frozen=True, kw_only=True):
-    """A table; each row is as long as `columns`, and an unknown value is null."""
+    """A table.
+
+    Attributes:
+        name: for programs.
+        title: its heading.
+        columns: names with units.
+        rows: each as long as `columns`; an unknown value is null.
+        note: a sentence below it.
+    """
 
     name: str
     title: str
@@ -54,7 +71,13 @@ class ReportTable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportFigure(msgspec.Struct, frozen=True, kw_only=True):
-    """A figure of the page, in words."""
+    """A figure of the page, in words.
+
+    Attributes:
+        name: for programs.
+        title: its heading.
+        description: what it shows.
+    """
 
     name: str
     title: str
@@ -62,7 +85,12 @@ class ReportFigure(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """The exact statement of a guarantee, and what it is about."""
+    """The exact statement of a guarantee.
+
+    Attributes:
+        subject: the run, or the map.
+        statement: the words of its file.
+    """
 
     subject: str
     statement: str
@@ -72,6 +100,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     """A report.
 
     Attributes:
+        schema: always "alula/report".
+        version: of the kind.
+        provenance: program, parameters and inputs.
         title: its heading.
         verdict: a sentence.
         tone: of the verdict.

@@ -288,6 +288,18 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     `summary` has at least these keys: trials, success_rate, success_interval (95 % Wilson), collisions,
     reached, stuck, timeout, refused, min_map_clearance_m, min_scene_clearance_m, mean_path_ratio
     (path over straight line, successful flights only).
+
+    Attributes:
+        schema: always "alula/run".
+        version: of the kind.
+        provenance: program, parameters and inputs.
+        name: of the run.
+        filter: name of the filter, or of the list of filters.
+        vehicle: in words.
+        trials: verdict on each flight, in their order.
+        summary: numbers over all trials.
+        guarantee: what holds for the flights.
+        timing: measured times; null where nothing was measured.
     """
 
     schema: str

@@ -81,7 +81,14 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class BodyTable(_Table, frozen=True, kw_only=True):
-    """The rigid body; inertia along its own axes."""
+    """The rigid body.
+
+    Attributes:
+        radius_m: of a sphere around the vehicle [m].
+        mass_kg: of a quadrotor [kg].
+        inertia_kg_m2: about its own axes x, y, z [kg m^2].
+        gravity_m_s2: where it flies [m/s^2].
+    """
 
     radius_m: Positive
     mass_kg: Positive | None = None
@@ -90,7 +97,15 @@ class BodyTable(_Table, frozen=True, kw_only=True):
 
 
 class RotorsTable(_Table, frozen=True, kw_only=True):
-    """Four rotors that push along body z, and the limits of their thrusts."""
+    """Four rotors that push along body z.
+
+    Attributes:
+        positions_m: x and y of each in the body frame [m].
+        spins: -1: counter-clockwise seen from above.
+        torque_ratio_m: torque about z over thrust [m].
+        max_thrust_n: of each [N].
+        min_thrust_n: of each [N].
+    """
 
     positions_m: tuple[RotorPosition, RotorPosition, RotorPosition, RotorPosition]
     spins: tuple[Spin, Spin, Spin, Spin]
@@ -100,7 +115,12 @@ class RotorsTable(_Table, frozen=True, kw_only=True):
 
 
 class LimitsTable(_Table, frozen=True, kw_only=True):
-    """Limits of a point without rotors."""
+    """Limits of a point without rotors.
+
+    Attributes:
+        max_speed_m_s: of a single integrator [m/s].
+        max_acceleration_m_s2: of a double integrator [m/s^2].
+    """
 
     max_speed_m_s: Positive | None = None
     max_acceleration_m_s2: Positive | None = None
@@ -109,8 +129,10 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
 class RatesTable(_Table, frozen=True, kw_only=True):
     """Limits of rate commands, and the first-order lag of the rate loop within the rotors' limits.
 
-    `time_constant_s` is that of all axes; `axis_time_constant_s` replaces it by one for each of x, y, z of
-    the body.
+    Attributes:
+        max_rad_s: maximum rates of a command, body x, y, z [rad/s].
+        time_constant_s: of the loop that follows a rate, about all axes [s].
+        axis_time_constant_s: replaces it by one for each of x, y, z of the body [s].
     """
 
     max_rad_s: Positives = (10.0, 10.0, 4.0)
@@ -130,7 +152,14 @@ class RatesTable(_Table, frozen=True, kw_only=True):
 
 
 class ThrottleTable(_Table, frozen=True, kw_only=True):
-    """Acceleration by throttle with a fresh battery; at full throttle it falls by at most `sag_share`."""
+    """Acceleration by throttle, for flying as a racing pilot does.
+
+    Attributes:
+        acceleration_m_s2: a_0, a_1, a_2 of a_0 + a_1 u + a_2 u^2 at the throttle u with a fresh battery
+            [m/s^2].
+        sag_share: fraction by which the acceleration falls at most, at full throttle.
+        sag_time_s: time constant of that [s].
+    """
 
     acceleration_m_s2: tuple[float, Size, Size]
     sag_share: Annotated[float, Meta(ge=0, lt=1)] = 0.0
@@ -140,6 +169,17 @@ class ThrottleTable(_Table, frozen=True, kw_only=True):
 class TrackingTable(_Table, frozen=True, kw_only=True):
     """Gains of the geometric controller, and limits of its command; see
     `alula/dynamics/tracking_controller.hpp`.
+
+    Attributes:
+        kp_per_s2: acceleration per position error [1/s^2].
+        kv_per_s: acceleration per velocity error [1/s].
+        attitude_n_m: torque per attitude error, body x, y, z [N m]; null: in proportion to the inertia.
+        rate_n_m_s: torque per rate error, body x, y, z [N m s]; null: in proportion to the inertia.
+        catch_up_m_s: maximum speed beyond the reference's to make up for a position error [m/s].
+        max_tilt_rad: maximum tilt of a command [rad].
+        max_thrust_share: maximum thrust of a command as a fraction of that of the rotors.
+        uses_acceleration: whether errors of acceleration and jerk, computed from the thrust, enter the
+            derivatives of the commanded force.
     """
 
     kp_per_s2: Positive = 3.0
@@ -153,7 +193,21 @@ class TrackingTable(_Table, frozen=True, kw_only=True):
 
 
 class DisturbanceTable(_Table, frozen=True, kw_only=True):
-    """Disturbances of the simulated plant, all off by default; drag is along the body's axes."""
+    """Disturbances of the simulated plant, all off by default.
+
+    Attributes:
+        motor_time_constant_s: of the rotors' thrusts [s].
+        linear_drag_n_s_m: along body x, y, z [N s/m].
+        quadratic_drag_n_s2_m2: along body x, y, z [N s^2/m^2].
+        wind_m_s: steady wind, world frame [m/s].
+        gust_m_s: standard deviation of gusts, world x, y, z [m/s].
+        gust_time_s: correlation time of gusts [s].
+        position_noise_m: standard deviation of the measured position [m].
+        velocity_noise_m_s: of the measured velocity [m/s].
+        attitude_noise_rad: of the measured attitude [rad].
+        rate_noise_rad_s: of the measured body rates [rad/s].
+        delay_s: age of a measurement [s].
+    """
 
     motor_time_constant_s: Size = 0.0
     linear_drag_n_s_m: Sizes = (0.0, 0.0, 0.0)
@@ -169,7 +223,12 @@ class DisturbanceTable(_Table, frozen=True, kw_only=True):
 
 
 class AssumedTable(_Table, frozen=True, kw_only=True):
-    """Lag and delay that controller and filters assume; for a real vehicle the identified values."""
+    """What controller and filters assume; for a real vehicle the identified values.
+
+    Attributes:
+        motor_time_constant_s: of the rotors' thrusts [s].
+        delay_s: of measurements [s].
+    """
 
     motor_time_constant_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
     delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
@@ -178,9 +237,15 @@ class AssumedTable(_Table, frozen=True, kw_only=True):
 class VelocitiesTable(_Table, frozen=True, kw_only=True):
     """How the vehicle's own controller follows velocity set-points; the defaults are ArduPilot Copter's.
 
-    63 % of a stop from the speed v take a + b v, with [a, b] = `horizontal_lag` or `vertical_lag` [s, s^2/m],
-    the latter in the slower of both directions, and up to `max_up_m_s`. `deceleration_m_s2` is the horizontal
-    deceleration that a stop sustains; the default is ArduPilot's WPNAV_ACCEL.
+    63 % of a stop from the speed v take a + b v.
+
+    Attributes:
+        horizontal_lag: a and b [s, s^2/m].
+        vertical_lag: a and b in the slower of both directions [s, s^2/m].
+        max_up_m_s: speed up to which it climbs [m/s].
+        max_down_m_s: speed up to which it descends [m/s].
+        deceleration_m_s2: horizontal deceleration that a stop sustains; the default is ArduPilot's
+            WPNAV_ACCEL [m/s^2].
     """
 
     horizontal_lag: Lag = (0.57, 0.185)
@@ -193,12 +258,28 @@ class VelocitiesTable(_Table, frozen=True, kw_only=True):
 class IdentifiedTable(_Table, frozen=True, kw_only=True):
     """What `alula identify` measured; an interval [low, high] contains the value in 95 of 100 measurements.
 
-    `delay_s` is the time from a velocity set-point to the first response. The lag laws have the interval of
-    a and of b. Drag is linear, along x and y of the heading and z. `residual_m_s2` is the 99 % quantile of
-    the difference between the acceleration of the model and the measured one, means over 0.25 s.
-    `time_constant_interval_s` is that of `rates.axis_time_constant_s`. `reached_rad_s` are the fastest body
-    rates that were flown, 0 about an axis without such a step; they bound `rates.max_rad_s` only where more
-    was asked.
+    Attributes:
+        autopilot: that followed the steps.
+        date: of the measurement.
+        speeds_m_s: of the steps [m/s].
+        horizontal_lag_interval, vertical_lag_interval: of a and of b of `velocities`.
+        delay_s: time from a velocity set-point to the first response [s].
+        delay_interval_s: of that [s].
+        deceleration_interval_m_s2: of `velocities.deceleration_m_s2` [m/s^2].
+        hover_throttle: throttle at which it hovers.
+        hover_throttle_interval: of that.
+        drag_per_s: linear drag along x and y of the heading and z, over the mass [1/s].
+        drag_interval_per_s: of that [1/s].
+        residual_m_s2: 99 % quantile of the difference between the acceleration of the model and the measured
+            one, means over 0.25 s [m/s^2].
+        time_constant_interval_s: of `rates.axis_time_constant_s` [s].
+        reached_rad_s: fastest body rates that were flown, 0 about an axis without such a step; they bound
+            `rates.max_rad_s` only where more was asked [rad/s].
+        reached_interval_rad_s: of that [rad/s].
+        yaw_acceleration_rad_s2: with which it begins to turn [rad/s^2].
+        yaw_acceleration_interval_rad_s2: of that [rad/s^2].
+        thrust_time_constant_s: of the thrust [s].
+        thrust_time_constant_interval_s: of that [s].
     """
 
     autopilot: str = ""
@@ -274,7 +355,24 @@ _NEEDED = {
 
 
 class Vehicle(_Table, frozen=True, kw_only=True):
-    """A vehicle file."""
+    """A vehicle file.
+
+    Attributes:
+        name: of the vehicle.
+        model: what it is simulated as; tables that do not apply to it are refused.
+        schema: kind of the file.
+        version: of the kind.
+        body: mass and size.
+        rotors: of a quadrotor.
+        limits: of a point.
+        rates: the loop that follows rate commands.
+        throttle: for pilots.
+        tracking: gains of the controller.
+        disturbance: of the vehicle in simulation.
+        assumed: what controller and filters assume.
+        velocities: how its own controller follows velocities.
+        identified: what was measured.
+    """
 
     name: str
     model: Model

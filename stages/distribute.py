@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
 from alula.schemas.errors import LinkError, UsageError
+from alula.schemas.extras import load
 from alula.schemas.manifest import producer
 from alula.stages.loopback import is_loopback
 
@@ -138,13 +139,7 @@ class _Cluster:
 @contextmanager
 def _cluster(address: str, timeout_s: float) -> Iterator[_Workers]:
     check_scheduler(address, allow_remote=True)
-    try:
-        import dask
-        import distributed
-    except ImportError as error:
-        raise UsageError(
-            "--scheduler needs dask.distributed, which is not installed: pip install 'alula[cluster]'"
-        ) from error
+    distributed, dask = load("distributed"), load("dask")
     # Chunks are part of their tasks on purpose: the scheduler can then send them again.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
         try:

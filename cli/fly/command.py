@@ -109,16 +109,18 @@ def command(
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.schemas.artifact import read_artifact
+    from alula.schemas.extras import require
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.start_time import start_time_ns
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.mission import make_mission
-    from alula.stages.flight.recorder.foxglove_server import require_foxglove
 
     if foxglove is not None:
-        require_foxglove()
+        require("foxglove")
+    if live is not None:
+        require("viser")
     start_ns = None if start_time is None else start_time_ns(start_time)
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)

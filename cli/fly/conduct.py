@@ -58,7 +58,10 @@ def signals(handler: Any) -> Iterator[None]:
 
 @contextmanager
 def priority() -> Iterator[None]:
-    """Give this thread real-time priority if the system allows it; otherwise wake-ups are late."""
+    """Give this thread real-time priority if the system has it and allows it; otherwise wake-ups are late."""
+    if not hasattr(os, "sched_setscheduler"):  # macOS
+        yield
+        return
     before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))

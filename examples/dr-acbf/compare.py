@@ -22,7 +22,8 @@ from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"
-WRITTEN = "Written by `make -C examples/dr-acbf page`"
+WRITTEN = """Read here which results of the DR-ACBF paper hold, and where the filters fail.
+Written by `make -C examples/dr-acbf page`"""
 options = comparison_words(__doc__.splitlines()[0])
 folder, paths = options.folder, options.runs
 flown = [

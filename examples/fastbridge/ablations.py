@@ -11,7 +11,8 @@ from alula.stages.reporting.material import Run
 from alula.stages.reporting.papers import fastbridge
 from alula.stages.reporting.papers.sweeps import Sweep
 
-HEAD = """Written by `make -C examples/fastbridge ablations`. Pairs, references, rate and plant are those of
+HEAD = """Read here what each part of our filters contributes: flights with one part changed.
+Written by `make -C examples/fastbridge ablations`. Pairs, references, rate and plant are those of
 [fastbridge.md](fastbridge.md)."""
 
 

@@ -21,7 +21,8 @@ from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import Table
 
 TITLE = "FastBridge: collision cones through the quadrotor"
-HEAD = """Written by `make -C examples/fastbridge page` with `ALULA_DATA` set. The first table has every
+HEAD = """Read here which results of the FastBridge paper hold, with SAFER-Splat flown beside it.
+Written by `make -C examples/fastbridge page` with `ALULA_DATA` set. The first table has every
 table, figure and number of the paper (arXiv 2607.01200) with ours beside it and a verdict. Its
 numbers are the authors' where it says published; all others are measured here. All filters fly
 the same pairs, references, tracking gains, rate (100 Hz unless stated) and plant (rigid body, 1

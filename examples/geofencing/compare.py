@@ -21,7 +21,8 @@ from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
 
 TITLE = "Geofencing: racing drones in a fence"
-WRITTEN = "Written by `make -C examples/geofencing page`"
+WRITTEN = """Read here which results of the geofencing paper hold, and how robust the fence is.
+Written by `make -C examples/geofencing page`"""
 DRAWN = ("wall", "fall", "engaged", "corner")  # the first flights of these folders are read tick by tick
 GAINS = {REGULATION: (1.5, 5.0, 15.0, 60.0, 200.0, 1000.0), PROGRAM: (1.0, 5.0, 10.0, 50.0, 200.0, 1000.0)}
 TICKS_S = (0.01, 0.0025)

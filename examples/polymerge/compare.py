@@ -104,7 +104,8 @@ def onboard_rate() -> float | None:
 
 scenes = [maps_of(name) for name in names]
 limits = [float(np.load(folder / f"{name}.coacd.npz")["limit_s"]) for name in names]
-HEAD = f"""Written by `make -C examples/polymerge page` with `ALULA_DATA` set, on {this_machine()}.
+HEAD = f"""Read here which results of the PolyMerge paper hold, and how its covers compare with others.
+Written by `make -C examples/polymerge page` with `ALULA_DATA` set, on {this_machine()}.
 A cover is made of the voxels of a scene; volumes and containment are exact. Flights are judged by the exact
 distance of the whole path to the ellipsoids, not to the map that was flown. *Surface + CoACD* stands for the
 paper's baseline: the level set 0.3 of the splat's density, as SuGaR defines it, simplified to 20,000

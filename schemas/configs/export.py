@@ -19,17 +19,30 @@ SUFFIXES = {
     ".stl": "stl",
     ".bin": "onboard",
     ".h": "c-header",
+    ".xml": "mjcf",
+    ".usda": "usda",
+    ".bt": "octomap",
+    ".pcd": "pcd",
+    ".npz": "field",
+    ".geojson": "geojson",
 }
 ONBOARD = ("onboard", "c-header")
+FOLDERS = ("urdf", "gazebo")  # formats of several files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportConfig:
     """Parameters of `export`."""
 
-    format: Literal["auto", "glb", "obj", "json", "ply", "splat", "spz", "stl", "onboard", "c-header"] = (
-        field(default="auto", metadata={"help": "Format to write; auto follows the output's suffix."})
-    )
+    format: Literal[
+        "auto", "glb", "obj", "json", "ply", "splat", "spz", "stl", "onboard", "c-header",
+        "mjcf", "usda", "urdf", "gazebo", "octomap", "pcd", "field", "geojson",
+    ] = field(
+        default="auto",
+        metadata={
+            "help": "Format to write; auto follows the output's suffix. urdf and gazebo write a folder."
+        },
+    )  # fmt: skip
     target: Literal["none", "crazyflie", "teensy", "c"] = field(
         default="none",
         metadata={
@@ -66,6 +79,30 @@ class ExportConfig:
             "help": "Write a layout for Foxglove (.json): for all runs, or for the channels of the INPUT."
         },
     )
+    spacing_m: float | None = field(
+        default=None,
+        metadata={
+            "option": "--spacing",
+            "metavar": "METRES",
+            "help": "Distance field: distance between samples [m]; default: the edge of a voxel.",
+        },
+    )
+    pad_m: float = field(
+        default=1.0,
+        metadata={
+            "option": "--pad",
+            "metavar": "METRES",
+            "help": "Distance field: how far it reaches beyond the hulls [m].",
+        },
+    )
+    origin: tuple[float, float, float] | None = field(
+        default=None,
+        metadata={
+            "metavar": "LAT LON HEIGHT",
+            "help": "GeoJSON: latitude and longitude [degree] and WGS84 height [m] of the origin of the map, "
+            "whose x points east and y north.",
+        },
+    )
     spz_version: int = field(
         default=3,
         metadata={
@@ -87,6 +124,12 @@ class ExportConfig:
             raise UsageError("--ros2 and --foxglove-layout go with neither --format nor --target")
         if self.ros2 and self.foxglove_layout:
             raise UsageError("give --ros2 or --foxglove-layout, not both")
+        if self.spacing_m is not None and not 1e-3 <= self.spacing_m <= 1e3:
+            raise UsageError(f"--spacing must be 0.001 to 1000 m, not {self.spacing_m:g}")
+        if not 0 <= self.pad_m <= 1e3:
+            raise UsageError(f"--pad must be 0 to 1000 m, not {self.pad_m:g}")
+        if self.origin is not None and not (abs(self.origin[0]) <= 89.9 and abs(self.origin[1]) <= 180):
+            raise UsageError("--origin needs a latitude of -89.9 to 89.9 and a longitude of -180 to 180")
         if self.spz_version not in (2, 3, 4):
             raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
 
@@ -121,6 +164,10 @@ class ExportConfig:
             shaping["spz_version"] = self.spz_version
         if name == "c-header":
             shaping["name"] = c_name(output)
+        if name == "field":
+            shaping |= {"spacing_m": self.spacing_m, "pad_m": self.pad_m}
+        if name == "geojson":
+            shaping["origin"] = None if self.origin is None else list(self.origin)
         return shaping
 
 

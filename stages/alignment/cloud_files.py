@@ -12,6 +12,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.schemas.extras import load
 from alula.stages.alignment.cloud_counts import check_cloud, check_member
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts", ".npz")
@@ -88,10 +89,7 @@ def _native_stdout_discarded() -> Iterator[None]:
 def _open3d(path: Path) -> FloatArray:
     check_cloud(path)
     with _native_stdout_discarded():
-        try:
-            import open3d
-        except (ImportError, OSError) as error:
-            raise InputError("--cloud needs open3d; --correspondences do without it") from error
+        open3d = load("open3d")
         try:
             with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
                 cloud = open3d.io.read_point_cloud(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from alula.schemas.errors import InputError
+from alula.schemas.extras import load
 from alula.stages.alignment.colmap_counts import check_counts
 from alula.stages.alignment.evidence import Positions
 
@@ -46,12 +47,10 @@ def read_model(folder: Path) -> Positions:
         Positions and axes (x right, y down, z forward) in the model's frame and units.
 
     Raises:
-        InputError: it cannot be read, no image is registered, or pycolmap is not installed.
+        InputError: it cannot be read, or no image is registered.
+        UsageError: pycolmap is not installed.
     """
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise InputError("reading COLMAP models needs pycolmap; --cameras takes a CSV instead") from error
+    pycolmap = load("pycolmap")
     check_counts(model_files(folder))
     try:
         pycolmap.logging.minloglevel = 3

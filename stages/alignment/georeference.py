@@ -9,6 +9,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.schemas.extras import load
 
 GEODETIC = ("lat", "lon", "alt")
 
@@ -41,10 +42,7 @@ def enu_from_geodetic(
             raise InputError(f"{row}: lat 0, lon 0: receivers write this without a fix; remove the row")
     if origin is not None:
         _check("--origin", *origin)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise InputError("lat,lon,alt need pycolmap; x,y,z [m] do without it") from error
+    pycolmap = load("pycolmap")
     latitude, longitude, height = origin or map(float, geodetic[0])
     transform = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
     position = np.asarray(

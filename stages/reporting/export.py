@@ -1,4 +1,4 @@
-"""Export of covers and scenes to the formats of other programs."""
+"""Export of covers, voxels and scenes to the formats of other programs."""
 
 from __future__ import annotations
 
@@ -7,24 +7,16 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError, WrongKindError
 from alula.schemas.provenance import Provenance
-from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import map_binary, map_c_header
+from alula.stages.reporting import export_bodies, export_grids
+from alula.stages.reporting.export_pieces import ROUNDED, hull_color, hull_name, pieces
 from alula.stages.reporting.export_scene import COPIED, SCENE_ENCODERS
 
-ROUNDED = (
-    "Rounded coordinates: the exact guarantee of the cover does not carry over to this file; "
-    "the cover itself and its JSON export keep it."
-)
-_COLORS = np.array(
-    [[143, 166, 191], [169, 184, 160], [194, 174, 148], [167, 155, 189], [147, 181, 181], [191, 156, 156]],
-    np.uint8,
-)
 _UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # alula: z up; glTF: y up
 
 Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
@@ -39,9 +31,8 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
     hull-00001, ... where the format has names.
 
     Args:
-        artifact: an `alula/cover` or `alula/scene`.
-        format_name: `glb`, `obj`, `json`, `stl`, `onboard` or `c-header` for a cover; `ply`, `splat`,
-            `spz`, `glb` or `obj` for a scene.
+        artifact: an `alula/cover`, `alula/voxels` or `alula/scene`.
+        format_name: a key of `ENCODERS` for the kind of the artifact.
         provenance: recorded in the file, except in `.splat`, which has no room for it. Its parameters
             `largest_normal` and `name` apply to an onboard map, `spz_version` to an SPZ file.
 
@@ -53,31 +44,13 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
     encoders = ENCODERS.get(artifact.manifest.schema)
     if encoders is None:
         raise WrongKindError(
-            f"is {artifact.manifest.schema}; only alula/cover and alula/scene can be exported"
+            f"is {artifact.manifest.schema}; only alula/cover, alula/voxels and alula/scene can be exported"
         )
     if format_name not in encoders:
         what = artifact.manifest.schema.removeprefix("alula/")
-        raise UsageError(f"a {what} is exported as {', '.join(encoders)}, not as {format_name}")
+        subject = "voxels are" if what == "voxels" else f"a {what} is"
+        raise UsageError(f"{subject} exported as {', '.join(encoders)}, not as {format_name}")
     return encoders[format_name](artifact, provenance)
-
-
-def hull_name(number: int) -> str:
-    """Name of a hull, the same in every format."""
-    return f"hull-{number:05d}"
-
-
-def _pieces(cover: Artifact) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
-    """Name, points [m] and triangles of each hull."""
-    solid: Mesh = mesh(cover)
-    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-    for hull in range(len(solid)):
-        points = slice(solid.point_start[hull], solid.point_start[hull + 1])
-        faces = slice(solid.triangle_start[hull], solid.triangle_start[hull + 1])
-        yield (
-            hull_name(hull),
-            solid.points_voxel[points] * edge,
-            solid.triangles[faces] - solid.point_start[hull],
-        )
 
 
 def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
@@ -121,7 +94,7 @@ def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
 def _cover_obj(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     yield _comment(provenance, ROUNDED, "Metres, z up; one object per hull.")
     first = 1
-    for name, points, faces in _pieces(cover):
+    for name, points, faces in pieces(cover):
         lines = [f"o {name}"]
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
         lines += [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]
@@ -147,7 +120,7 @@ def _cover_stl(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
         note = note.replace(word, f"\\u{ord(word[0]):04x}{word[1:]}")
     if len(cover["plane_start"]) == 1:
         yield f"solid empty {note}\nendsolid empty\n".encode()
-    for number, (name, points, faces) in enumerate(_pieces(cover)):
+    for number, (name, points, faces) in enumerate(pieces(cover)):
         corners = points[faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -163,9 +136,9 @@ def _cover_glb(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     import trimesh
 
     scene = trimesh.Scene()
-    for number, (name, points, faces) in enumerate(_pieces(cover)):
+    for number, (name, points, faces) in enumerate(pieces(cover)):
         solid = trimesh.Trimesh(points, faces, process=False)
-        solid.visual.vertex_colors = np.append(_COLORS[number % len(_COLORS)], 255)
+        solid.visual.vertex_colors = np.array([*hull_color(number), 255], np.uint8)
         scene.add_geometry(solid, node_name=name, geom_name=name, transform=_UP_IN_GLTF)
     yield _glb(scene, provenance, ROUNDED)
 
@@ -195,8 +168,17 @@ ENCODERS: dict[str, dict[str, Encoder]] = {
         "obj": _cover_obj,
         "json": _cover_json,
         "stl": _cover_stl,
+        "mjcf": export_bodies.mjcf,
+        "usda": export_bodies.usda,
+        "geojson": export_grids.geojson,
+        "field": export_grids.field,
         "onboard": map_binary,
         "c-header": map_c_header,
+    },
+    "alula/voxels": {
+        "octomap": export_grids.octomap,
+        "ply": export_grids.voxels_ply,
+        "pcd": export_grids.voxels_pcd,
     },
     "alula/scene": {**SCENE_ENCODERS, "glb": _scene_glb, "obj": _scene_obj},
 }

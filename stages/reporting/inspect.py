@@ -31,6 +31,7 @@ WHAT = {
     "alula/scenario": "Definition of a simulation: map, vehicle, filter and trials.",
     "alula/vehicle": "A vehicle: body, rotors, limits, controller and disturbances.",
     "alula/report": "A report on runs, a map or a plan: a page, a document, a picture or data.",
+    "alula/view": "A view of artifacts and runs: a page, a picture or a moving picture.",
     "alula/export": "A copy of a cover or a scene for another program.",
     "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",
     "alula/certificate": "The result of checking again what a cover contains.",

@@ -6,27 +6,15 @@ encoding. It needs no installation of ROS. Definitions are those of Humble; late
 
 from __future__ import annotations
 
-import importlib.util
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from alula.schemas.errors import UsageError
 from alula.stages.reporting.ros_messages import LATCHED, RosMessages
 
 METADATA = "metadata.yaml"  # written last
 _VERSION = 8  # of metadata.yaml; Humble and all later releases read it
-
-
-def require_rosbags() -> None:
-    """Check that rosbags is installed.
-
-    Raises:
-        UsageError: it is not.
-    """
-    if importlib.util.find_spec("rosbags") is None:
-        raise UsageError("--ros2 needs rosbags, which is not installed: pip install 'alula[ros2]'")
 
 
 def write_bag(folder: Path, found: Iterable[tuple[str, int, bytes]], comment: str) -> dict[str, int]:

@@ -1,8 +1,7 @@
 """The still picture of a report: splat or hulls, fence and paths, seen obliquely from above.
 
-It is a drawing, so every browser and every printer shows it. Gaussians are ellipses in their
-colours, the farthest first: each covariance projected along the line of sight, at 1.5 standard deviations.
-Ceiling and walls nearest to the viewer are left out, so that one sees inside.
+It is a drawing, so every browser and every printer shows it. The projection is parallel, so its scale holds
+everywhere. Ceiling and walls nearest to the viewer are left out, so that one sees inside.
 """
 
 from __future__ import annotations
@@ -16,26 +15,29 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.stages.compression.facets import mesh
+from alula.stages.drawing.content import Part
+from alula.stages.drawing.picture import model_of, translucent
+from alula.stages.drawing.sight import Sight
+from alula.stages.drawing.solids import drawn, solids_of_cover
+from alula.stages.drawing.splat import chosen, gaussians
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 from alula.stages.reporting.palette import BLACK, COLORS, DASHES, PURPLE, SOFT, run_color
-from alula.stages.rotation import matrix_from_quat_wxyz
 
 NAME = "still"
 _AZIMUTH, _ELEVATION = np.deg2rad([-60.0, 48.0])  # of the viewer, seen from the scene
-_MOST_GAUSSIANS = 60_000  # with the largest contribution, opacity times area
-_MOST_TRIANGLES = 60_000
-_SIGMA = 1.5  # of the drawn ellipses
+_MOST_GAUSSIANS = 500_000
+_HULL_COLOR = (218, 228, 242)
+_PX_PER_INCH = 110  # of splat and hulls
 _WALL = 0.035  # of the extent: what is left out at the sides that face the viewer
 _CEILING = 0.7  # of the height: what is left out above it, and above all flights
 _FEW_PATHS = 40  # more are drawn thinner
+_ANY_DEPTH_M = 1e12  # in front of everything
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 9.5, 4.2, 7.4  # of the drawing [inch]
 _FENCE = (0.8, 0.475, 0.655)  # of its faces
 _AROUND = 0.12  # of the extent of the flights: what is shown of a fence beyond them
-_LIGHT = np.array([0.36, -0.48, 0.8])
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +83,10 @@ def still(material: Material) -> Figure | None:
     words: list[str] = []
     with drawing(_WIDTH, height) as (axes, render):
         axes.set_axis_off()
-        if material.scene is not None:
-            words.append(_draw_gaussians(axes, sight, material.scene, top))
-        elif material.cover is not None:
-            words.append(_draw_hulls(axes, sight, material.cover, top))
+        parts, said = _world_parts(sight, material, top)
+        if parts:
+            _draw_world(axes, sight, parts, low, high, height)
+        words += [said] if said else []
         if faces:
             _draw_fence(axes, sight, faces)
             words.append("the fence")
@@ -157,75 +159,55 @@ def _is_inside(sight: _Sight, points: FloatArray, top: float) -> NDArray[np.bool
     return keep
 
 
-def _draw_gaussians(axes: Any, sight: _Sight, scene: Artifact, top: float) -> str:
-    from matplotlib.collections import EllipseCollection
-
-    mean, scale = np.asarray(scene["mean"], np.float64), np.asarray(scene["scale"], np.float64)
-    rows = np.flatnonzero(_is_inside(sight, mean, top))
-    total = len(rows)
-    opacity = np.asarray(scene["opacity"], np.float64)
-    if len(rows) > _MOST_GAUSSIANS:
-        ordered = np.sort(scale[rows], axis=1)
-        weight = opacity[rows] * ordered[:, 1] * ordered[:, 2]
-        rows = rows[np.argsort(-weight, kind="stable")[:_MOST_GAUSSIANS]]
-    rows = rows[np.argsort(-(mean[rows] @ sight.along), kind="stable")]
-    R = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
-    half = np.einsum("kj,nji,ni->nki", np.stack([sight.right, sight.up]), R, scale[rows])
-    flat = half @ half.transpose(0, 2, 1)
-    value, vector = np.linalg.eigh(flat)
-    diameters = 2 * _SIGMA * np.sqrt(np.maximum(value, 0))
-    color = np.column_stack([np.asarray(scene["color"])[rows] / 255, np.clip(opacity[rows], 0.05, 1)])
-    axes.add_collection(
-        EllipseCollection(
-            *(diameters[:, 1], diameters[:, 0]),
-            np.rad2deg(np.arctan2(vector[:, 1, 1], vector[:, 0, 1])),
-            units="xy",
-            offsets=sight.flat(mean[rows]),
-            transOffset=axes.transData,
-            facecolors=color,
-            linewidths=0,
-            rasterized=True,
-        )
-    )
-    return f"{len(rows):,} Gaussians" + (
-        f" with the largest contribution of {total:,}" if total > len(rows) else ""
-    )
+def _world_parts(sight: _Sight, material: Material, top: float) -> tuple[list[Part], str]:
+    """Splat or hulls without ceiling and near walls, and what they are in words."""
+    if material.scene is not None:
+        return _gaussians(sight, material.scene, top)
+    return ([], "") if material.cover is None else _hulls(sight, material.cover, top)
 
 
-def _draw_hulls(axes: Any, sight: _Sight, cover: Artifact, top: float) -> str:
-    from matplotlib.collections import PolyCollection
+def _gaussians(sight: _Sight, scene: Artifact, top: float) -> tuple[list[Part], str]:
+    choice = chosen(scene, _MOST_GAUSSIANS)
+    mean = np.asarray(scene["mean"], np.float64)
+    inside = int(_is_inside(sight, mean, top).sum())
+    shown = choice.of(_is_inside(sight, mean, top)[choice.row])
+    words = f"{len(shown.row):,} Gaussians" + (f" of {inside:,}" if inside > len(shown.row) else "")
+    return [gaussians("splat", scene, shown)], words
 
-    solids = mesh(cover)
-    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-    points = solids.points_voxel * edge
-    triangle = points[solids.triangles]
-    owner = np.repeat(np.arange(len(solids)), np.diff(solids.triangle_start))
-    starts = solids.point_start[:-1]
-    low = np.minimum.reduceat(points, starts, axis=0) if len(solids) else np.empty((0, 3))
-    high = np.maximum.reduceat(points, starts, axis=0) if len(solids) else np.empty((0, 3))
+
+def _hulls(sight: _Sight, cover: Artifact, top: float) -> tuple[list[Part], str]:
+    solids = solids_of_cover(cover)
+    low, high = solids.bounds()
     # a hull is left out where its far side is, seen from the viewer: a near wall, or a ceiling
     far = np.where(sight.along > 0, high, low)
     far[:, 2] = low[:, 2]
-    keep = _is_inside_hulls(sight, far, low, high, top)[owner]
-    triangle = triangle[keep]
-    normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    facing = (normal @ sight.along < 0) & (length > 0)
-    triangle, normal = triangle[facing], normal[facing] / length[facing, None]
-    order = np.argsort(-(triangle.mean(axis=1) @ sight.along), kind="stable")
-    order = order[-_MOST_TRIANGLES:]
-    shade = 0.62 + 0.3 * np.clip(normal[order] @ _LIGHT, -0.6, 1)
-    color = np.column_stack([0.80 * shade, 0.88 * shade, shade, np.full(len(order), 0.9)])
-    axes.add_collection(
-        PolyCollection(
-            list(sight.flat(triangle[order].reshape(-1, 3)).reshape(-1, 3, 2)),
-            facecolors=np.clip(color, 0, 1),
-            edgecolors="face",
-            linewidths=0.2,
-            rasterized=True,
-        )
+    keep = _is_inside_hulls(sight, far, low, high, top)
+    words = f"{int(keep.sum()):,} of {len(solids):,} hulls"
+    return drawn("hulls", *solids.of(keep), _HULL_COLOR, opacity=1.0), words
+
+
+def _draw_world(
+    axes: Any, sight: _Sight, parts: list[Part], low: FloatArray, high: FloatArray, height: float
+) -> None:
+    """Draw splat or hulls as an image between two corners of the picture."""
+    size = high - low
+    columns, rows = (round(inch * _PX_PER_INCH) for inch in (_WIDTH, height))
+    middle = 0.5 * (low + high)
+    image = translucent(
+        model_of(parts),
+        Sight(
+            R_camera_world=np.stack([sight.right, -sight.up, sight.along]),
+            position=middle[0] * sight.right + middle[1] * sight.up,
+            focal=columns / float(size[0]),
+            columns=columns,
+            rows=rows,
+            near_m=-_ANY_DEPTH_M,
+            is_parallel=True,
+        ),
     )
-    return f"{len(np.unique(owner[keep])):,} of {len(solids):,} hulls"
+    reach = 0.5 * np.array([columns, rows]) * size[0] / columns
+    box = (middle[0] - reach[0], middle[0] + reach[0], middle[1] - reach[1], middle[1] + reach[1])
+    axes.imshow(image, extent=box, aspect="equal", zorder=1)
 
 
 def _is_inside_hulls(

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.flights import Flight
 from alula.schemas.world_check import TRACKING
+from alula.stages.drawing.content import Decides
+from alula.stages.drawing.solids import Solids
 from alula.stages.rotation import matrix_from_quat_wxyz
-from alula.stages.viewing.content import Decides
 from alula.stages.viewing.shapes import ball_mesh
-from alula.stages.viewing.solids import Solids
 
 ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WITHOUT_MAP = TRACKING | {"geofence", "backup-qp", "none"}  # `active` is no hull or ellipsoid

@@ -9,12 +9,12 @@
   const load = window.fetch.bind(window);
   window.fetch = (what, ...rest) =>
     /^data:image\/jpeg/.test(what.url || what) ? new Promise(() => {}) : load(what, ...rest);
-  let name = "";
+  let name = "none";
   try {
     const gl = document.createElement("canvas").getContext("webgl2"), info = gl.getExtension("WEBGL_debug_renderer_info");
     name = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
     gl.getExtension("WEBGL_lose_context").loseContext();
-  } catch (error) { name = "none"; }
+  } catch (error) { window.alulaFlat = name === "none"; }
   const hasGpu = !/swiftshader|llvmpipe|softpipe|software|basic render|^none$/i.test(name);
   if (!hasGpu) { // one sample for each pixel, and at most so many pixels
     const MOST_PIXELS = 300000, context = HTMLCanvasElement.prototype.getContext, get = URLSearchParams.prototype.get;

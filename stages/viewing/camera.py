@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.content import Camera
+from alula.stages.drawing.content import Camera
+from alula.stages.drawing.sight import FIELD_RAD
 
-FIELD_RAD = np.deg2rad(50.0)
 _FROM = np.array((-0.55, -0.8, 0.62)) / np.linalg.norm((-0.55, -0.8, 0.62))  # towards the camera
 _CORE = (0.03, 0.97)  # quantiles: a splat has far outliers
 _SURROUNDINGS = 2.5  # a scene at most so many times as large is shown whole
@@ -28,6 +28,16 @@ UPS = tuple(_TURNS)
 def upright(up: str) -> FloatArray:
     """Rotation that turns +z into the axis `up`, shape (3, 3)."""
     found: FloatArray = _TURNS[up]
+    return found
+
+
+def view_direction(up: str) -> FloatArray:
+    """Direction of sight of the first camera, a unit vector, shape (3,).
+
+    Args:
+        up: axis that points up.
+    """
+    found: FloatArray = -(upright(up) @ _FROM)
     return found
 
 
@@ -54,4 +64,4 @@ def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
     away = reach / np.sin(FIELD_RAD / 2) * _CLOSER
     centre = centre - _LOWER * reach * upright(up)[:, 2]
     everything = max((float(np.ptp(p, axis=0).max()) for p in (solid, flown) if len(p)), default=reach)
-    return Camera(centre + away * (upright(up) @ _FROM), centre, 4 * (away + everything))
+    return Camera(centre - away * view_direction(up), centre, 4 * (away + everything))

@@ -13,6 +13,9 @@ from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import scene_obstacles
+from alula.stages.drawing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
+from alula.stages.drawing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
+from alula.stages.drawing.splat import chosen, gaussians
 from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.flight_curves import sigma_of
@@ -21,14 +24,11 @@ from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
 from alula.stages.viewing.active import DECIDES_COLOR, Numbered
 from alula.stages.viewing.camera import fitted
-from alula.stages.viewing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
 from alula.stages.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR, plan_parts
 from alula.stages.viewing.cut import Cut, find_cut
 from alula.stages.viewing.flown import MOST_PLAYED_S, faces_of, path_parts, play_of, worst_first
 from alula.stages.viewing.logged_map import LoggedMap
 from alula.stages.viewing.nearest import solid_obstacles
-from alula.stages.viewing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
-from alula.stages.viewing.splat import chosen, gaussians
 
 HULL_COLOR = (140, 153, 173)
 _FENCE_COLOR = (26, 140, 204)

@@ -6,11 +6,11 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
+from alula.stages.drawing.content import Lines, Part, segments_of
+from alula.stages.drawing.solids import drawn
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.reporting.curves import plan_positions, thin
-from alula.stages.viewing.content import Lines, Part, segments_of
 from alula.stages.viewing.shapes import balls
-from alula.stages.viewing.solids import drawn
 
 PLAN_COLOR = (117, 112, 179)  # these two are seen on white and on black
 NEW_PLAN_COLOR = (231, 41, 138)

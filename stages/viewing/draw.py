@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.active import DECIDES_COLOR
-from alula.stages.viewing.camera import FIELD_RAD
-from alula.stages.viewing.content import (
+from alula.stages.drawing.content import (
     CUT,
     Body,
     Camera,
@@ -26,15 +24,14 @@ from alula.stages.viewing.content import (
     Play,
     segments_of,
 )
+from alula.stages.drawing.sight import FIELD_RAD
+from alula.stages.viewing.active import DECIDES_COLOR
+from alula.stages.viewing.actors import ball_parts, nearest_line, path_part, vehicle_parts
 from alula.stages.viewing.corridor import NEW_PLAN_COLOR
-from alula.stages.viewing.shapes import ball_mesh, disc_mesh, frame_mesh
 
 PLAYBACK = "Playback"
 GAP_S = 1.0  # a flight stays at its end so long before the next one begins
 _HALF_MOST = 250.0  # largest standard deviation in units of the scale: its square fits half precision
-_BODY_COLOR, _ROTOR_COLOR = (45, 50, 60), (250, 200, 40)
-_PASSES_COLOR, _ACTS_COLOR = (110, 110, 110), DECIDES_COLOR
-_OBSTACLE_COLOR, _TRACK_COLOR = (204, 77, 26), (26, 115, 204)
 
 
 def draw(server: Any, content: Content) -> None:
@@ -155,15 +152,8 @@ class Vehicle:
 
     def __init__(self, scene: Any, name: str, body: Body, *, visible: bool = True) -> None:
         self.frame = scene.add_frame(f"/{name}", show_axes=False, visible=visible)
-        for part, (corners, triangles), color, opacity in (
-            ("body", frame_mesh(body), _BODY_COLOR, 1.0),
-            ("rotors", disc_mesh(body), _ROTOR_COLOR, 0.85),
-        ):
-            faces = Faces(
-                name=f"{name}/{part}", corners=corners, triangles=triangles, color=color, opacity=opacity
-            )
-            draw_part(scene, faces)
-        draw_part(scene, Lines(name=f"{name}/mark", segments=_mark(body), color=_ROTOR_COLOR, width_px=3.0))
+        for part in vehicle_parts(name, body):
+            draw_part(scene, part)
 
     def move(self, position: FloatArray, quat_wxyz: FloatArray) -> None:
         """Place it.
@@ -173,13 +163,6 @@ class Vehicle:
             quat_wxyz: body to world.
         """
         self.frame.position, self.frame.wxyz = tuple(position), tuple(quat_wxyz)
-
-
-def _mark(body: Body) -> FloatArray:
-    """Outline of the vehicle's sphere as three circles, so that a small vehicle is found, (48, 2, 3)."""
-    angle = np.linspace(0, 2 * np.pi, 25)
-    ring = body.radius_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(25)], axis=1)
-    return np.concatenate([segments_of(ring), segments_of(ring[:, [0, 2, 1]])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,43 +211,16 @@ class _Actor:
         self.name = name = f"{PLAYBACK}/{number + 1}. {play.label}: {play.outcome}"
         self.frame = scene.add_frame(f"/{name}", show_axes=False, visible=False)
         self.vehicle = Vehicle(scene, f"{name}/vehicle", play.body)
-        acts = np.where(play.acts[1:, None], _ACTS_COLOR, _PASSES_COLOR).astype(np.uint8)
-        path = Lines(
-            name=f"{name}/path (orange where the filter acts)",
-            segments=segments_of(play.position_world),
-            color=np.repeat(acts[:, None], 2, axis=1),
-            width_px=5.0,  # wider than the path of its outcome, which it covers
-        )
-        draw_part(scene, path)
+        draw_part(scene, path_part(name, play))
         scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
-        self.obstacles = self._balls(scene, "moving obstacle", _OBSTACLE_COLOR, 1.0, 1.0)
-        self.tracks = self._balls(scene, "track", _TRACK_COLOR, 0.35, 2.0)
+        self.obstacles = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=False)]
+        self.tracks = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=True)]
         self.decides = [self._deciding(scene, one) for one in play.decides]
         self.plans = [self._new_plan(scene, k, points) for k, (_, points) in enumerate(play.plans, 1)]
         self.nearest: Any = None
         self.acts: bool | None = None
         if np.isfinite(play.nearest_world).any():
-            line = Lines(
-                name=f"{name}/line to the nearest obstacle (orange where the filter acts)",
-                segments=np.zeros((1, 2, 3)),
-                color=_PASSES_COLOR,
-                width_px=2.0,
-            )
-            self.nearest = draw_part(scene, line)
-
-    def _balls(self, scene: Any, what: str, color: Any, opacity: float, grown: float) -> list[Any]:
-        corners, triangles = ball_mesh()
-        found = []
-        for k, radius in enumerate(self.play.obstacle_radius_m.tolist()):
-            ball = Faces(
-                name=f"{self.name}/{what} {k + 1}",
-                corners=grown * radius * corners,
-                triangles=triangles,
-                color=color,
-                opacity=opacity,
-            )
-            found.append(draw_part(scene, ball))
-        return found
+            self.nearest = draw_part(scene, nearest_line(name, play, 0))
 
     def _deciding(self, scene: Any, one: Decides) -> Any:
         faces = Faces(
@@ -299,13 +255,11 @@ class _Actor:
             _show(handle, bool(play.time_s[row] >= time_s))
         if self.nearest is None:
             return
-        end = play.nearest_world[row]
-        start = play.position_world[row]
-        line = np.stack([start, end if np.isfinite(end).all() else start])[None]
-        self.nearest.points = line.astype(np.float32)
+        line = nearest_line(self.name, play, row)
+        self.nearest.points = line.segments.astype(np.float32)
         if (acts := bool(play.acts[row])) != self.acts:
             self.acts = acts
-            self.nearest.colors = np.array(_ACTS_COLOR if acts else _PASSES_COLOR, np.uint8)
+            self.nearest.colors = np.array(line.color, np.uint8)
 
 
 def _show(handle: Any, is_shown: bool) -> None:

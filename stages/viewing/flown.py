@@ -12,12 +12,12 @@ from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.flights import Flight
 from alula.schemas.run import TrialResult
+from alula.stages.drawing.content import Body, Lines, Part, Play, Series, rgb, segments_of, tree_name
 from alula.stages.reporting.curves import encounter_clearance, paths_of
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, clearance_of, outcome_of
 from alula.stages.vehicles.fence import fence_faces
 from alula.stages.viewing.active import ROUTINE, Numbered, deciding
-from alula.stages.viewing.content import Body, Lines, Part, Play, Series, rgb, segments_of, tree_name
 from alula.stages.viewing.nearest import closest, to_balls, to_faces, to_obstacles
 from alula.stages.viewing.shapes import UPRIGHT_WXYZ, balls
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.viewing.content import Content, Lines, Part
+from alula.stages.drawing.content import Content, Lines, Part
 
 LIGHT_GAUSSIANS = 10_000
 LIGHT_SEGMENTS = 4_000

@@ -16,10 +16,10 @@ from alula.schemas.decode import json_decoder
 from alula.schemas.flights import MAP_TOPIC
 from alula.schemas.mcap_log import messages
 from alula.schemas.run import open_log
-from alula.stages.viewing.content import CUT, Part
+from alula.stages.drawing.content import CUT, Part
+from alula.stages.drawing.solids import Solids, solids_of
 from alula.stages.viewing.cut import Cut
 from alula.stages.viewing.shapes import balls
-from alula.stages.viewing.solids import Solids, solids_of
 
 _OPACITY = 0.6
 _LARGEST_M = 1e12

@@ -9,7 +9,7 @@ import numpy as np
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import segment_clearance
-from alula.stages.viewing.solids import Solids
+from alula.stages.drawing.solids import Solids
 
 _STEP_M = 1e-4
 

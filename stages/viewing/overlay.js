@@ -9,6 +9,11 @@
     dot.style.background = color; item.append(dot, name); at("legend").append(item);
   }
   if (window.self === window.top || window.alulaNote) at("notes").textContent = data.notes.concat(window.alulaNote || [], data.other || []).join("; ");
+  if (window.alulaFlat) {  // nothing plays: a picture, and what became of the first flight
+    at("still").hidden = false;
+    if (flights.length) at("words").textContent = flights[0].label + " " + flights[0].words;
+    return;
+  }
   if (!flights.length) return;
   root.classList.remove("no-plots");
   const choice = document.createElement("select");

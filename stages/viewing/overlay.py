@@ -1,4 +1,4 @@
-"""What stands over the scene of a page: the flight in words, a legend, and plots that follow the timeline."""
+"""What stands over the scene of a page: the flight in words, a legend, plots, and a picture without WebGL."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ MARKUP = """
 <details id="alula-head" open><summary>TITLE</summary>
 <p id="alula-choice"></p><p id="alula-words"></p><p id="alula-now"></p>
 <p id="alula-legend"></p><p id="alula-notes" class="soft"></p>
-</details><div id="alula-plots" role="img" aria-label="Curves of the flight over its time"></div></div>
+</details><figure id="alula-still" hidden>STILL<figcaption>This browser cannot draw in three dimensions:
+it needs WebGL 2 and scripts.</figcaption></figure>
+<noscript><style>#alula-still[hidden] { display: flex; }</style></noscript>
+<div id="alula-plots" role="img" aria-label="Curves of the flight over its time"></div></div>
 """
 
 

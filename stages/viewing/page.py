@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
@@ -14,15 +15,18 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.stages.viewing.content import Content, Gaussians
+from alula.stages.drawing.content import Content, Gaussians
 from alula.stages.viewing.draw import Span, draw, record
+from alula.stages.viewing.encode import still_webp
+from alula.stages.viewing.film import still
 from alula.stages.viewing.light import LIGHT_GAUSSIANS, lightened
 from alula.stages.viewing.overlay import MARKUP, asset
 from alula.stages.viewing.plots import flight_data
 
 HOST = "127.0.0.1"
 MOST_BYTES = 7_000_000
-_AROUND_BYTES = 150_000  # of what stands around the scene
+_AROUND_BYTES = 350_000  # of what stands around the scene
+_STILL_PX, _STILL_BYTES = (1000, 625), 150_000  # of the picture for browsers without WebGL
 _DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
 # The policy blocks every request. viser's code, workers and the decoder of the data are inside the page.
 POLICY = (
@@ -61,19 +65,27 @@ class _Recording:
         return len(self.before) + len(self.after)
 
 
-def page(content: Content, *, provenance_line: str = "", other: str = "") -> str:
+def page(content: Content, *, provenance_line: str = "", other: str = "", picture: bool = True) -> str:
     """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
 
     Args:
         content: of the view.
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
         other: how to see a flight that the page does not play, in words; "" when it plays all.
+        picture: the page has a still picture, which it shows where WebGL is missing.
 
     Returns:
         The HTML text.
     """
     found = _record(content)
-    return _around(found, f'"{found.data}"', content, provenance_line, other)
+    image = _image(content) if picture else ""
+    return _around(found, f'"{found.data}"', content, provenance_line, other, image)
+
+
+def _image(content: Content) -> str:
+    """HTML of a still picture, with its data."""
+    data = b64encode(still_webp(still(content, _STILL_PX), _STILL_BYTES)).decode()
+    return f'<img alt="The scene as it looks at first" src="data:image/webp;base64,{data}">'
 
 
 def within(
@@ -83,6 +95,7 @@ def within(
     most_gaussians: int = MOST_GAUSSIANS,
     provenance_line: str = "",
     other: str = "",
+    picture: bool = True,
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
@@ -94,15 +107,17 @@ def within(
         most_gaussians: number to begin with.
         provenance_line: as of `page`.
         other: as of `page`.
+        picture: as of `page`.
 
     Returns:
         The page, and what it shows.
     """
     content = make(most_gaussians)
     light = lightened(content, make)
+    image = _image(content) if picture else ""
     few = _record(light)
     if light is content:
-        return _around(few, f'"{few.data}"', content, provenance_line, other), content
+        return _around(few, f'"{few.data}"', content, provenance_line, other, image), content
     each = _bytes_each(content)
     room: float = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
     while True:
@@ -111,7 +126,7 @@ def within(
             content = make(count)
         many = _record(content)
         data = f'alulaDraws("{few.data}",{json.dumps(_less(light, content))},"{many.data}")'
-        text = _around(many, data, content, provenance_line, other)
+        text = _around(many, data, content, provenance_line, other, image)
         if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
             return text, content
         room -= 1.2 * (len(text) - maximum)
@@ -150,7 +165,9 @@ def _record(content: Content) -> _Recording:
     return _Recording(text[: found.start()], found[1], text[found.end() :], spans)
 
 
-def _around(found: _Recording, data: str, content: Content, provenance_line: str, other: str) -> str:
+def _around(
+    found: _Recording, data: str, content: Content, provenance_line: str, other: str, image: str
+) -> str:
     """Add the data, a title, a policy, and what stands over the scene, to the page of viser."""
     facts = {
         "title": content.title,
@@ -167,7 +184,7 @@ def _around(found: _Recording, data: str, content: Content, provenance_line: str
         + f"<style>{style}</style><script>{before}</script>"
     )
     body = (
-        MARKUP.replace("TITLE", escape(content.title))
+        MARKUP.replace("STILL", image).replace("TITLE", escape(content.title), 1)
         + f'<script type="application/json" id="alula-data">{facts_text}</script><script>{script}</script>'
     )
     start, end = found.before.index("<head>") + len("<head>"), found.after.rindex("</body>")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.drawing.content import Play, Series
 from alula.stages.reporting.figures import COLORS
-from alula.stages.viewing.content import Play, Series
 from alula.stages.viewing.draw import Span
 
 _POINTS = 300  # per curve; more cannot be distinguished

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.stages.viewing.content import Body, Color, Copies
+from alula.stages.drawing.content import Body, Color, Copies
 
 UPRIGHT_WXYZ = (1.0, 0.0, 0.0, 0.0)
 _GOLDEN = (1 + 5**0.5) / 2
@@ -127,14 +127,14 @@ def rotors_of(body: Body) -> FloatArray:
 
 
 def _box(center: FloatArray, half: FloatArray) -> tuple[FloatArray, IntArray]:
-    from alula.stages.viewing.solids import voxel_surface
+    from alula.stages.drawing.solids import voxel_surface
 
     corners, triangles, _ = voxel_surface(np.zeros((1, 3), np.int64), 1.0)
     return center + (2 * corners - 1) * half, triangles
 
 
 def _joined(each: list[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntArray]:
-    from alula.stages.viewing.solids import solids_of
+    from alula.stages.drawing.solids import solids_of
 
     joined = solids_of(each)
     return joined.corners, joined.triangles

@@ -98,7 +98,7 @@ def test_what_only_some_commands_need_is_optional_and_named(monkeypatch):
     found = doctor._extra("cflib")
     assert (found.status, found.note) == (
         "optional",
-        "only to fly a Crazyflie: pip install 'alula[crazyflie]'",
+        "flying a Crazyflie needs it: pip install 'alula[crazyflie]'",
     )
     monkeypatch.setattr(doctor, "_package", lambda module, name: Check(module, "ok", "1.1"))
     assert doctor._extra("cflib") == Check("cflib", "ok", "1.1")

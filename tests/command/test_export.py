@@ -319,7 +319,7 @@ def test_a_format_can_be_forced(cover, tmp_path):
         ("solid facet.cover.npz", "c.ply", 2, "a cover is exported as glb, obj, json, stl"),
         ("m.scene.npz", "s.stl", 2, "a scene is exported as ply, splat, spz, glb, obj"),
         ("m.scene.npz", "s.docx", 2, "must end in one of"),
-        ("v.voxels.npz", "v.glb", 3, "is alula/voxels"),
+        ("v.voxels.npz", "v.glb", 2, "voxels are exported as octomap, ply, pcd, not as glb"),
         ("p.plan.npz", "p.json", 3, "is alula/plan"),
     ],
 )

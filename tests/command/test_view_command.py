@@ -6,6 +6,7 @@ import re
 import threading
 
 import pytest
+from PIL import Image
 
 from alula.cli.main import run
 from alula.schemas.errors import UsageError
@@ -41,6 +42,54 @@ def test_a_splat_file_is_opened_directly(pipeline, tmp_path, capsys):
     summary = json.loads(capsys.readouterr().out)["summary"]
     assert 45 <= summary["gaussians"] <= 50
     assert "by contribution" in summary["notes"][0]
+
+
+PICTURES = {
+    "shot.png": ["--size", "64x48"],
+    "film.webp": ["--size", "64x48", "--seconds", "1", "--frames-per-second", "3"],
+    "film.gif": ["--size", "64x48", "--seconds", "1", "--frames-per-second", "3", "--camera", "orbit"],
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_is_of_its_inputs_and_the_same_each_time(name, pipeline, tmp_path, capsys):
+    files = [str(pipeline / f"tiny.{kind}") for kind in ("metric.scene.npz", "plan.npz", "run.mcap")]
+    out, words = tmp_path / name, PICTURES[name]
+    assert run(["view", *files, "-o", str(out), *words, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    with Image.open(out) as image:
+        assert image.size == (summary["columns"], summary["rows"]) == (64, 48)
+        assert getattr(image, "n_frames", 1) == summary.get("frames", 1)
+    made = read_provenance(out)
+    assert made.schema == "alula/view"
+    assert [ref.name for ref in made.inputs] == ["tiny.metric.scene.npz", "tiny.plan.npz", "tiny.run.mcap"]
+    assert run(["view", *files, "-o", str(out), *words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "unchanged"
+    again = tmp_path / f"again-{name}"
+    assert run(["view", *files, "-o", str(again), *words, "--jobs", "1", "-q"]) == 0
+    assert again.read_bytes() == out.read_bytes()
+    assert run(["info", str(out)]) == 0
+    assert "a page, a picture or a moving picture" in " ".join(capsys.readouterr().out.split())
+    assert run(["view", *files, "-o", str(out), *words, "--size", "32x32"]) == 2
+    assert 'size was "64x48", now "32x32"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("page.html", ["--size", "64x48"], "--size needs an output that ends in .png, .webp, .gif"),
+        ("shot.png", ["--seconds", "3"], "--seconds needs an output that ends in .webp, .gif"),
+        ("shot.png", ["--size", "big"], "--size must be like 640x400, not big"),
+        ("shot.jpeg", [], "the output must end in .html, .png, .webp or .gif"),
+    ],
+)
+def test_options_of_other_outputs_are_refused(name, words, message, pipeline, tmp_path, capsys):
+    out = tmp_path / name
+    assert run(["view", str(pipeline / "tiny.cover.npz"), "-o", str(out), *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,18 @@
 """Every readable real scene, from the splat to judged flights."""
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
 from alula.schemas.run import read_run
+from support.paths import ROOT
 
 # file: metres per unit where nothing better is known, voxel size [m], hulls, extra options of the import
 SCENES = {
@@ -70,3 +75,20 @@ def bounds_around(steps: list[list[str]], folder: Path) -> str:
     vertices = cover["vertex"] * cover.manifest.voxel_size_m
     box = (*(vertices.min(axis=0) - 1.0), *(vertices.max(axis=0) + 1.0))
     return f"mission.bounds_m={','.join(map(str, box))}"
+
+
+@pytest.mark.slow
+def test_the_pictures_of_a_flight_through_a_real_splat_are_made(data, tmp_path):
+    folder = shutil.copytree(
+        ROOT / "examples/real-splat", tmp_path / "real-splat", ignore=shutil.ignore_patterns("out")
+    )
+    words = [f"ALULA={sys.executable} -P -m alula.cli", f"ALULA_DATA={data}", "SIZE=96x64", "STILL=96x72"]
+    done = subprocess.run(["make", "-C", str(folder), *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout
+    (flight,) = read_run(folder / "out/house.run.mcap").trials
+    assert flight.outcome == "reached"
+    assert flight.map_clearance_m > 0.1
+    for name, size, most in (("flight.webp", (96, 64), 200), ("flight.png", (96, 72), 1)):
+        with Image.open(folder / "out" / name) as image:
+            assert image.size == size
+            assert most / 2 < getattr(image, "n_frames", 1) <= most

@@ -187,11 +187,14 @@ def test_the_top_level_is_as_the_design_card_says():
         *("cli", "stages", "schemas", "tests", "examples", "native", "docs", "benchmarks"),
         *(
             "Makefile",
+            "mkdocs.yml",
             "pyproject.toml",
             "CMakeLists.txt",
             "README.md",
             "CHANGELOG.md",
             "CONTRIBUTING.md",
+            "CITATION.cff",
+            "Dockerfile",
             "LICENSE",
         ),
     }

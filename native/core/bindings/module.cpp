@@ -33,6 +33,7 @@ void bind_geofence(nb::module_& m);
 void bind_onboard_stack(nb::module_& m);
 void bind_pendulum(nb::module_& m);
 void bind_rates(nb::module_& m);
+void bind_picture(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -66,5 +67,6 @@ NB_MODULE(_core, m) {
   bind_onboard_stack(m);
   bind_pendulum(m);
   bind_rates(m);
+  bind_picture(m);
   bind_flight(m);
 }

@@ -2754,6 +2754,19 @@ class Rates:
     def commands(self, channels: NDArray[numpy.uint16]) -> tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]:
         """Commands (N, 4) for pulses (N, 4), and which pulses are refused."""
 
+def draw_picture(rotation: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu', writable=False)], focal: float, columns: int, rows: int, near: float, is_parallel: bool, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], covariance: Annotated[NDArray[numpy.float32], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu', writable=False)], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], corner: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], corner_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu', writable=False)], corner_opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 2, 3), order='C', device='cpu', writable=False)], end_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu', writable=False)], style: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], line: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.float32], NDArray[numpy.float32], NDArray[numpy.float32]]:
+    """
+    Draw Gaussians, triangles and segments of lines: (colour f32 (rows, columns, 3), 0 to 255, without what is
+    behind; fraction of the background that is seen f32 (rows, columns); depth f32 (rows, columns) where half of
+    the light is stopped, infinite where it is not). The camera has x right, y down, z forward: x = rotation
+    (world - centre), pixel = middle + focal (x, y) / z [px], or with `is_parallel` middle + focal (x, y) [px/m].
+    Gaussians: `mean` (N, 3), `covariance` (N, 3, 3), `color` (N, 3), `opacity` (N,). Triangles: `corner` (T, 3, 3),
+    `corner_color` (T, 3), `corner_opacity` (T,). Segments: `end` (L, 2, 3), `end_color` (L, 3), `style` (L, 3):
+    width [px], opacity, and the opacity with which it shows through what hides it; `line` (L,): segments with the
+    same number overlap without getting darker. World frame, metres. Values that are not finite are skipped. The
+    result does not depend on `jobs`.
+    """
+
 class VelocityFilter(SafetyFilter):
     """polytope-cbf as a safety filter of velocities."""
 

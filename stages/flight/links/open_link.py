@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from alula.schemas.errors import UsageError
+from alula.schemas.extras import EXTRAS, missing
 from alula.stages.flight.links.addresses import Address, check_address, parse_address
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Link
@@ -65,6 +66,10 @@ def _factory(scheme: str) -> Any:
         points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == scheme]
         if points:
             return points[0].load()
+    except ModuleNotFoundError as error:
+        if error.name in EXTRAS:
+            raise missing(error.name) from error
+        raise UsageError(f"the link {scheme}: cannot be loaded: {error}") from error
     except (ImportError, AttributeError) as error:
         raise UsageError(f"the link {scheme}: cannot be loaded: {error}") from error
     raise UsageError(f"no link is called {scheme!r}; known: {', '.join(link_schemes())}")

@@ -6,7 +6,6 @@ clients can only read.
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import sys
@@ -18,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.errors import UsageError
+from alula.schemas.extras import require
 from alula.schemas.text import one_line
 from alula.stages.flight.recorder.channels import (
     CHANNELS,
@@ -42,18 +41,6 @@ _LATCHED = ("/map", "/vehicle", "/splat", "/plan", "/path")  # new subscribers g
 _UNSERVED = ("/replay",)  # of use only with each tick
 
 
-def require_foxglove() -> None:
-    """Check that foxglove-sdk is installed.
-
-    Raises:
-        UsageError: it is not.
-    """
-    if importlib.util.find_spec("foxglove") is None:
-        raise UsageError(
-            "--foxglove needs foxglove-sdk, which is not installed: pip install 'alula[foxglove]'"
-        )
-
-
 def open_foxglove(port: int, head: FlightHead) -> tuple[FlightPipe, str]:
     """Start the server and wait until Foxglove can connect to it.
 
@@ -68,7 +55,7 @@ def open_foxglove(port: int, head: FlightHead) -> tuple[FlightPipe, str]:
         UsageError: foxglove-sdk is not installed, or the port is taken.
         OutputError: the process does not start.
     """
-    require_foxglove()
+    require("foxglove")
     code = "from alula.stages.flight.recorder.foxglove_server import main; main()"
     live = msgspec.structs.replace(head, log_every=1)  # the flight sends fewer ticks
     pipe, found = open_served("--foxglove", port, code, msgspec.msgpack.encode(live))

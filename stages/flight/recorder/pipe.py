@@ -40,7 +40,8 @@ class FlightPipe:
         )
         assert self.process.stdin is not None
         self._pipe = self.process.stdin.fileno()
-        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        if hasattr(fcntl, "F_SETPIPE_SZ"):  # only Linux; elsewhere fewer messages fit
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def put(self, message: bytes, timeout_s: float = 30.0) -> None:
         """Write a message of any length.

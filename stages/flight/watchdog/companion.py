@@ -440,7 +440,7 @@ def _run_first() -> None:
     """Run before ordinary processes, as far as it is allowed: also when the machine is too busy."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(2))
-    except OSError:
+    except (AttributeError, OSError):  # macOS has no such call
         try:
             os.setpriority(os.PRIO_PROCESS, 0, -15)
         except OSError:

@@ -128,6 +128,6 @@ def test_without_the_library_one_line_says_so_before_anything_else(pipeline, tmp
     words = ["fly", str(pipeline / "tiny.plan.npz"), "--map", str(pipeline / "tiny.cover.npz")]
     assert run([*words, "--link", "sim:", "-o", str(tmp_path / "f.run.mcap"), "--foxglove"]) == 2
     assert capsys.readouterr().err == (
-        "alula: --foxglove needs foxglove-sdk, which is not installed: pip install 'alula[foxglove]'\n"
+        "alula: foxglove-sdk is not installed; fly --foxglove needs it: pip install 'alula[foxglove]'\n"
     )
     assert list(tmp_path.iterdir()) == []

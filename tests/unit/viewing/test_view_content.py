@@ -8,18 +8,19 @@ import pytest
 
 from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.schemas.flight_samples import Commands, Moving
+from alula.stages.drawing.content import CUT, Body, Gaussians, Lines, rgb, tree_name
+from alula.stages.drawing.sight import FIELD_RAD
+from alula.stages.drawing.solids import edges, largest, solids_of_cover, voxel_surface
+from alula.stages.drawing.splat import chosen, contribution, gaussians
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import Run
 from alula.stages.rotation import matrix_from_quat_wxyz
-from alula.stages.viewing.camera import FIELD_RAD, fitted
+from alula.stages.viewing.camera import fitted
 from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.content import CUT, Body, Gaussians, Lines, rgb, tree_name
 from alula.stages.viewing.cut import find_cut
 from alula.stages.viewing.flown import body_of, play_of, worst_first
 from alula.stages.viewing.nearest import solid_obstacles, to_balls, to_faces, to_obstacles
 from alula.stages.viewing.shapes import ball_mesh, disc_mesh, frame_mesh, rotors_of
-from alula.stages.viewing.solids import edges, largest, solids_of_cover, voxel_surface
-from alula.stages.viewing.splat import chosen, contribution, gaussians
 from support.fabricate import (
     box,
     exact_hull,

@@ -1,16 +1,19 @@
 """The offline page of a view: the same bytes each time, a bounded size, and nothing that runs a name."""
 
+import base64
+import io
 import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from alula.stages.drawing.content import Lines, segments_of
 from alula.stages.viewing import light
 from alula.stages.viewing import page as pages
 from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.content import Lines, segments_of
 from alula.stages.viewing.draw import GAP_S, Span
 from alula.stages.viewing.light import fewer
 from alula.stages.viewing.page import page, within
@@ -50,6 +53,20 @@ def test_a_page_is_bounded_by_fewer_gaussians_and_has_a_light_one(monkeypatch):
     few, content = within(make, most_gaussians=400)
     assert content.gaussians <= 400
     assert "EMBED_DATA__=alulaDraws(" not in few
+
+
+def test_a_page_has_a_small_picture_that_is_hidden_at_first_and_one_in_a_report_has_none():
+    content = content_of(Shown(title="STILL TITLE", scenes=[("s", make_scene(500))]))
+    text = page(content)
+    assert '<figure id="alula-still" hidden><img ' in text
+    assert "<summary>STILL TITLE</summary>" in text
+    data = base64.b64decode(re.search(r'src="data:image/webp;base64,([^"]+)"', text)[1])
+    with Image.open(io.BytesIO(data)) as image:
+        assert np.ptp(np.asarray(image.convert("L"))) > 50
+    assert len(data) < 150_000
+    bare = page(content, picture=False)
+    assert "data:image/webp" not in bare
+    assert '<figure id="alula-still" hidden><figcaption>' in bare
 
 
 def test_names_run_nothing_and_the_policy_blocks_requests():

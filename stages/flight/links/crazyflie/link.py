@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from alula.schemas.errors import LinkError
+from alula.schemas.extras import require
 from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.crazyflie.address_options import read_address_options
 from alula.stages.flight.links.crazyflie.orders import Motion, Orders
@@ -56,6 +57,7 @@ def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:
     Raises:
         UsageError: an option is unknown or has an invalid value.
     """
+    require("cflib")
     return CrazyflieLink(address, options)
 
 

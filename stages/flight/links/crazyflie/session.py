@@ -75,13 +75,11 @@ class Session:
             timeout_s: maximum time [s].
 
         Raises:
-            LinkError: cflib is missing, or no vehicle answers.
+            LinkError: no vehicle answers.
         """
-        try:
-            import cflib.crtp
-            from cflib.crazyflie import Crazyflie
-        except ImportError as error:
-            raise LinkError(f"{self.uri}: needs cflib: pip install alula[crazyflie] ({error})") from error
+        import cflib.crtp
+        from cflib.crazyflie import Crazyflie
+
         logging.getLogger("cflib").addHandler(logging.NullHandler())
         if not cflib.crtp.CLASSES:
             cflib.crtp.init_drivers()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.stages.compression.facets import mesh
-from alula.stages.viewing.content import Color, Faces, Lines, Part
+from alula.stages.drawing.content import Color, Faces, Lines, Part
 
 MOST_TRIANGLES = 200_000
 _FLAT = 1 - 1e-6  # cosine between normals of one facet

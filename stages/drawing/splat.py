@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.stages.drawing.content import Gaussians
 from alula.stages.rotation import matrix_from_quat_wxyz
-from alula.stages.viewing.content import Gaussians
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
 _LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored

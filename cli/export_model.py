@@ -1,0 +1,53 @@
+"""Exports of covers by `alula export` to formats of several files: URDF and Gazebo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from alula.cli.options import Common
+
+if TYPE_CHECKING:
+    from alula.schemas.progress import Progress
+    from alula.schemas.provenance import Provenance
+
+MEMBERS = r"hull-\d+\.obj|model\.config"
+MAIN = {"urdf": "map.urdf", "gazebo": "model.sdf"}  # the file that holds the provenance
+
+
+def export_model(source: Path, name: str, parameters: dict[str, Any], common: Common) -> None:
+    """Write a cover as a folder: a model, and the mesh of each hull.
+
+    Args:
+        source: an `alula/cover`.
+        name: `urdf` or `gazebo`.
+        parameters: of the output.
+        common: common options of commands.
+
+    Raises:
+        UsageError: the output is a folder of other files.
+        WrongKindError: the input is no cover.
+        OutputError: the folder cannot be written.
+    """
+    from alula.cli.runner import run
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.atomic import atomic_folder
+    from alula.schemas.kinds import COVER
+    from alula.stages.reporting.export_bodies import gazebo, urdf
+
+    encode = {"urdf": urdf, "gazebo": gazebo}[name]
+
+    def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
+        cover = read_artifact(source, COVER)
+        files = list(encode(cover, provenance))
+
+        def write() -> None:
+            with atomic_folder(common.output) as folder:
+                folder.mkdir()
+                for path, text in files:
+                    (folder / path).write_bytes(text)
+
+        hulls = len(cover["plane_start"]) - 1
+        return write, {"format": name, "hulls": hulls, "bytes": sum(len(text) for _, text in files)}
+
+    run(common, "alula/export", "1.0", parameters, {"input": source}, make, mark=MAIN[name], members=MEMBERS)

@@ -1,0 +1,75 @@
+"""The reference page of the Python interface: which functions and classes are public."""
+
+from __future__ import annotations
+
+PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
+    "Stages": (
+        "Functions from values to values, without files, clock or output. Each is named like its command.",
+        (
+            "stages.reconstruction.demo_scene.demo_scene",
+            "stages.reconstruction.import_splat.import_splat",
+            "stages.alignment.scale_align.scale_align",
+            "stages.alignment.scale_align.scale_only",
+            "stages.compression.voxelize.voxelize",
+            "stages.planning.observe.observe",
+            "stages.compression.merge.merge",
+            "stages.compression.verify.verify",
+            "stages.planning.plan.plan",
+            "stages.planning.verify.verify_plan",
+            "stages.simulation.world.simulate.simulate_world",
+            "stages.simulation.world.summary.world_summary",
+            "stages.reporting.export.export",
+        ),
+    ),
+    "Reading and writing files": (
+        "Readers refuse what is damaged, of another kind or too new, with an error of one line.",
+        (
+            "stages.reconstruction.formats.registry.read_splats",
+            "schemas.artifact.Artifact",
+            "schemas.artifact.read_artifact",
+            "schemas.artifact.read_manifest",
+            "schemas.artifact.make_artifact",
+            "schemas.artifact.write_artifact",
+            "schemas.run.read_run",
+            "schemas.flights.read_flights",
+            "schemas.flights.Flight",
+            "schemas.vehicle.read_vehicle",
+            "schemas.mission.read_mission",
+            "schemas.world.read_world",
+            "schemas.world.decoded",
+        ),
+    ),
+    "Safety filters": (
+        "A filter of your own has the methods of `SafetyFilter`; CONTRIBUTING.md has a recipe.",
+        (
+            "stages.filtering.registry.make_filter",
+            "stages.filtering.protocol.SafetyFilter",
+            "stages.filtering.protocol.FlightState",
+            "stages.filtering.protocol.Nominal",
+            "stages.filtering.protocol.FilterResult",
+            "stages.filtering.protocol.FilterStatus",
+            "stages.filtering.protocol.FilterWorld",
+        ),
+    ),
+    "Errors": (
+        "Every error that a user can act on is an `AlulaError`; each class has the exit code of the command.",
+        ("schemas.errors",),
+    ),
+}
+"""The public names by subject: what the subject has in common, and the names below `alula`."""
+
+
+def interface_page() -> str:
+    """The page for mkdocstrings: a directive for each public name."""
+    parts = [
+        """# Python interface
+
+Use alula as a library with the functions and classes of this page. `examples/library/fly_a_scene.py` takes a
+splat to judged flights in 40 lines. Array arguments state shape, frame and unit. What is not on this page may
+change without notice.
+"""
+    ]
+    for subject, (what, names) in PUBLIC.items():
+        parts.append(f"## {subject}\n\n{what}\n")
+        parts += [f"::: alula.{name}\n" for name in names]
+    return "\n".join(parts)

@@ -1,0 +1,80 @@
+"""`alula help`, `-V`, and what shells complete."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from alula import __version__
+from alula.cli.main import run
+from alula.stages.filtering.registry import filter_names
+
+
+def completed(words, folder="."):
+    """Answers of the program when bash asks what could follow."""
+    environment = os.environ | {
+        "_ALULA_COMPLETE": "bash_complete",
+        "COMP_WORDS": " ".join(words),
+        "COMP_CWORD": str(len(words) - 1) if not words[-1].endswith(" ") else str(len(words)),
+    }
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "alula.cli"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        check=True,
+    )
+    return [line.partition(",")[2] for line in done.stdout.splitlines()]
+
+
+def test_help_of_a_command_is_that_of_its_option(capsys):
+    assert run(["help", "voxelize"]) == 0
+    shown = capsys.readouterr().out
+    assert run(["voxelize", "-h"]) == 0
+    assert shown.strip() == capsys.readouterr().out.strip()
+    assert run(["help"]) == 0
+    assert "import-splat" in capsys.readouterr().out
+
+
+def test_help_of_an_unknown_command_is_refused(capsys):
+    assert run(["help", "fry"]) == 2
+    assert capsys.readouterr().err == "alula: no command is called 'fry' (alula help lists them)\n"
+
+
+def test_the_version_has_a_short_option(capsys):
+    assert run(["-V"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_scripts_of_shells_name_the_program(shell, capsys):
+    assert run(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "_ALULA_COMPLETE" in script
+    assert len(script.splitlines()) > 5
+
+
+def test_the_script_of_bash_completes_commands_in_bash(tmp_path):
+    (tmp_path / "alula").write_text(f'#!/bin/sh\nexec {sys.executable} -P -m alula.cli "$@"\n')
+    (tmp_path / "alula").chmod(0o755)
+    code = """
+eval "$(alula completion bash)"
+COMP_WORDS=(alula vox) COMP_CWORD=1
+_alula_completion alula
+echo "${COMPREPLY[@]}"
+"""
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["bash", "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["voxelize"]
+
+
+def test_filters_complete_after_a_comma():
+    found = completed(["alula", "simulate", "--filter", "geofence,cone-"])
+    assert found == [f"geofence,{name}" for name in filter_names() if name.startswith("cone-")]
+
+
+def test_vehicles_and_options_complete():
+    assert "crazyflie21" in completed(["alula", "simulate", "--vehicle", "cr"])
+    assert "--min-opacity" in completed(["alula", "import-splat", "--min"])

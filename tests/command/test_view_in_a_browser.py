@@ -1,0 +1,50 @@
+"""Pages of views in Chromium without WebGL or without scripts: a picture of the scene."""
+
+from contextlib import contextmanager
+
+import pytest
+
+from alula.stages.viewing.compose import Shown, content_of
+from alula.stages.viewing.page import page
+from support.browser import SOFTWARE, Opened, chromium_program, near
+from support.fabricate import make_scene, make_trial
+from support.viewed_pages import RED
+from support.viewed_runs import run_of
+
+pytestmark = [pytest.mark.slow, pytest.mark.process]
+
+
+@contextmanager
+def chromium(flags, **options):
+    """A page of a browser with other flags, and what it asked for elsewhere."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is needed")
+    if (program := chromium_program()) is None:
+        pytest.skip("needs Chromium: .ci/system-packages --browser")
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=program, args=[*SOFTWARE, *flags])
+        shown = browser.new_page(viewport={"width": 420, "height": 360}, **options)
+        requests = []
+        inner = ("data:", "blob:", "file:")
+        shown.on("request", lambda r: None if r.url.startswith(inner) else requests.append(r.url))
+        yield shown, requests
+        browser.close()
+
+
+@pytest.mark.parametrize("lacks", ["WebGL", "scripts", "nothing"])
+def test_a_page_is_a_picture_where_webgl_or_scripts_are_missing(lacks, tmp_path):
+    scene = make_scene(300, low=(0, -1, 0), high=(5, 1, 0.5), color=RED)
+    content = content_of(Shown(title="seen", scenes=[("s", scene)], runs=[run_of([make_trial(0)])]))
+    (tmp_path / "page.html").write_text(page(content))
+    flags = ["--disable-3d-apis"] if lacks == "WebGL" else []
+    with chromium(flags, java_script_enabled=lacks != "scripts") as (shown, requests):
+        shown.goto(f"file://{tmp_path}/page.html")
+        still = shown.locator("#alula-still")
+        if lacks == "nothing":
+            shown.wait_for_function("window.alulaTime && alulaTime() !== null", timeout=60_000)
+            assert not still.is_visible()
+            return
+        still.wait_for(state="visible", timeout=60_000)
+        assert still.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)") == 1000
+        seen = Opened(shown).pixels()
+    assert requests == []
+    assert near(seen, RED) > 0.01
