@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world docs schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -174,6 +174,9 @@ bench-faults: setup ## make faults in flights of ALULA_ARDUCOPTER's program, an 
 bench-plan: setup ## plan between random pairs in the built-in room and real scenes and fly such plans, into docs/results/benchmarks-plan*.md
 	$(BIN)/python -P benchmarks/plan.py --markdown docs/results/benchmarks-plan.md
 	$(BIN)/python -P benchmarks/planned_flights.py --markdown docs/results/benchmarks-planned-flights.md
+
+bench-pages: setup ## size of pages, and how soon they answer in a browser without a GPU, some minutes
+	$(BIN)/python -P benchmarks/pages.py
 
 bench-world: setup ## fly the combined scenario behind every list of filters, an hour, into docs/results/benchmarks-world.md
 	$(BIN)/python -P benchmarks/world.py --trials $(or $(TRIALS),10000) --keep build/bench-world \

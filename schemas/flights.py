@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -33,6 +34,7 @@ SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
 OBSTACLES_TOPIC = "/obstacles"
+PLAN_TOPIC = "/plan"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,8 @@ class Flight:
         moving: obstacles that moved; None without any.
         commands: nominal and filtered inputs; None of filters whose inputs are not logged as vectors.
         each_status: status of each filter of a list of several, by name, as `status`.
+        active: number of the obstacle that decides, by name of each filter of several, or under
+            the empty name of the only one; -1 for none, shape (m,).
     """
 
     time_s: NDArray[np.float64]
@@ -70,6 +74,7 @@ class Flight:
     moving: Moving | None = None
     commands: Commands | None = None
     each_status: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    active: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +97,24 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
+class NewPlan:
+    """Plan along which a real flight continued from a time on: its points, shape (n, 3) [m]."""
+
+    time_s: float
+    position_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class Course:
-    """Course of a real flight by its supervisor; `end_s` is the time of its last message [s]."""
+    """Course of a real flight by its supervisor, and its new plans.
+
+    `end_s` is the time of its last message [s].
+    """
 
     steps: tuple[Step, ...]
     lines: tuple[Line, ...]
     end_s: float
+    plans: tuple[NewPlan, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +124,9 @@ class Flights:
     by_trial: dict[int, Flight]
     hulls: int | None
     course: Course | None = None
+
+
+_Active = Annotated[int, msgspec.Meta(ge=-1, le=2**40)]
 
 
 class _Vector(msgspec.Struct, gc=False):
@@ -132,6 +152,7 @@ class _Safety(msgspec.Struct, gc=False):
     fence_distance_m: float | None = None
     moving_clearance_m: float | None = None
     status_name: str = ""
+    active: _Active = -1
     regulation: float | None = msgspec.field(default=None, name="lambda")
     u_nom_m_s: Loose | None = None
     u_safe_m_s: Loose | None = None
@@ -142,6 +163,7 @@ class _Safety(msgspec.Struct, gc=False):
 class _Status(msgspec.Struct, gc=False):
     trial: int
     status_name: str = ""
+    active: _Active = -1
 
 
 class _Supervisor(msgspec.Struct, gc=False):
@@ -160,6 +182,15 @@ class _Line(msgspec.Struct, gc=False):
     timestamp: _Stamp
     level: int
     message: str
+
+
+class _Pose(msgspec.Struct, gc=False):
+    position: _Vector
+
+
+class _Plan(msgspec.Struct):
+    timestamp: _Stamp
+    poses: list[_Pose]
 
 
 class _Pair(msgspec.Struct):
@@ -206,6 +237,7 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     each: dict[int, dict[str, list[_Status]]] = {}
     supervised: list[_Supervisor] = []
     lines: list[_Line] = []
+    plans: list[_Plan] = []
     hulls, start = None, _Stamp(0, 0)
     decode_state = json_decoder(_State).decode
     decode_safety = json_decoder(_Safety).decode
@@ -213,6 +245,7 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     decode_line = json_decoder(_Line).decode
     decode_bodies = json_decoder(Bodies).decode
     decode_status = json_decoder(_Status).decode
+    decode_plan = json_decoder(_Plan).decode
     for topic, data in found:
         if topic == STATE_TOPIC:
             state = decode_state(data)
@@ -234,11 +267,13 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
             supervised.append(decode_supervisor(data))
         elif topic == LINE_TOPIC:
             lines.append(decode_line(data))
+        elif topic == PLAN_TOPIC:
+            plans.append(decode_plan(data))
     flights = {
         trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}), each.get(trial, {}))
         for trial in sorted(states)
     }
-    return Flights(flights, hulls, _course(supervised, lines, start) if supervised else None)
+    return Flights(flights, hulls, _course(supervised, lines, plans, start) if supervised else None)
 
 
 def _start(message: _Map) -> _Stamp:
@@ -246,18 +281,26 @@ def _start(message: _Map) -> _Stamp:
     return message.entities[0].timestamp if message.entities else _Stamp(0, 0)
 
 
-def _course(supervised: list[_Supervisor], found: list[_Line], start: _Stamp) -> Course:
-    lines = tuple(
-        Line(at.sec - start.sec + 1e-9 * (at.nsec - start.nsec), line.level, line.message)
-        for line in found
-        for at in (line.timestamp,)
+def _since(start: _Stamp, at: _Stamp) -> float:
+    return at.sec - start.sec + 1e-9 * (at.nsec - start.nsec)
+
+
+def _course(supervised: list[_Supervisor], found: list[_Line], plans: list[_Plan], start: _Stamp) -> Course:
+    lines = tuple(Line(_since(start, line.timestamp), line.level, line.message) for line in found)
+    new = tuple(
+        NewPlan(
+            _since(start, plan.timestamp),
+            measured("position", [(one.position.x, one.position.y, one.position.z) for one in plan.poses]),
+        )
+        for plan in plans
+        if plan.timestamp != start and plan.poses  # else the plan before the flight
     )
     steps = tuple(
         Step(one.time_s, one.state_name, one.event_name, one.action_name)
         for one in supervised
         if one.event_name
     )
-    return Course(steps, lines, max(one.time_s for one in supervised))
+    return Course(steps, lines, max(one.time_s for one in supervised), new)
 
 
 def _hull_count(message: _Map) -> int | None:
@@ -279,6 +322,11 @@ def _flight(
     safety.sort(key=lambda answer: answer.time_s)
     position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
     velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
+    answered = {
+        name: own for name, own in each.items() if len(own) == len(safety)
+    }  # in the order of the answers
+    active = {name: [one.active for one in own] for name, own in answered.items()}
+    active = active or {"": [one.active for one in safety]}
     square = np.square(measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
     return Flight(
         time_s=measured("time", [state.time_s for state in states]),
@@ -293,11 +341,8 @@ def _flight(
         quat_world_body_wxyz=attitudes(states),
         moving=moving([bodies.get(i) for i in order]) if bodies else None,
         commands=commands_of(safety),
-        each_status={
-            name: tuple(one.status_name for one in own)  # in the order of the answers
-            for name, own in each.items()
-            if len(own) == len(safety)
-        },
+        each_status={name: tuple(one.status_name for one in own) for name, own in answered.items()},
+        active={name: np.array(numbers, np.int64) for name, numbers in active.items()},
     )
 
 

@@ -117,6 +117,23 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Decides:
+    """An obstacle that decides what is sent in some samples of a flight.
+
+    Attributes:
+        name: such as "hull 12".
+        corners: shape (V, 3) [m].
+        triangles: shape (T, 3).
+        rows: samples in which it decides, shape (n,).
+    """
+
+    name: str
+    corners: FloatArray
+    triangles: IntArray
+    rows: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Play:
     """A flight to play at its own speed.
 
@@ -124,6 +141,8 @@ class Play:
         label: run and trial.
         outcome: as in the report.
         words: its end in words.
+        run, trial: where it is logged.
+        begin_s: time in the log at which it begins [s].
         time_s: from 0, shape (n,) [s].
         position_world: shape (n, 3) [m].
         quat_world_body_wxyz: shape (n, 4).
@@ -136,6 +155,8 @@ class Play:
         status: word of the filter, n words.
         series: curves over its time.
         marked_s: time of the worst moment [s].
+        decides: obstacles that decide what is sent.
+        plans: time from which the flight follows a new plan, and its points, shape (k, 3) [s], [m].
     """
 
     label: str
@@ -153,6 +174,11 @@ class Play:
     status: tuple[str, ...]
     series: tuple[Series, ...] = ()
     marked_s: float = 0.0
+    run: str = ""
+    trial: int = 0
+    begin_s: float = 0.0
+    decides: tuple[Decides, ...] = ()
+    plans: tuple[tuple[float, FloatArray], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +221,11 @@ class Content:
 def rgb(color: str) -> Color:
     """Red, green and blue of #rrggbb."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def hex_of(color: Color) -> str:
+    """A color as #rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def segments_of(points: FloatArray) -> FloatArray:

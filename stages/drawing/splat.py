@@ -14,7 +14,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
 _LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
-_MOST_GROWN = 3.5  # of a Gaussian that also stands for neighbours that are left out
+_MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left out
 
 
 def contribution(scene: Artifact) -> NDArray[np.float64]:

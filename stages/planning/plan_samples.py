@@ -25,6 +25,7 @@ class Reference:
 
 
 MOST_SAMPLES = 2_000_000
+_DRAWN = 500
 
 
 def curve_of(plan: Artifact) -> _core.ReferenceCurve:
@@ -35,6 +36,17 @@ def curve_of(plan: Artifact) -> _core.ReferenceCurve:
     """
     time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
     return _core.ReferenceCurve(time, coefficient)
+
+
+def path_of(curve: _core.ReferenceCurve) -> list[tuple[float, float, float]]:
+    """Points of a plan about every 0.1 s, at most 500, to draw it, world frame [m].
+
+    Args:
+        curve: of the plan.
+    """
+    count = min(max(2, round(10 * curve.duration_s) + 1), _DRAWN)
+    rows = curve.at(np.linspace(0, curve.duration_s, count))[:, :3].tolist()
+    return [(x, y, z) for x, y, z in rows]
 
 
 def sample_plan(plan: Artifact, dt_s: float) -> Reference:

@@ -56,6 +56,27 @@ _FEW_PATHS = 40  # more paths are drawn thinner
 _DOTTED = 40  # distributions of more values are drawn without dots
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeAxis:
+    """Where the time of a flight lies in a figure.
+
+    Attributes:
+        run, trial: the flight.
+        begin, end: times at the ends of the axis [s].
+        left, right: where they are, in widths of the figure from its left side.
+        top, bottom: of the curves, in heights of the figure from its upper side.
+    """
+
+    run: str
+    trial: int
+    begin: float
+    end: float
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+
 @dataclass(frozen=True, slots=True)
 class Figure:
     """A figure: SVG text, title, and a description in words (`alt`) that is also its caption."""
@@ -65,6 +86,7 @@ class Figure:
     alt: str
     svg: str
     wide: bool = False  # takes the whole width of the page
+    time: TimeAxis | None = None  # of a single flight's curves
 
 
 def all_figures(material: Material) -> list[Figure]:

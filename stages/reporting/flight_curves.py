@@ -17,7 +17,7 @@ from alula.stages.reporting.curves import Spell, encounter_clearance, spells
 from alula.stages.reporting.fenced import fence_distance, is_fenced
 from alula.stages.reporting.material import Material, Run, clearance_of, outcome_of
 
-_MOST_RUNS = 4
+MOST_RUNS = 4
 _CAP_M = 20.0  # larger clearances are drawn as this
 _FLOWN = {"velocity [m/s]": "max_speed_m_s", "acceleration [m/s²]": "max_acceleration_m_s2"}
 
@@ -89,7 +89,7 @@ def worst_flights(material: Material) -> list[FlightCurves]:
     for run in material.runs:
         if (chosen := closest_flight(run)) is not None:
             found.append(_curves(material, run, *chosen))
-    return found[:_MOST_RUNS]
+    return found[:MOST_RUNS]
 
 
 def closest_flight(run: Run) -> tuple[int, float | None, int | None] | None:
@@ -189,7 +189,7 @@ def _clearances(material: Material, run: Run, flight: Flight) -> tuple[Curve, ..
         # the path of a flight is in metres, and so is only a scene that was aligned
         is_metric = material.scene is not None and material.scene.manifest.unit == "m"
         if material.scene is not None and is_metric and _is_same(run, material.inputs, "scene"):
-            ellipsoids = scene_obstacles(material.scene, _sigma(run))
+            ellipsoids = scene_obstacles(material.scene, sigma_of(run))
             distance = path_clearance(path, ellipsoids, cap_m=_CAP_M)
             found.append(Curve("splats", to_end, distance - radius))
         if (moving := flight.moving) is not None:
@@ -228,7 +228,8 @@ def _limit(run: Run, name: str) -> float | None:
     return None
 
 
-def _sigma(run: Run) -> float:
+def sigma_of(run: Run) -> float:
+    """Level of the ellipsoids in a run's parameters; 1 where they have none."""
     parameters = run.record.provenance.parameters
     for keys in (("world", "sigma"), ("sigma",), ("map", "sigma")):
         if (value := _number(parameters, *keys)) is not None and value > 0:

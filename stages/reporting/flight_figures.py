@@ -13,7 +13,7 @@ import numpy as np
 
 from alula.stages.reporting import plain
 from alula.stages.reporting.curves import Spell, broken
-from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.figures import Figure, TimeAxis, drawing
 from alula.stages.reporting.flight_curves import Curve, FilterAnswers, FlightCurves, worst_flights
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, SOFT, VERMILLION
@@ -94,7 +94,24 @@ def _figure(flight: FlightCurves, name: str) -> Figure:
                 flight.worst_s, 1.03, words, transform=where, ha="center", fontsize="small", color=VERMILLION
             )
         svg = render()
-    return Figure(name, _title(flight), _alt(flight), svg, wide=True)
+        time = _time_axis(each, flight)
+    return Figure(name, _title(flight), _alt(flight), svg, wide=True, time=time)
+
+
+def _time_axis(axes: Sequence[Any], flight: FlightCurves) -> TimeAxis:
+    """Place of the common axis in a figure that was rendered."""
+    first, last = axes[0].get_position(), axes[-1].get_position()
+    begin, end = axes[0].get_xlim()
+    return TimeAxis(
+        run=flight.run,
+        trial=flight.trial,
+        begin=round(float(begin), 6),
+        end=round(float(end), 6),
+        left=round(float(first.x0), 6),
+        right=round(float(first.x1), 6),
+        top=round(1 - float(first.y1), 6),
+        bottom=round(1 - float(last.y0), 6),
+    )
 
 
 def _title(flight: FlightCurves) -> str:

@@ -10,7 +10,9 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from html import escape
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,8 @@ _DENSE_COLUMNS = 10  # wider tables get narrower cells
 _OPEN_ROWS = 15  # longer tables are folded on pages without a verdict, too; shorter ones are their subject
 _NUMBERS = 4  # of a run on the first screen
 _RUNS_AS_COLUMNS = 3  # more runs are rows
+
+_FOLLOW = files("alula.stages.reporting").joinpath("follow.js").read_text(encoding="utf-8")
 
 # The policy blocks every fetch, also those of the 3D view, whose code and workers are inside the page.
 _POLICY = (
@@ -83,6 +87,7 @@ def page(
         _in_short(facts or {}),
         *[_difference(table, is_open=len(differences) == 1) for table in differences],
         _playback(view, flights),
+        f"<script>{_FOLLOW}</script>" if view is not None and any(one.time for one in flights) else "",
         _apart(material, found),
         _guarantees(found),
     ]
@@ -313,6 +318,8 @@ def _lines(statements: Iterable[tuple[str, str]]) -> str:
 def _figure(figure: Figure, *, name: str = "") -> str:
     names = " ".join(word for word in ("wide" if figure.wide else "", name) if word)
     kind = f' class="{names}"' if names else ""
+    if figure.time is not None:
+        kind += f' data-time="{escape(json.dumps(asdict(figure.time), ensure_ascii=False))}"'
     return (
         f'<figure id="{escape(figure.name)}"{kind}><h3>{escape(figure.title)}</h3>'
         f"{inline_svg(figure)}<figcaption>{escape(figure.alt)}</figcaption></figure>"

@@ -19,7 +19,9 @@ from alula.schemas.decode import json_decoder
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.runlog.cloud import POINT
 
-LATCHED = frozenset({"/map", "/vehicle", "/splat", "/plan"})  # they come once, and late subscribers need them
+LATCHED = frozenset(
+    {"/map", "/vehicle", "/splat", "/plan"}
+)  # they come seldom, and late subscribers need them
 _TEXT_PREFIX = "/alula"
 _LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # of rcl_interfaces/msg/Log, by those of foxglove.Log
 

@@ -114,6 +114,7 @@ figure { margin: 0; padding: 14px; }
 figure svg { width: 100%; height: auto; display: block; }
 svg * { stroke-linejoin: round; stroke-linecap: butt; }
 figure h3 { margin: 0 0 6px; }
+svg .now { stroke: var(--accent); stroke-width: 1.5; display: none; pointer-events: none; }
 figure.wide { grid-column: 1 / -1; }
 figure.wide svg { max-width: 960px; margin: 0 auto; }
 figure + figure.flight { margin-top: 14px; }

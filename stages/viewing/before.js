@@ -5,15 +5,30 @@
   console.error = (...words) => {
     if (!/computeBoundingSphere\(\): Computed radius is NaN/.test(words.join(" "))) complain(...words);
   };
+  // viser decodes a picture of its own surroundings before the page says that it has none: seconds without a GPU.
+  const load = window.fetch.bind(window);
+  window.fetch = (what, ...rest) =>
+    /^data:image\/jpeg/.test(what.url || what) ? new Promise(() => {}) : load(what, ...rest);
   let name = "none";
   try {
     const gl = document.createElement("canvas").getContext("webgl2"), info = gl.getExtension("WEBGL_debug_renderer_info");
     name = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
     gl.getExtension("WEBGL_lose_context").loseContext();
   } catch (error) { window.alulaFlat = name === "none"; }
-  window.alulaDraws = (few, fewCount, many, count) => {
-    if (!/swiftshader|llvmpipe|softpipe|software|basic render|^none$/i.test(name)) return many;
-    window.alulaNote = fewCount.toLocaleString("en") + " of " + count.toLocaleString("en") + " Gaussians, because this browser draws without a GPU";
+  const hasGpu = !/swiftshader|llvmpipe|softpipe|software|basic render|^none$/i.test(name);
+  if (!hasGpu) { // one sample for each pixel, and at most so many pixels
+    const MOST_PIXELS = 300000, context = HTMLCanvasElement.prototype.getContext, get = URLSearchParams.prototype.get;
+    HTMLCanvasElement.prototype.getContext = function (kind, options) {
+      return context.call(this, kind, /^webgl/.test(kind) ? { ...options, antialias: false } : options);
+    };
+    const ratio = Math.min(1, Math.sqrt(MOST_PIXELS / Math.max(1, window.innerWidth * window.innerHeight)));
+    URLSearchParams.prototype.get = function (name) { // viser's option for pixels of the canvas per pixel of the page
+      return name === "fixedDpr" ? ratio.toFixed(2) : get.call(this, name);
+    };
+  }
+  window.alulaDraws = (few, words, many) => {
+    if (hasGpu) return many;
+    window.alulaNote = words;
     return few;
   };
 })();

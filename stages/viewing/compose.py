@@ -13,16 +13,18 @@ from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import scene_obstacles
-from alula.stages.drawing.content import CUT, Content, Lines, Part, Play, tree_name
+from alula.stages.drawing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
 from alula.stages.drawing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
 from alula.stages.drawing.splat import chosen, gaussians
 from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS
+from alula.stages.reporting.flight_curves import sigma_of
 from alula.stages.reporting.material import Run
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
+from alula.stages.viewing.active import DECIDES_COLOR, Numbered
 from alula.stages.viewing.camera import fitted
-from alula.stages.viewing.corridor import plan_parts
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR, plan_parts
 from alula.stages.viewing.cut import Cut, find_cut
 from alula.stages.viewing.flown import MOST_PLAYED_S, faces_of, path_parts, play_of, worst_first
 from alula.stages.viewing.logged_map import LoggedMap
@@ -70,6 +72,7 @@ def content_of(
     most_gaussians: int = MOST_GAUSSIANS,
     flights: Collection[tuple[int, int]] | None = None,
     most_played_s: float = MOST_PLAYED_S,
+    first: Collection[tuple[int, int]] = (),
     up: str = "+z",
 ) -> Content:
     """Make the content of a view.
@@ -79,6 +82,7 @@ def content_of(
         most_gaussians: maximum number of Gaussians of all scenes.
         flights: those to play, as (run, trial); None for the worst ones of each run, up to `most_played_s`.
         most_played_s: maximum time of the flights to play, beyond the first [s].
+        first: flights to play before all others, as (run, trial).
         up: axis of the scene that points up.
     """
     notes: list[str] = []
@@ -104,13 +108,16 @@ def content_of(
         parts += found if len(shown.plans) == 1 else _renamed(found, "Plan", f"Plan {tree_name(name)}")
     parts += _fence_parts(shown)
     parts += path_parts(shown.runs)
-    plays = _plays(shown, flights, most_played_s)
+    plays = _plays(shown, flights, most_played_s, first)
     if any(part.name.startswith(f"{CUT}/") for part in parts):
         notes.append("ceiling and near walls are hidden at first")
     outcomes = dict.fromkeys(
         part.name.split("/")[1].rpartition(" (")[0] for part in parts if part.name.startswith("Flights/")
     )
-    legend = {name: COLORS[name] for name in outcomes} | ({"plan": COLORS["planned"]} if shown.plans else {})
+    legend = {name: COLORS[name] for name in outcomes}
+    legend |= {"plan": hex_of(PLAN_COLOR)} if shown.plans else {}
+    legend |= {"new plan": hex_of(NEW_PLAN_COLOR)} if any(play.plans for play in plays) else {}
+    legend |= {"obstacle that decides": hex_of(DECIDES_COLOR)} if any(play.decides for play in plays) else {}
     return Content(
         title=shown.title,
         parts=tuple(_distinct(parts)),
@@ -260,12 +267,18 @@ def _fence(name: str, corners: FloatArray, triangles: IntArray) -> list[Part]:
     ]
 
 
-def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_played_s: float) -> list[Play]:
+def _plays(
+    shown: Shown,
+    flights: Collection[tuple[int, int]] | None,
+    most_played_s: float,
+    first: Collection[tuple[int, int]],
+) -> list[Play]:
     obstacles = [_obstacles(shown, run) for run in shown.runs]
+    numbered = [_numbered(shown, run) for run in shown.runs]
     several = len(shown.runs) > 1
     found: list[Play] = []
     total = 0.0
-    order = worst_first(shown.runs)
+    order = sorted(worst_first(shown.runs), key=lambda key: key not in first)
     for number, index in order if flights is None else [key for key in order if key in flights]:
         flight = shown.runs[number].flights[index]
         if len(flight.time_s) < 2 or not np.isfinite(flight.position_world).all():
@@ -273,8 +286,30 @@ def _plays(shown: Shown, flights: Collection[tuple[int, int]] | None, most_playe
         total += float(flight.time_s[-1] - flight.time_s[0])
         if found and flights is None and total > most_played_s:
             break
-        found.append(play_of(shown.runs[number], index, obstacles[number], several))
+        found.append(play_of(shown.runs[number], index, obstacles[number], several, numbered[number]))
     return found
+
+
+def _numbered(shown: Shown, run: Run) -> Numbered | None:
+    """Obstacles that a run flew in, by their numbers in its log; None where it flew through others."""
+    if run.label in shown.elsewhere:
+        return None
+    logged = shown.maps.get(run.label)
+    covers, scene = shown.covers, shown.scenes[0][1] if len(shown.scenes) == 1 else None
+    if logged is not None:
+        solids: Solids | None = logged.solids
+        count: int | None = logged.ellipsoid_count
+    else:
+        solids = solids_of_cover(covers[0][1]) if len(covers) == 1 else None
+        count = None if scene is None else len(scene["mean"])
+    if scene is not None and count == len(scene["mean"]):
+        quat, axes = np.asarray(scene["quat_wxyz"], np.float64), sigma_of(run) * np.asarray(scene["scale"])
+        centers = np.asarray(scene["mean"], np.float64)
+    elif logged is not None and count == len(logged.centers):
+        quat, axes, centers = logged.quat_wxyz, logged.semi_axes, logged.centers
+    else:
+        quat, axes, centers = np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 3))
+    return Numbered(solids, centers, axes, quat, count)
 
 
 def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:

@@ -12,13 +12,16 @@ from alula.stages.planning.trajectory import evaluate
 from alula.stages.reporting.curves import plan_positions, thin
 from alula.stages.viewing.shapes import balls
 
-PLAN_COLOR = (34, 34, 34)
+PLAN_COLOR = (117, 112, 179)  # these two are seen on white and on black
+NEW_PLAN_COLOR = (231, 41, 138)
 _CORRIDOR = (46, 158, 91)
 _VIA = (213, 94, 0)
+_GATE = (230, 159, 0)
+_SIDES = 32  # of a gate
 
 
 def plan_parts(plan: Artifact, *, has_splat: bool = False) -> list[Part]:
-    """Parts of an `alula/plan`: curve, start, goal, via points, and the cells of its corridor.
+    """Parts of an `alula/plan`: curve, start, goal, via points, gates, and the cells of its corridor.
 
     Args:
         plan: the artifact.
@@ -37,9 +40,37 @@ def plan_parts(plan: Artifact, *, has_splat: bool = False) -> list[Part]:
     ):
         if len(places):
             parts.append(balls(name, places, mark_m, color))
+    gates = gate_lines(plan)
+    if len(gates):
+        parts.append(Lines(name="Plan/gates", segments=gates, color=_GATE, width_px=4.0))
     corners, triangles = corridor_mesh(plan)
     parts += drawn("Plan/corridor", corners, triangles, _CORRIDOR, opacity=0.1, faces_visible=not has_splat)
     return parts
+
+
+def gate_lines(plan: Artifact) -> FloatArray:
+    """Openings of a plan's gates as circles, each once, with an arrow along its normal, shape (n, 2, 3) [m].
+
+    Args:
+        plan: an `alula/plan`; one without gates has no lines.
+    """
+    angle = np.linspace(0, 2 * np.pi, _SIDES + 1)[:, None]
+    lines = [np.empty((0, 2, 3))]
+    gates = {
+        (*one.point_m, *one.normal, one.radius_m): one
+        for one in plan.manifest.passes  # type: ignore[attr-defined]
+        if one.kind == "gate"
+    }
+    for gate in gates.values():
+        center, normal, radius = np.array(gate.point_m), np.array(gate.normal), gate.radius_m
+        across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+        across /= np.linalg.norm(across)
+        up = np.cross(normal, across)
+        lines.append(segments_of(center + radius * (np.cos(angle) * across + np.sin(angle) * up)))
+        tip, barb = center + 0.6 * radius * normal, center + 0.4 * radius * normal
+        ends = [center, barb + 0.15 * radius * across, barb - 0.15 * radius * across]
+        lines.append(np.array([(end, tip) for end in ends]))
+    return np.concatenate(lines)
 
 
 def corridor_mesh(plan: Artifact) -> tuple[FloatArray, IntArray]:

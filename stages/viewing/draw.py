@@ -16,14 +16,18 @@ from alula.stages.drawing.content import (
     Camera,
     Content,
     Copies,
+    Decides,
     Faces,
     Gaussians,
     Lines,
     Part,
     Play,
+    segments_of,
 )
 from alula.stages.drawing.sight import FIELD_RAD
+from alula.stages.viewing.active import DECIDES_COLOR
 from alula.stages.viewing.actors import ball_parts, nearest_line, path_part, vehicle_parts
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR
 
 PLAYBACK = "Playback"
 GAP_S = 1.0  # a flight stays at its end so long before the next one begins
@@ -89,12 +93,19 @@ def draw_part(scene: Any, part: Part) -> Any:
         return scene.add_line_segments(
             name,
             part.segments.astype(np.float32),
-            color if isinstance(color, np.ndarray) else np.array(color, np.uint8),
+            _linear(color) if isinstance(color, np.ndarray) else np.array(color, np.uint8),
             thickness=part.width_px,
             thickness_units="screen",
             visible=part.visible,
         )
     return _copies(scene, name, part)
+
+
+def _linear(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Linear light of sRGB colours: so viser reads those of single ends of lines, unlike that of a part."""
+    part = color / 255.0
+    light = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return np.round(255 * light).astype(np.uint8)
 
 
 def _gaussians(scene: Any, name: str, part: Gaussians) -> Any:
@@ -193,7 +204,7 @@ def record(server: Any, plays: Sequence[Play], sleep: Callable[[float], None]) -
 
 
 class _Actor:
-    """Nodes of one flight: vehicle, path, moving obstacles, tracks, and the line to what is nearest."""
+    """Nodes of one flight: vehicle, path, what moves, new plans, what decides, line to the nearest point."""
 
     def __init__(self, scene: Any, play: Play, number: int) -> None:
         self.play = play
@@ -204,10 +215,28 @@ class _Actor:
         scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
         self.obstacles = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=False)]
         self.tracks = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=True)]
+        self.decides = [self._deciding(scene, one) for one in play.decides]
+        self.plans = [self._new_plan(scene, k, points) for k, (_, points) in enumerate(play.plans, 1)]
         self.nearest: Any = None
         self.acts: bool | None = None
         if np.isfinite(play.nearest_world).any():
             self.nearest = draw_part(scene, nearest_line(name, play, 0))
+
+    def _deciding(self, scene: Any, one: Decides) -> Any:
+        faces = Faces(
+            name=f"{self.name}/deciding/{one.name}",
+            corners=one.corners,
+            triangles=one.triangles,
+            color=DECIDES_COLOR,
+            visible=False,
+        )
+        return draw_part(scene, faces)
+
+    def _new_plan(self, scene: Any, number: int, points: FloatArray) -> Any:
+        name, color = f"{self.name}/new plan {number}", NEW_PLAN_COLOR
+        return draw_part(
+            scene, Lines(name=name, segments=segments_of(points), color=color, width_px=4.0, visible=False)
+        )
 
     def show(self, is_shown: bool) -> None:
         """Show or hide all of it."""
@@ -220,6 +249,10 @@ class _Actor:
         for handles, places in ((self.obstacles, play.obstacles_world), (self.tracks, play.tracks_world)):
             for handle, place in zip(handles, places[row], strict=True):
                 _place(handle, place)
+        for one, handle in zip(play.decides, self.decides, strict=True):
+            _show(handle, bool(one.rows[row]))
+        for (time_s, _), handle in zip(play.plans, self.plans, strict=True):
+            _show(handle, bool(play.time_s[row] >= time_s))
         if self.nearest is None:
             return
         line = nearest_line(self.name, play, row)
@@ -229,10 +262,15 @@ class _Actor:
             self.nearest.colors = np.array(line.color, np.uint8)
 
 
+def _show(handle: Any, is_shown: bool) -> None:
+    """Show or hide a node; a recording holds only changes."""
+    if handle.visible != is_shown:
+        handle.visible = is_shown
+
+
 def _place(handle: Any, place: NDArray[np.float64]) -> None:
     """Move a node, or hide it where its place is not known."""
     is_known = bool(np.isfinite(place).all())
-    if handle.visible != is_known:
-        handle.visible = is_known
+    _show(handle, is_known)
     if is_known:
         handle.position = tuple(place)

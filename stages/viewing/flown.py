@@ -17,6 +17,7 @@ from alula.stages.reporting.curves import encounter_clearance, paths_of
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, clearance_of, outcome_of
 from alula.stages.vehicles.fence import fence_faces
+from alula.stages.viewing.active import ROUTINE, Numbered, deciding
 from alula.stages.viewing.nearest import closest, to_balls, to_faces, to_obstacles
 from alula.stages.viewing.shapes import UPRIGHT_WXYZ, balls
 
@@ -27,7 +28,6 @@ _CONTACT = (215, 48, 31)
 _RADIUS_M = 0.15  # of a vehicle whose size is not recorded
 _LARGEST_M = 1e12
 _MOST_ROWS = 5000  # of a flight that is played
-_ROUTINE = ("", "ok", "passed")  # statuses of a filter that leaves the command as it is
 _WORDS = {
     "reached": "reached its goal",
     "passed": "passed",
@@ -207,7 +207,13 @@ def length_words(length_m: float) -> str:
     return f"{100 * length_m:.1f} cm" if abs(length_m) < 1 else f"{length_m:.2f} m"
 
 
-def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | EllipsoidSet], several: bool) -> Play:
+def play_of(
+    run: Run,
+    index: int,
+    obstacles: Mapping[str, PolytopeSet | EllipsoidSet],
+    several: bool,
+    among: Numbered | None = None,
+) -> Play:
     """Make a logged flight ready to be played.
 
     Args:
@@ -215,6 +221,7 @@ def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | Ellipsoi
         index: of its trial.
         obstacles: search trees of the parts of the world that it flew in, by name.
         several: there are several runs, so the label names this one.
+        among: obstacles by the numbers in the log; None where they are not known.
     """
     flight = run.flights[index]
     row = _rows(flight.time_s)
@@ -239,6 +246,9 @@ def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | Ellipsoi
         label=f"{run.label}, flight {index}" if several else f"flight {index}",
         outcome=outcome,
         words=words,
+        run=run.label,
+        trial=index,
+        begin_s=float(flight.time_s[row[0]]),
         time_s=time,
         position_world=position,
         quat_world_body_wxyz=np.tile(UPRIGHT_WXYZ, (len(row), 1)) if turn is None else turn[row],
@@ -251,7 +261,16 @@ def play_of(run: Run, index: int, obstacles: Mapping[str, PolytopeSet | Ellipsoi
         status=status,
         series=_series(flight, row, time, distances, answer, limits_of(run)),
         marked_s=float(time[worst]),
+        decides=() if among is None else deciding(flight, run.record.filter, answer, among),
+        plans=_new_plans(run, flight.time_s[row[0]], float(time[-1])),
     )
+
+
+def _new_plans(run: Run, begin_s: float, end_s: float) -> tuple[tuple[float, FloatArray], ...]:
+    """New plans of a real flight, by the time from which it follows them."""
+    plans = [] if run.course is None else run.course.plans
+    each = ((one.time_s - begin_s, one.position_world) for one in plans)
+    return tuple((time, points) for time, points in each if 0 <= time <= end_s and len(points) > 1)
 
 
 def _rows(time_s: FloatArray) -> Any:
@@ -279,7 +298,7 @@ def _acts(flight: Flight, answer: Any, count: int) -> NDArray[np.bool_]:
     if answer is None:
         return np.zeros(count, np.bool_)
     found: NDArray[np.bool_] = np.any(
-        [[words[i].lower() not in _ROUTINE for i in answer] for words in lists], axis=0
+        [[words[i].lower() not in ROUTINE for i in answer] for words in lists], axis=0
     )
     return found
 

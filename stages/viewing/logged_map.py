@@ -35,6 +35,7 @@ class LoggedMap:
         semi_axes: shape (n, 3) [m].
         quat_wxyz: shape (n, 4).
         color: shape (n, 3).
+        ellipsoid_count: number of ellipsoids of the map; a log has those near the paths.
     """
 
     solids: Solids
@@ -42,6 +43,7 @@ class LoggedMap:
     semi_axes: FloatArray
     quat_wxyz: FloatArray
     color: NDArray[np.uint8]
+    ellipsoid_count: int = 0
 
     @property
     def has_ellipsoids(self) -> bool:
@@ -107,8 +109,14 @@ class _Triangles(msgspec.Struct):
     indices: list[int]
 
 
+class _Pair(msgspec.Struct):
+    key: str
+    value: str
+
+
 class _Entity(msgspec.Struct):
     id: str = ""
+    metadata: list[_Pair] = []
     triangles: list[_Triangles] = []
     spheres: list[_Sphere] = []
 
@@ -159,7 +167,14 @@ def _map_of(message: _Update) -> LoggedMap:
         0.5 * _points([s.size for s in spheres]),
         np.array([(q.w, q.x, q.y, q.z) for q in turns], np.float64).reshape(-1, 4),
         np.clip(255 * color, 0, 255).round().astype(np.uint8),
+        sum(_count(entity) for entity in entities),
     )
+
+
+def _count(entity: _Entity) -> int:
+    """Number of ellipsoids that an entity stands for."""
+    values = [pair.value for pair in entity.metadata if pair.key == "ellipsoids"]
+    return int(values[0]) if values and values[0].isascii() and values[0].isdecimal() else 0
 
 
 def _points(each: list[_Point]) -> FloatArray:

@@ -60,17 +60,20 @@
     const values = plot.curves.flatMap(c => c.v.filter(v => v !== null));
     if (plot.limit !== null) values.push(plot.limit);
     let low = Math.min(...values), high = Math.max(...values);
-    if (!(high > low)) { high = low + 1; }
+    if (!(high > low)) { low = Math.min(0, low); high = Math.max(high, low + 1); }
     const pad = 0.06 * (high - low), left = 42, right = 8, top = 20, bottom = 6;
     low -= pad; high += pad;
     const end = Math.max(f.end - f.begin, 1e-6);
     const x = s => left + (w - left - right) * s / end, y = v => h - bottom - (h - top - bottom) * (v - low) / (high - low);
     pen.font = "11px system-ui, sans-serif"; pen.fillStyle = style.getPropertyValue("--ink");
-    pen.fillText(plot.name, left, 13);
-    let words = left + pen.measureText(plot.name).width + 10;
+    const wide = text => pen.measureText(text).width, many = plot.curves.length > 1 ? plot.curves : [];
+    const room = w - left - many.reduce((sum, c) => sum + wide(c.label) + 8, 10);
+    const name = wide(plot.name) > room ? plot.name.split(/[:[]/)[0].trim() : plot.name;
+    pen.fillText(name, left, 13);
+    let words = left + wide(name) + 10;
     pen.strokeStyle = style.getPropertyValue("--line"); pen.strokeRect(left, top, w - left - right, h - top - bottom);
     pen.fillStyle = style.getPropertyValue("--soft"); pen.textAlign = "right";
-    for (const v of [low + pad, high - pad]) pen.fillText(v.toPrecision(2), left - 4, y(v) + 4);
+    for (const v of [low + pad, high - pad]) pen.fillText(v && Math.abs(v) < 0.01 ? v.toExponential(0) : v.toPrecision(2), left - 4, y(v) + 4);
     pen.textAlign = "left"; pen.save(); pen.beginPath(); pen.rect(left, top, w - left - right, h - top - bottom); pen.clip();
     const line = (x0, y0, x1, y1) => { pen.beginPath(); pen.moveTo(x0, y0); pen.lineTo(x1, y1); pen.stroke(); };
     if (plot.limit !== null) { pen.setLineDash([4, 3]); pen.strokeStyle = "#d7301f"; line(left, y(plot.limit), w, y(plot.limit)); pen.setLineDash([]); }
@@ -83,8 +86,8 @@
     });
     pen.setLineDash([]); pen.strokeStyle = style.getPropertyValue("--mark"); pen.lineWidth = 2; line(x(t), top, x(t), h);
     pen.restore();
-    if (plot.curves.length > 1) plot.curves.forEach((c, i) => {
-      pen.fillStyle = colors[i % 6]; pen.fillText(c.label, words, 13); words += pen.measureText(c.label).width + 8;
+    many.forEach((c, i) => {
+      pen.fillStyle = colors[i % 6]; pen.fillText(c.label, words, 13); words += wide(c.label) + 8;
     });
     pen.lineWidth = 1;
   });
@@ -92,9 +95,12 @@
     let j = c.t.findIndex(s => s > t); j = j < 0 ? c.t.length - 1 : Math.max(0, j - 1);
     return (c.label === plot.name.split(" ")[0] ? "" : c.label + " ") + (c.v[j] === null ? "–" : c.v[j].toFixed(2)) + " " + (plot.name.match(/\[(.*)\]/) || ["", ""])[1];
   }).join(", ")).slice(0, 2).join("; ");
-  let before = null;
+  let before = null, isBegun = window.parent === window;
   const step = () => {
     const t = time();
+    if (t !== null && !isBegun) { // in a report it rests at the worst moment, and plays when it is told to
+      isBegun = true; seek(flights[0].begin + Math.max(0.01, flights[0].worst));
+    }
     if (t === null || (t === before && canvases.length && canvases[0].width === Math.round(canvases[0].clientWidth * (window.devicePixelRatio || 1)))) return;
     before = t;
     let i = flights.findIndex(f => t <= f.end + 1); if (i < 0) i = flights.length - 1;
@@ -103,7 +109,14 @@
     const spell = f.status.filter(s => s[0] <= own).pop();
     at("now").textContent = own.toFixed(1) + " s; " + value(f, own) + (spell && spell[1] ? "; filter: " + spell[1] : "");
     draw(f, own);
+    if (window.parent !== window) window.parent.postMessage({ alula: "time", run: f.run, trial: f.trial, time: f.from + own }, "*");
   };
+  window.addEventListener("message", event => { // from the report around this page
+    const asked = event.data;
+    if (event.source !== window.parent || window.parent === window || !asked || asked.alula !== "seek") return;
+    const f = flights.find(one => one.run === asked.run && one.trial === asked.trial);
+    if (f) seek(f.begin + Math.min(Math.max(asked.time - f.from, 0), f.end - f.begin));
+  });
   at("plots").onclick = event => {
     const canvas = event.target.closest("canvas"), f = flights[shown];
     if (!canvas || !f) return;

@@ -19,12 +19,12 @@ from alula.stages.drawing.content import Content, Gaussians
 from alula.stages.viewing.draw import Span, draw, record
 from alula.stages.viewing.encode import still_webp
 from alula.stages.viewing.film import still
+from alula.stages.viewing.light import LIGHT_GAUSSIANS, lightened
 from alula.stages.viewing.overlay import MARKUP, asset
 from alula.stages.viewing.plots import flight_data
 
 HOST = "127.0.0.1"
 MOST_BYTES = 7_000_000
-LIGHT_GAUSSIANS = 20_000
 _AROUND_BYTES = 350_000  # of what stands around the scene
 _STILL_PX, _STILL_BYTES = (1000, 625), 150_000  # of the picture for browsers without WebGL
 _DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
@@ -99,7 +99,7 @@ def within(
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
-    For browsers without a GPU it also has the scene with at most `LIGHT_GAUSSIANS`, and never fewer.
+    For browsers without a GPU it also has the scene as `lightened`. It never has fewer Gaussians than that.
 
     Args:
         make: content of a view with at most so many Gaussians.
@@ -113,7 +113,7 @@ def within(
         The page, and what it shows.
     """
     content = make(most_gaussians)
-    light = make(LIGHT_GAUSSIANS) if content.gaussians > LIGHT_GAUSSIANS else content
+    light = lightened(content, make)
     image = _image(content) if picture else ""
     few = _record(light)
     if light is content:
@@ -125,11 +125,18 @@ def within(
         if count < content.gaussians:
             content = make(count)
         many = _record(content)
-        data = f'alulaDraws("{few.data}",{light.gaussians},"{many.data}",{content.gaussians})'
+        data = f'alulaDraws("{few.data}",{json.dumps(_less(light, content))},"{many.data}")'
         text = _around(many, data, content, provenance_line, other, image)
         if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
             return text, content
         room -= 1.2 * (len(text) - maximum)
+
+
+def _less(light: Content, content: Content) -> str:
+    """What a browser without a GPU leaves out, in words."""
+    if light.gaussians == content.gaussians:
+        return "fewer edges and points of paths, because this browser draws without a GPU"
+    return f"{light.gaussians:,} of {content.gaussians:,} Gaussians, because this browser draws without a GPU"
 
 
 def _bytes_each(content: Content) -> float:

@@ -25,6 +25,9 @@ def flight_data(plays: Sequence[Play], spans: Sequence[Span]) -> list[dict[str, 
     return [
         {
             "label": play.label,
+            "run": play.run,
+            "trial": play.trial,
+            "from": round(play.begin_s, 6),
             "outcome": play.outcome,
             "color": COLORS.get(play.outcome, "#222222"),
             "words": play.words,

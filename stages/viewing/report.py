@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from alula.stages.reporting.flight_curves import MOST_RUNS, closest_flight
 from alula.stages.reporting.material import Material, flew_through
 from alula.stages.reporting.view3d import View
 from alula.stages.viewing.compose import Shown, content_of
 from alula.stages.viewing.page import within
 
-_MOST_BYTES = 6_500_000
+_MOST_BYTES = 6_000_000  # the rest of a report takes up to two million
 _MOST_PLAYED_S = 60.0
 
 
 def view(material: Material) -> View | None:
     """Make the 3D view; None when there is nothing to show. The same material gives the same text.
 
-    The worst flights are played. Hulls are the cover's, also for runs that flew through another one, whose
-    clearance to it is not shown.
+    Those flights are played first that the report has curves of, then the worst ones. Hulls are the cover's,
+    also for runs that flew through another one, whose clearance to it is not shown.
 
     Args:
         material: of the report.
@@ -31,8 +32,10 @@ def view(material: Material) -> View | None:
         covers=[] if material.cover is None else [("cover", material.cover)],
         plans=[] if material.plan is None else [("plan", material.plan)],
     )
+    closest = [(number, closest_flight(run)) for number, run in enumerate(runs[:MOST_RUNS])]
+    first = [(number, found[0]) for number, found in closest if found is not None]
     html, content = within(
-        lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S),
+        lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S, first=first),
         maximum=_MOST_BYTES,
         picture=False,  # the report has one
     )

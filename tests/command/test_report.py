@@ -100,7 +100,7 @@ def test_a_page_loads_nothing_from_anywhere(everything):
     links.feed(page)
     assert links.tags.count("svg") == 7
     assert links.tags.count("iframe") == 1
-    assert links.tags.count("script") == 0
+    assert links.tags.count("script") == 1  # which moves the marker in the curves
     assert all(link.startswith(("data:", "#")) for link in links.found), links.found[:3]
     assert "default-src 'none'" in page
     assert len(page) < 12e6
@@ -198,7 +198,7 @@ def test_names_cannot_inject_anything(report, folder, tmp_path):
     page = report(str(evil), "--title", EVIL).read_text()
     links = Links()
     links.feed(page)
-    assert "script" not in links.tags
+    assert links.tags.count("script") == 1  # of the page itself
     assert "b" in links.tags  # ours, in cards
     assert f"filter {EVIL}" in "".join(links.texts)
     assert EVIL in links.texts

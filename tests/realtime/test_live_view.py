@@ -16,10 +16,12 @@ import pytest
 
 from alula.schemas.errors import UsageError
 from alula.schemas.run import read_run
+from alula.stages.flight.recorder.channels import PlanSample
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe
 from alula.stages.runlog.maps import map_message
+from support.browser import drawn, near, opened
 from support.flight_logs import head_of, sample
 from support.flights import BALL, mission
 
@@ -121,3 +123,27 @@ def test_a_killed_view_does_not_disturb_the_flight(pipeline, tmp_path):
     timing = json.loads((tmp_path / "f.run.json").read_text())["timing"]
     assert timing["unseen_samples"] > 10
     assert timing["dropped_samples"] == 0
+
+
+def test_its_page_shows_the_map_the_vehicle_and_a_new_plan(browser):
+    made, port = mission("polytope-cbf", is_clear=True), free_port()
+    pipe, address = open_view(port, view_head(made))
+    path = np.linspace((0.3, 2.0, 1.0), (3.0, 2.0, 1.0), 60).tolist()
+    new = [(x, y + 0.4, z) for x, y, z in path]
+    allowed = (f"ws://127.0.0.1:{port}", f"{address}/")
+    with opened(browser, f"{address}/", width=900, height=520, allowed=allowed) as shown:
+        shown.page.wait_for_selector("canvas")
+        shown.until(lambda: drawn(left_of(shown)) > 0.01, "the canvas stays blank")
+        pipe.offer(b"p" + msgspec.msgpack.encode(PlanSample(0.1, new)))
+        for i, point in enumerate(path):
+            state = msgspec.structs.replace(sample(i), position=tuple(point))
+            pipe.offer(b"t" + msgspec.msgpack.encode(state))
+            shown.page.wait_for_timeout(20)
+        shown.page.get_by_text("GUIDED, armed").wait_for()
+        shown.until(lambda: near(left_of(shown), (231, 41, 138)) > 0.0005, "the new plan is not seen")
+    assert pipe.close(10.0)
+
+
+def left_of(shown):
+    """The canvas beside the panel."""
+    return shown.pixels()[:, :480]

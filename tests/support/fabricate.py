@@ -79,7 +79,7 @@ def make_cover(hulls, g=0.05, offset=(0, 0, 0), summary=None, **fields):
     )
 
 
-def make_scene(count=200, seed=3, low=(0, 0, 0), high=(4, 3, 2)):
+def make_scene(count=200, seed=3, low=(0, 0, 0), high=(4, 3, 2), color=None):
     rng = np.random.default_rng(seed)
     quat = rng.normal(size=(count, 4))
     return make_artifact(
@@ -89,7 +89,7 @@ def make_scene(count=200, seed=3, low=(0, 0, 0), high=(4, 3, 2)):
             "scale": rng.uniform(0.01, 0.05, (count, 3)),
             "quat_wxyz": quat / np.linalg.norm(quat, axis=1, keepdims=True),
             "opacity": rng.uniform(0.1, 1, count),
-            "color": rng.integers(0, 256, (count, 3)),
+            "color": rng.integers(0, 256, (count, 3)) if color is None else np.tile(color, (count, 1)),
         },
         frame="world",
         unit="m",

@@ -170,13 +170,16 @@ class Kept:
     """A recorder that keeps everything."""
 
     def __init__(self):
-        self.samples, self.steps, self.lines = [], [], []
+        self.samples, self.steps, self.lines, self.plans = [], [], [], []
 
     def tick(self, sample):
         self.samples.append(sample)
 
     def step(self, time_s, taken):
         self.steps.append((time_s, taken))
+
+    def plan(self, time_s, points):
+        self.plans.append((time_s, points))
 
     def say(self, time_s, level, words):
         self.lines.append((level, words))

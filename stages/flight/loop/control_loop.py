@@ -54,6 +54,7 @@ from alula.stages.flight.recorder.samples import (
 from alula.stages.flight.replan.replanner import Replanner
 from alula.stages.flight.watchdog.watchdog import Watchdog
 from alula.stages.planning.adherence import FINISHED_M, FINISHED_M_S
+from alula.stages.planning.plan_samples import curve_of, path_of
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
@@ -566,6 +567,7 @@ class ControlLoop:
             return
         if found is not None:
             self.plan, self._rested_s = found, 0.0
+            self.recorder.plan(now_s - self._begin_s, path_of(curve_of(replanner.joined[-1].plan)))
 
     def _arrive(self, speed_m_s: float, error_m: float, period_s: float) -> None:
         """Detect that the vehicle is at the end of the plan, or as near to it as the filter allows."""

@@ -94,6 +94,13 @@ class LineSample(msgspec.Struct, array_like=True):
     words: str
 
 
+class PlanSample(msgspec.Struct, array_like=True):
+    """A new plan that the flight continues along: its points, world frame [m]."""
+
+    time_s: float
+    points: list[Three]
+
+
 class FlightChannels:
     """Messages of all channels; each method gives them with topic and log time.
 
@@ -146,6 +153,11 @@ class FlightChannels:
         """Message for the operator."""
         now = self._log_time(line.time_s)
         yield "/log", now, log_line(line.words, line.level, now)
+
+    def plan(self, plan: PlanSample) -> Iterator[Sent]:
+        """The new plan, which replaces the one before."""
+        now = self._log_time(plan.time_s)
+        yield "/plan", now, path_message(np.array(plan.points), self._head.frame, now)
 
     def path(self) -> Iterator[Sent]:
         """The path flown so far; none before it begins."""

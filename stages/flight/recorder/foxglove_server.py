@@ -25,6 +25,7 @@ from alula.stages.flight.recorder.channels import (
     FlightChannels,
     FlightHead,
     LineSample,
+    PlanSample,
     Sent,
     StepSample,
 )
@@ -104,6 +105,8 @@ class _Served:
                 self._send(self._flight.path())
         elif kind == b"s":
             self._send(self._flight.step(msgspec.msgpack.decode(body, type=StepSample)))
+        elif kind == b"p":
+            self._send(self._flight.plan(msgspec.msgpack.decode(body, type=PlanSample)))
         elif kind == b"l":
             self._send(self._flight.line(msgspec.msgpack.decode(body, type=LineSample)))
         self._repeat()

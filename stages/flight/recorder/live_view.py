@@ -19,12 +19,12 @@ from alula.schemas.errors import AlulaError
 from alula.schemas.text import html_text, one_line
 from alula.stages.drawing.content import Body, Content, Lines, Part, segments_of
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.recorder.channels import LineSample, StepSample
+from alula.stages.flight.recorder.channels import LineSample, PlanSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 from alula.stages.flight.recorder.served import HOST, NICE, open_served
 from alula.stages.viewing.compose import Shown, content_of, fence_parts
-from alula.stages.viewing.corridor import PLAN_COLOR
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR
 from alula.stages.viewing.draw import Vehicle, draw, draw_part
 from alula.stages.viewing.files import read_files
 from alula.stages.viewing.logged_map import map_of
@@ -130,6 +130,7 @@ class _View:
         self.pose_s = self.text_s = self.path_s = -np.inf
         self.heard_s = time.monotonic()
         self.state, self.ending = "idle", ""
+        self.plans = 0
         self.sample: TickSample | None = None
         server.gui.configure_theme(show_share_button=False, show_logo=False)
         content = _content(head)
@@ -153,6 +154,8 @@ class _View:
                 self.state = step.state
                 self.ending = step.words or step.event
                 self._say()
+            elif kind == b"p":
+                self._plan(msgspec.msgpack.decode(body, type=PlanSample))
             elif kind == b"l":
                 line = msgspec.msgpack.decode(body, type=LineSample)
                 self.lines.append(f"{line.time_s:.1f} s  {line.words}")
@@ -175,6 +178,15 @@ class _View:
             last = "the vehicle last reported that it is armed" if is_armed else "the vehicle is disarmed"
             where = self.ending or self.state
             self.text.content = self._page(f"The flight has ended: {where}; {last}. This view is closed.")
+
+    def _plan(self, plan: PlanSample) -> None:
+        """Draw a new plan beside those before it."""
+        self.plans += 1
+        points = np.array(plan.points)
+        curve = Lines(
+            name=f"New plan {self.plans}", segments=segments_of(points), color=NEW_PLAN_COLOR, width_px=4.0
+        )
+        draw_part(self.server.scene, curve)
 
     def _tick(self, sample: TickSample) -> None:
         now = time.monotonic()
@@ -244,7 +256,7 @@ def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
     return [
         ("filter", FilterStatus(done.status).name.lower() + (", infeasible" if done.infeasible else "")),
         ("h", f"{done.margin:.3f}"),
-        ("active rows", str(done.active)),
+        ("deciding obstacle", "none" if done.active < 0 else str(done.active)),
         ("fence h", f"{done.fence_h_m:.2f} m"),
         ("fence λ", f"{done.fence_share:.2f}" + (", the fence flies" if done.fence_flies else "")),
         ("behind the plan", f"{done.error_m:.2f} m"),

@@ -28,11 +28,12 @@ from alula.stages.flight.recorder.channels import (
     FlightChannels,
     FlightHead,
     LineSample,
+    PlanSample,
     Sent,
     StepSample,
 )
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
-from alula.stages.flight.recorder.samples import TickSample
+from alula.stages.flight.recorder.samples import Three, TickSample
 from alula.stages.runlog.messages import nanoseconds
 from alula.stages.runlog.writer import LogWriter
 
@@ -161,6 +162,10 @@ class FlightRecorder:
             time_s,
             StepSample(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS]),
         )
+
+    def plan(self, time_s: float, points: list[Three]) -> None:
+        """See `Recorder`."""
+        self._put(b"p", time_s, PlanSample(time_s, points))
 
     def say(self, time_s: float, level: int, words: str) -> None:
         """See `Recorder`."""
@@ -291,6 +296,8 @@ class _Writer:
             self._send(self.channels.step(step))
             if step.state == State.TAKE_OFF.value and self.moves:
                 _replace(*self.moves)
+        elif kind == b"p":
+            self._send(self.channels.plan(msgspec.msgpack.decode(body, type=PlanSample)))
         elif kind == b"l":
             line = msgspec.msgpack.decode(body, type=LineSample)
             self._send(self.channels.line(line))

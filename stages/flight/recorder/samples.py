@@ -142,6 +142,15 @@ class Recorder(Protocol):
         """
         ...
 
+    def plan(self, time_s: float, points: list[Three]) -> None:
+        """Record a new plan that the flight continues along.
+
+        Args:
+            time_s: time since the start of the flight [s].
+            points: of the plan, world frame [m].
+        """
+        ...
+
     def say(self, time_s: float, level: int, words: str) -> None:
         """Record a message for the operator.
 

@@ -83,6 +83,22 @@ def test_log_times_are_those_of_the_wall_clock_or_count_from_the_start_that_is_g
     assert starts[1:] == [10**18] * 2
 
 
+def test_a_new_plan_is_logged_at_the_time_from_which_it_was_flown(tmp_path):
+    log, made = tmp_path / "f.run.mcap", mission()
+    recorder = FlightRecorder(log, head_of(made), echo=False)
+    points = [(0.0, 0.0, 1.0), (0.5, 1.0, 1.0), (2.0, 0.0, 1.0)]
+    for i in range(100):
+        recorder.tick(sample(i, 0.01 * i))
+        if i == 50:
+            recorder.plan(0.5, points)
+    assert recorder.finish(None)
+    with log.open("rb") as file:
+        course = flights_of(messages(file)).course
+    (new,) = course.plans
+    assert new.time_s == pytest.approx(0.5)
+    assert new.position_world.tolist() == [list(point) for point in points]
+
+
 def test_an_existing_log_is_left_alone(tmp_path):
     log = tmp_path / "f.run.mcap"
     log.write_bytes(b"mine")

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from alula.stages.flight.recorder.live_view import ViewHead, _View
-from alula.stages.flight.recorder.log import LineSample, StepSample
+from alula.stages.flight.recorder.log import LineSample, PlanSample, StepSample
 from support.flight_logs import sample
 
 OURS = {"p", "b", "table", "tr", "td", "ul", "li"}
@@ -122,3 +122,13 @@ def test_scene_plan_and_fence_stand_before_the_flight_and_a_missing_file_is_name
     names = {call.args[0] for call in server.scene.add_line_segments.call_args_list}
     assert {"/Plan/curve", "/Fence/edges"} <= names
     assert any("not shown" in line for line in view.lines)
+
+
+def test_a_new_plan_is_drawn_beside_those_before():
+    view, server = view_of()
+    points = [(0.0, 0.0, 1.0), (0.5, 0.5, 1.0), (1.0, 0.0, 1.0)]
+    for _ in range(2):
+        view.take(b"p" + msgspec.msgpack.encode(PlanSample(2.0, points)))
+    drawn = {call.args[0]: call.args[1] for call in server.scene.add_line_segments.call_args_list}
+    assert {"/New plan 1", "/New plan 2", "/Plan/curve"} <= drawn.keys()
+    assert drawn["/New plan 1"].tolist() == [list(map(list, points[:2])), list(map(list, points[1:]))]

@@ -97,7 +97,11 @@ def test_a_flight_that_is_stuck_arrives_with_a_new_plan():
     assert flight.cause is Event.PLAN_FINISHED
     assert len(flight.loop.joined) == len(planner.requests) == 1
     assert planner.is_closed
-    joined_s = flight.loop.joined[0][0]
+    joined_s, made = flight.loop.joined[0]
+    ((recorded_s, points),) = flight.recorder.plans
+    assert recorded_s == pytest.approx(joined_s)
+    expected = curve_of(made).at(np.linspace(0, made["time"][-1], len(points)))[:, :3]
+    assert np.allclose(points, expected)
     samples = [s for s in flight.recorder.samples if s.filter and joined_s - 2.1 < s.time_s < joined_s - 0.05]
     assert samples[-1].filter.plan_s - samples[-100].filter.plan_s < 0.1  # it was held up for a second
     assert samples[-1].filter.plan_s - samples[0].filter.plan_s > 0.1  # and not for much longer

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from alula.stages.drawing.content import Lines, segments_of
+from alula.stages.viewing import light
 from alula.stages.viewing import page as pages
 from alula.stages.viewing.compose import Shown, content_of
 from alula.stages.viewing.draw import GAP_S, Span
+from alula.stages.viewing.light import fewer
 from alula.stages.viewing.page import page, within
 from alula.stages.viewing.plots import flight_data
-from support.fabricate import make_scene, make_trial
+from support.fabricate import box, make_cover, make_scene, make_trial
 from support.viewed_runs import run_of
 
 
@@ -37,12 +40,13 @@ def test_flights_follow_one_another_on_the_timeline():
 
 
 def test_a_page_is_bounded_by_fewer_gaussians_and_has_a_light_one(monkeypatch):
-    monkeypatch.setattr(pages, "LIGHT_GAUSSIANS", 500)
+    for module in (pages, light):
+        monkeypatch.setattr(module, "LIGHT_GAUSSIANS", 500)
     scene = make_scene(40_000)
     make = lambda most: content_of(Shown(title="t", scenes=[("s", scene)]), most_gaussians=most)  # noqa: E731
     whole, content = within(make)
     assert content.gaussians == 40_000
-    assert re.search(r'alulaDraws\("[\w+/=]+",(499|500),"', whole)
+    assert re.search(r'alulaDraws\("[\w+/=]+","(499|500) of 40,000 Gaussians, [\w ]+","', whole)
     text, content = within(make, maximum=1_500_000)
     assert len(text) <= 1_500_000
     assert 5_000 < content.gaussians < 40_000
@@ -84,3 +88,31 @@ def test_curves_keep_their_peaks_and_gaps():
     (curve,) = data["plots"][0]["curves"]
     assert len(curve["v"]) <= 302
     assert max(v for v in curve["v"] if v is not None) == 7.0
+
+
+def test_a_light_page_keeps_the_ends_of_paths_and_the_longest_edges():
+    points = np.cumsum(np.random.default_rng(5).normal(size=(2, 101, 3)), axis=1)
+    paths = np.concatenate([segments_of(one) for one in points])
+    few = fewer(paths, 0.1)
+    assert len(few) == 20
+    for k, one in enumerate(points):
+        assert np.array_equal(few[10 * k, 0], one[0])
+        assert np.array_equal(few[10 * k + 9, 1], one[-1])
+    assert np.array_equal(few[:9, 1], few[1:10, 0])
+    edges = np.zeros((50, 2, 3))
+    edges[:, 0, 1], edges[:, 1, 1] = np.arange(50), np.arange(50)
+    edges[:, 1, 0] = 1 + np.arange(50) % 7
+    assert sorted(fewer(edges, 0.28)[:, 1, 0].tolist()) == [6.0] * 7 + [7.0] * 7
+
+
+def test_a_page_with_many_edges_has_a_light_one_too():
+    hulls = [box((3 * i, 0, 0), (3 * i + 2, 2, 2)) for i in range(400)]
+    make = lambda most: content_of(  # noqa: E731
+        Shown(title="t", covers=[("c", make_cover(hulls))]), most_gaussians=most
+    )
+    whole = make(0)
+    assert sum(len(p.segments) for p in whole.parts if isinstance(p, Lines)) == 400 * 12
+    found = light.lightened(whole, make)
+    kept = sum(len(p.segments) for p in found.parts if isinstance(p, Lines))
+    assert kept == pytest.approx(light.LIGHT_SEGMENTS, rel=0.01)
+    assert 'alulaDraws("' in within(make)[0]
