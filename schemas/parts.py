@@ -20,13 +20,13 @@ from alula.schemas.artifact import Artifact, file_hash, read_artifact
 from alula.schemas.decode import MalformedError, convert, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
 from alula.schemas.files import read_small
-from alula.schemas.kinds import COVER, SCENE, VOXELS, Kind
+from alula.schemas.kinds import COVER, KINDS, SCENE, VOXELS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Index, Manifest, Margin, Vector, parse_version
 
 PARTS_SCHEMA = "alula/parts"
 PARTS_VERSION = "1.0"
 INDEX = "index.json"
-PARTED = {kind.name: kind for kind in (SCENE, VOXELS, COVER)}
+PARTED = {kind.name: kind for kind in KINDS.values() if kind.folder_suffix}
 INDEX_LIMIT = 2**26  # [B]
 _ROUNDING = 1e-12  # relative; more than the rounding of a box's corners
 

@@ -70,9 +70,7 @@ def write_part(
     return _written(folder, name, artifact, domain)
 
 
-def kept_part(
-    folder: Path | None, name: str, kind: Kind, domain: Domain | None = None
-) -> tuple[WrittenPart, Artifact] | None:
+def kept_part(folder: Path | None, name: str, kind: Kind, domain: Domain | None = None) -> WrittenPart | None:
     """Part that an interrupted run of the same command has finished; None where there is none.
 
     Args:
@@ -85,7 +83,7 @@ def kept_part(
         return None
     try:
         artifact = read_artifact(folder / name, kind)
-        return (_written(folder, name, artifact, domain), artifact) if count_of(artifact) else None
+        return _written(folder, name, artifact, domain) if count_of(artifact) else None
     except InputError:  # it is made again
         return None
 
@@ -119,6 +117,11 @@ class PartsWriter:
     def __len__(self) -> int:
         return len(self._parts)
 
+    @property
+    def manifests(self) -> list[Manifest]:
+        """Manifests of the parts taken so far."""
+        return [part.manifest for part in self._parts]
+
     def take(self, part: WrittenPart) -> None:
         """Append a part to the whole.
 
@@ -141,7 +144,7 @@ class PartsWriter:
             parameters=provenance.parameters,
             inputs=provenance.inputs,
             seed=provenance.seed,
-            arrays=whole_arrays(self.kind, [part.manifest for part in self._parts]),
+            arrays=whole_arrays(self.kind, self.manifests),
             **fields,
         )
 

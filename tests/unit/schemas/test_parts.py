@@ -261,8 +261,7 @@ def test_an_interrupted_run_leaves_parts_that_the_same_run_uses_again(tmp_path):
     assert partial_folder(path, provenance_of(scenes[0], lod=1)) != left
     with parts_output(path, SCENE, wanted) as writer:
         assert kept_part(writer.folder, part_name(SCENE, 1), SCENE) is None
-        kept, _ = kept_part(writer.folder, part_name(SCENE, 0), SCENE)
-        writer.take(kept)
+        writer.take(kept_part(writer.folder, part_name(SCENE, 0), SCENE))
         writer.take(write_part(writer.folder, part_name(SCENE, 1), scenes[1]))
         writer.finish(writer.whole(wanted, frame="world", unit="m", summary={}, source={}))
     assert sorted(file.name for file in tmp_path.iterdir()) == ["city.scene"]
