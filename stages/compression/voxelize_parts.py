@@ -398,7 +398,7 @@ def voxelize_whole(
         if tally.voxels > config.max_voxels:
             raise InputError(
                 f"voxels of {config.size_m:g} m: more than the {config.max_voxels:,} of --max-voxels; write "
-                "a folder (-o NAME.voxels), whose parts may each have as many, or use --crop or a larger --size"
+                "a folder (-o NAME.voxels), whose parts may have as many each, or use a larger --size"
             )
     fields = voxelizer.whole(len(parts))
     index, overlap = joined_tiles(parts)
