@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact, file_hash, read_artifact
+from alula.schemas.artifact import Artifact, file_hash, read_artifact, read_manifest
 from alula.schemas.decode import MalformedError, convert, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
 from alula.schemas.files import read_small
@@ -333,17 +333,16 @@ def open_parts(path: Path, kind: Kind | None = None) -> Parts:
     return Parts(path, artifact.kind, artifact.manifest, [described(artifact, unknown)], artifact)
 
 
-def read_whole_manifest(path: Path, kind: Kind | None = None) -> Manifest:
-    """Manifest of the whole of an artifact in parts; the parts are not opened.
+def manifest_of(path: Path) -> Manifest:
+    """Manifest of an artifact, of the whole where it is in parts; neither arrays nor parts are read.
 
     Args:
-        path: the folder.
-        kind: the required kind; None for any.
+        path: the folder or the file.
 
     Raises:
-        as `open_parts`.
+        ArtifactError, InputError: as `open_parts`.
     """
-    return _open_folder(path, kind).manifest
+    return _open_folder(path, None).manifest if path.is_dir() else read_manifest(path)
 
 
 def _open_folder(path: Path, kind: Kind | None) -> Parts:

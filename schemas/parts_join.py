@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact, describe_arrays
+from alula.schemas.artifact import Artifact, describe_arrays, read_artifact
 from alula.schemas.errors import DamagedError, InputError
 from alula.schemas.kinds import COVER, SCENE, VOXELS, Kind
 from alula.schemas.parts import Parts, open_parts
@@ -24,12 +24,12 @@ def read_whole(path: Path, kind: Kind | None = None) -> Artifact:
 
     Args:
         path: the folder or the file.
-        kind: the required kind; None for any that can have parts.
+        kind: the required kind; None for any.
 
     Raises:
         InputError: the whole has more elements than `MOST`; for the rest see `open_parts`.
     """
-    return joined(open_parts(path, kind))
+    return joined(open_parts(path, kind)) if path.is_dir() else read_artifact(path, kind)
 
 
 def joined(parts: Parts) -> Artifact:

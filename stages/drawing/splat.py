@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifact import Artifact, describe_arrays
 from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.schemas.parts import Parts
 from alula.stages.drawing.content import Gaussians
 from alula.stages.rotation import matrix_from_quat_wxyz
 
@@ -88,6 +91,33 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
         for axis in range(3):
             code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return code
+
+
+def thinned(parts: Parts, maximum: int) -> Artifact:
+    """At most `maximum` Gaussians of a scene in parts, chosen and grown in each part as by `chosen`.
+
+    Memory holds one part and the chosen Gaussians.
+
+    Args:
+        parts: of an `alula/scene`.
+        maximum: number of rows.
+    """
+    names = ("mean", "scale", "quat_wxyz", "opacity", "color")
+    found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    for part, ref in zip(parts, parts.refs, strict=True):
+        choice = chosen(part, ref.count * maximum // max(parts.count, maximum))
+        rows = {name: np.asarray(part[name])[choice.row] for name in names}
+        is_short = np.arange(3) == rows["scale"].argmin(axis=1)[:, None]
+        rows["scale"] = np.where(is_short, rows["scale"], rows["scale"] * choice.grown[:, None])
+        for name, values in rows.items():
+            found[name].append(values)
+    arrays = {
+        name: np.concatenate(values).astype(np.uint8 if name == "color" else np.float32)
+        for name, values in found.items()
+    }
+    manifest = parts.manifest
+    described = describe_arrays(parts.kind, manifest.frame, manifest.unit, arrays)
+    return Artifact(msgspec.structs.replace(manifest, arrays=described, requires=[]), arrays)
 
 
 def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = True) -> Gaussians:
