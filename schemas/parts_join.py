@@ -64,12 +64,11 @@ def joined(parts: Parts) -> Artifact:
             arrays[rule.name] = np.concatenate([*starts, ends[-1:]]).astype(rule.dtype)
         elif rule.optional:
             main = kind.arrays[0].name
-            arrays[rule.name] = np.concatenate(
-                [
-                    part.arrays.get(rule.name, np.zeros((len(part[main]), *rule.shape[1:]), rule.dtype))  # type: ignore[arg-type]
-                    for part in every
-                ]
-            )
+            blocks = []
+            for part in every:
+                shape = (len(part[main]), *(int(extent) for extent in rule.shape[1:]))
+                blocks.append(part.arrays.get(rule.name, np.zeros(shape, rule.dtype)))
+            arrays[rule.name] = np.concatenate(blocks)
         else:
             arrays[rule.name] = np.concatenate([part[rule.name] for part in every])
     if kind is VOXELS:

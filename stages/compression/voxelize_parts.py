@@ -24,7 +24,7 @@ from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import retained
 from alula.stages.compression.forecast import largest_volume
-from alula.stages.compression.tiles import Ellipsoids, joined_tiles
+from alula.stages.compression.tiles import Box, Ellipsoids, joined_tiles
 from alula.stages.compression.voxelize import check_some, ellipsoids_of, level_for, voxels_fields
 from alula.stages.distribute import distribute
 from alula.stages.progress import share
@@ -185,7 +185,7 @@ class BlockVoxelizer:
         for number, tile in enumerate(sorted(found)):
             corners = np.clip([[c * self._edge, (c + 1) * self._edge - 1] for c in tile], lowest, highest)
             lower, upper = (tuple(corner) for corner in corners.T.tolist())
-            blocks.append(Block(number, lower, upper, tuple(found[tile])))  # type: ignore[arg-type]
+            blocks.append(Block(number, lower, upper, tuple(found[tile])))
         return blocks
 
     def _assign(
@@ -407,7 +407,7 @@ def voxelize_whole(
     )
 
 
-def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> tuple[float, ...]:
+def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> Box:
     """Box that touches the voxels of a block that touch a crop, and no others.
 
     It ends a quarter of a voxel inside of the block, as closed voxels touch the faces of their neighbours.
@@ -426,7 +426,7 @@ def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> tuple[fl
             high = max(min(high, crop[axis + 3]), inner[0])
         lower.append(low)
         upper.append(high)
-    return (*lower, *upper)
+    return lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]
 
 
 def _mark_block(work: _Work) -> _Marked:

@@ -11,7 +11,7 @@ from typing import Any
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.manifest import SPLAT_LOSS, SceneManifest
+from alula.schemas.manifest import SPLAT_LOSS, Manifest, SceneManifest
 from alula.stages.reconstruction.faint import FAINT
 from alula.stages.reconstruction.formats.capture import lacking, level_facts
 from alula.stages.reconstruction.formats.splats import LOSSES, Level
@@ -94,7 +94,7 @@ def import_piece(
 
 def whole_scene(
     config: ImportSplatConfig,
-    parts: Sequence[SceneManifest],
+    manifests: Sequence[Manifest],
     nothing: Sequence[Nothing],
     levels: Sequence[Level],
 ) -> dict[str, Any]:
@@ -102,13 +102,14 @@ def whole_scene(
 
     Args:
         config: see `ImportSplatConfig`.
-        parts: manifests of the parts that `import_piece` made.
+        manifests: of the parts that `import_piece` made.
         nothing: pieces of which nothing is left.
         levels: levels of detail of all files.
 
     Raises:
         InputError: no Gaussian is left.
     """
+    parts = [manifest for manifest in manifests if isinstance(manifest, SceneManifest)]
     removed: Counter[str] = Counter()
     for table in (*(part.source["removed"] for part in parts), *(one.removed for one in nothing)):
         removed.update(table)
