@@ -30,7 +30,7 @@ from alula.stages.compression.level import mass_within
 from alula.stages.compression.limits import MERGE_VOXELS
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
-_SURE = 1.25  # an estimate above this multiple of the limit ends the command before the work
+SURE = 1.25  # an estimate above this multiple of the limit ends the command before the work
 _NOTABLE = 0.25  # fraction of the voxels; a Gaussian that fills more is named
 _CROWD = 100  # among fewer Gaussians a large one is nothing unusual
 DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
@@ -112,7 +112,7 @@ def voxelize(
     limit = config.max_voxels
     if limit < MAX_VOXELS and may_exceed(ellipsoids, limit, jobs):
         about = estimated_voxels(ellipsoids)
-        if about > _SURE * limit:
+        if about > SURE * limit:
             raise InputError(_too_many(ellipsoids, rows, about, config, manifest))
     marked = _mark(ellipsoids, tile_m, scheduler, jobs, progress)
     index, overlap = marked.index, marked.overlap
@@ -235,20 +235,20 @@ def _too_many(
     ellipsoids: Ellipsoids, rows: NDArray[np.intp], about: float, config: VoxelizeConfig, scene: SceneManifest
 ) -> str:
     """Message with the number of voxels, and with the size and the filter that would fit."""
-    number = "far more than" if math.isinf(about) else f"about {_rounded(about)}, more than"
+    number = "far more than" if math.isinf(about) else f"about {rounded(about)}, more than"
     words = f"voxels of {config.size_m:g} m: {number} the {config.max_voxels:,} of --max-voxels"
     if config.max_voxels == MERGE_VOXELS:
         words += ", which merge can take"
     remedies = []
     if fits := fitting_size(ellipsoids, config.max_voxels):
-        remedies.append(f"--size {fits[0]:g} makes about {_rounded(fits[1])}")
+        remedies.append(f"--size {fits[0]:g} makes about {rounded(fits[1])}")
     if few := dominant(ellipsoids, about, config.max_voxels):
         which = named(tuple(int(rows[row]) for row in few.rows))
         unit = scene.world_from_scene.scale if scene.world_from_scene is not None else 1.0
         some = "the largest Gaussian" if len(few.rows) == 1 else f"the {len(few.rows)} largest Gaussians"
         remedies.append(
             f"without {some} (row {which}; semi-axis up to {few.longest:.3g} m) there are about "
-            f"{_rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
+            f"{rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
             f"semi-axes above {few.limit:.3g} m"
         )
     remedies.append("--crop marks less")
@@ -270,8 +270,12 @@ def _notes(ellipsoids: Ellipsoids, rows: NDArray[np.intp], voxels: int) -> dict[
     }
 
 
-def _rounded(number: float) -> str:
-    """Two digits, with commas."""
+def rounded(number: float) -> str:
+    """Number in words: two digits, with commas.
+
+    Args:
+        number: not negative.
+    """
     digits = max(len(str(int(number))) - 2, 0)
     return f"{round(number / 10**digits) * 10**digits:,}"
 

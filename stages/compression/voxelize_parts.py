@@ -23,9 +23,16 @@ from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import retained
-from alula.stages.compression.forecast import largest_volume
+from alula.stages.compression.forecast import estimated_voxels, largest_volume, may_exceed
 from alula.stages.compression.tiles import Box, Ellipsoids, joined_tiles
-from alula.stages.compression.voxelize import check_some, ellipsoids_of, level_for, voxels_fields
+from alula.stages.compression.voxelize import (
+    SURE,
+    check_some,
+    ellipsoids_of,
+    level_for,
+    rounded,
+    voxels_fields,
+)
 from alula.stages.distribute import distribute
 from alula.stages.progress import share
 
@@ -196,6 +203,7 @@ class BlockVoxelizer:
             tile, start, row = _core.tiles_of(**mine.level(), edge=self._edge)
         except OverflowError as error:
             raise InputError(f"{error}; use a larger --tile, --crop or a larger --size") from error
+        # A file, unlike elsewhere in a stage: these rows are the only data that grows with the scene.
         np.save(self._rows_file(number), rows[row].astype(np.uint32))
         for at, corner in enumerate(tile.tolist()):
             yield (corner[0], corner[1], corner[2]), int(start[at]), int(start[at + 1])
@@ -231,7 +239,7 @@ class BlockVoxelizer:
             InputError: a block has more voxels than `max_voxels`, or a part is damaged.
             UsageError, LinkError: see `distribute`.
         """
-        work = (_Work(block, self._gathered(block), jobs) for block in _along_a_curve(blocks, self._edge))
+        work = (self._work(block, jobs) for block in _along_a_curve(blocks, self._edge))
         results = (
             map(_mark_block, work)
             if scheduler is None
@@ -239,17 +247,30 @@ class BlockVoxelizer:
         )
         for done, (block, index, overlap, reach, below, max_overlap) in enumerate(results):
             if below < 0 or len(index) > self.config.max_voxels:
-                number = f"more than {_core.MAX_VOXELS:,}" if below < 0 else f"{len(index):,}"
-                raise InputError(
-                    f"the block from voxel {block.lower} has {number} voxels of {self.config.size_m:g} m, "
-                    f"more than the {self.config.max_voxels:,} of --max-voxels; use a smaller --tile or a "
-                    "larger --size"
-                )
+                raise self._too_many(block, _core.MAX_VOXELS if below < 0 else len(index))
             self.tally.max_overlap = max(self.tally.max_overlap, max_overlap)
             self._note_reach(block, reach)
             yield block, index, overlap, below
             if progress is not None:
                 progress(done + 1, len(blocks))
+
+    def _work(self, block: Block, jobs: int) -> _Work:
+        """Work of a block that does not have far too many voxels, which is estimated before it is done."""
+        mine, limit = self._gathered(block), self.config.max_voxels
+        inside = dataclasses.replace(mine, crop=crop_of(block, self.config.size_m, self.config.crop))
+        if limit < _core.MAX_VOXELS and may_exceed(inside, limit, jobs):
+            about = estimated_voxels(inside)
+            if about > SURE * limit:
+                raise self._too_many(block, about)
+        return _Work(block, mine, jobs)
+
+    def _too_many(self, block: Block, voxels: float) -> InputError:
+        size, limit = self.config.size_m, self.config.max_voxels
+        number = f"about {rounded(voxels)}" if np.isfinite(voxels) else "far too many"
+        return InputError(
+            f"the tile from {block.lower} has {number} voxels of {size:g} m; --max-voxels is {limit:,}; "
+            "use a smaller --tile or a larger --size, or import-splat --max-scale if giants fill it"
+        )
 
     def _gathered(self, block: Block) -> Ellipsoids:
         """Ellipsoids of all parts that may touch a block."""

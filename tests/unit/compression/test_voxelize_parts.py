@@ -197,8 +197,12 @@ def test_what_blocks_cannot_hold_is_refused(tmp_path):
     rng = np.random.default_rng(3)
     parts = open_parts(write_parts(tmp_path / "a.scene", [some_scene(rng, 20, lossy=False)]))
     config = VoxelizeConfig(size_m=0.1, max_voxels=50)
-    with pytest.raises(InputError, match=r"the block from voxel \(.*more than the 50 of --max-voxels"):
+    with pytest.raises(InputError, match=r"the tile from \(.* has about .*; --max-voxels is 50;"):
         blocks_of(config, parts, 64, tmp_path)
+    most = max(len(part["index"]) for _, part in blocks_of(VoxelizeConfig(size_m=0.1), parts, 64, tmp_path))
+    with pytest.raises(InputError, match=r"the tile from \(.* has about "):  # after the work
+        blocks_of(dataclasses.replace(config, max_voxels=most - 1), parts, 64, tmp_path)
+    assert blocks_of(dataclasses.replace(config, max_voxels=most), parts, 64, tmp_path)
     with pytest.raises(InputError, match=r"write a folder \(-o NAME\.voxels\)"):
         voxelize_whole(BlockVoxelizer(config, parts, 2, tmp_path))
     with pytest.raises(InfeasibleError, match="no Gaussian has an opacity"):

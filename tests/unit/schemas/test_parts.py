@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas import errors, parts_join
@@ -195,6 +195,63 @@ def test_an_index_that_contradicts_a_part_is_refused_when_the_part_is_read(city,
     parts = open_parts(rewritten(city, edit))
     with pytest.raises(errors.DamagedError, match=words):
         parts.check()
+
+
+STRANGE = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**70), 2**70),
+    st.floats(),
+    st.text(max_size=3),
+    st.just("../part-00000.scene.npz"),
+    st.lists(st.integers(-3, 3), max_size=4),
+    st.dictionaries(st.text(max_size=2), st.integers(), max_size=2),
+)
+
+
+def places(value, path=()):
+    """Paths of all values in nested tables and lists."""
+    yield path
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from places(item, (*path, key))
+
+
+@settings(
+    deadline=None, max_examples=examples(150), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_an_index_with_any_other_value_is_read_or_refused_with_one_line(city, data):
+    text = (city / INDEX).read_text()
+    index = json.loads(text)
+    *where, last = data.draw(st.sampled_from([path for path in places(index) if path]))
+    table = index
+    for key in where:
+        table = table[key]
+    if data.draw(st.booleans()):
+        table[last] = data.draw(STRANGE)
+    else:
+        del table[last]
+    index["sha256"] = ""
+    raw = json.dumps(index, indent=2, sort_keys=True)
+    digest = hashlib.sha256(raw.encode()).hexdigest()
+    (city / INDEX).write_text(raw.replace('\n  "sha256": ""', f'\n  "sha256": "{digest}"'))
+    refusal = refused(city)
+    (city / INDEX).write_text(text)
+    assert "\n" not in refusal
+    assert refusal.startswith(str(city))
+
+
+def refused(path):
+    """Why an artifact in parts is refused; its path where it is read."""
+    try:
+        parts = open_parts(path)
+        parts.check()
+        parts.touching([0, 0, 0], [1, 1, 1], sigma=1)
+        read_whole(path)
+    except errors.InputError as error:
+        return str(error)
+    return str(path)
 
 
 def test_a_flipped_byte_of_the_index_is_noticed(city):
