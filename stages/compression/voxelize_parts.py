@@ -170,7 +170,12 @@ class BlockVoxelizer:
         """
         found: dict[Corner, list[tuple[int, int, int]]] = {}
         tally, config = self.tally, self.config
-        for number, part in enumerate(self._scene):
+        needed = self._needed()
+        for number, ref in enumerate(self._scene.refs):
+            if number not in needed:
+                tally.gaussians, tally.retained = tally.gaussians + ref.count, tally.retained + ref.count
+                continue
+            part = self._scene[number]
             rows = retained(part, config.min_opacity)
             tally.gaussians += len(part["mean"])
             tally.retained += len(rows)
@@ -194,6 +199,14 @@ class BlockVoxelizer:
             lower, upper = (tuple(corner) for corner in corners.T.tolist())
             blocks.append(Block(number, lower, upper, tuple(found[tile])))
         return blocks
+
+    def _needed(self) -> set[int]:
+        """Parts to read: those that may touch the crop, or all where the opacities count."""
+        crop = self.config.crop
+        if crop is None or self.config.min_opacity > 0:
+            return set(range(len(self._scene)))
+        level = {"sigma": self._sigma, "inflation": self._inflation}
+        return set(self._scene.touching(crop[:3], crop[3:], **level))
 
     def _assign(
         self, mine: Ellipsoids, number: int, rows: NDArray[np.intp]
