@@ -17,6 +17,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
 _LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
+THINNED_FROM = "thinned_from"  # entry of the summary of a thinned scene: number of Gaussians of the whole
 _MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left out
 
 
@@ -96,7 +97,7 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
 def thinned(parts: Parts, maximum: int) -> Artifact:
     """At most `maximum` Gaussians of a scene in parts, chosen and grown in each part as by `chosen`.
 
-    Memory holds one part and the chosen Gaussians.
+    Memory holds one part and the chosen Gaussians. The summary has the number of all as `THINNED_FROM`.
 
     Args:
         parts: of an `alula/scene`.
@@ -117,7 +118,9 @@ def thinned(parts: Parts, maximum: int) -> Artifact:
     }
     manifest = parts.manifest
     described = describe_arrays(parts.kind, manifest.frame, manifest.unit, arrays)
-    return Artifact(msgspec.structs.replace(manifest, arrays=described, requires=[]), arrays)
+    summary = manifest.summary | {THINNED_FROM: parts.count}
+    shown = msgspec.structs.replace(manifest, arrays=described, requires=[], summary=summary)
+    return Artifact(shown, arrays)
 
 
 def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = True) -> Gaussians:

@@ -120,7 +120,9 @@ def test_view_draws_parts_and_thins_those_of_a_large_scene(tmp_path, parted, mon
     assert json.loads(capsys.readouterr().out)["summary"]["gaussians"] == 800
     monkeypatch.setattr("alula.stages.viewing.files.MOST_READ", 90)
     assert run("view", parted / "tiny.scene", "-o", page, "-f", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["summary"]["gaussians"] in range(85, 91)
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert summary["gaussians"] in range(85, 91)
+    assert f"{summary['gaussians']} of 800 Gaussians, by contribution" in summary["notes"][0]
 
 
 def test_a_whole_beyond_the_memory_is_refused_by_each_command(tmp_path, parted, capsys, monkeypatch):
