@@ -140,8 +140,8 @@ def command(
     anything is written. A scene that is aligned already may be aligned again, or only levelled.
 
     A scene in parts gives a folder of parts, -o NAME.scene: one similarity for all parts. Memory then holds
-    300 bytes per Gaussian of one part, and 24 bytes for each of at most 4,194,304 centres, evenly chosen,
-    where --floor or --cloud compares them. An output .npz takes 300 bytes per Gaussian of the scene.
+    300 bytes per Gaussian of a part per job, and 24 bytes for each of at most 4,194,304 centres, evenly
+    chosen, where --floor or --cloud compares them. An output .npz takes 300 bytes per Gaussian of the scene.
     """
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE
@@ -189,8 +189,9 @@ def command(
     def build_parts(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
         half = share(progress, 0, 0.5), share(progress, 0.5, 1)
         parts = open_parts(scene, SCENE)
-        aligner = PartsAligner(config, parts, _evidence(config, files), common.seed, report, half[0])
-        align_parts(aligner, parts, writer, half[1])
+        found = _evidence(config, files)
+        aligner = PartsAligner(config, parts, found, common.seed, report, common.jobs, half[0])
+        align_parts(aligner, parts, writer, common.jobs, half[1])
         return writer.whole(recorded, **aligner.whole(writer.manifests))
 
     def run(common: Common) -> None:
@@ -214,13 +215,16 @@ def command(
     print_json({**answer, "summary": manifest.summary, "alignment": _recorded(manifest)})
 
 
-def align_parts(aligner: PartsAligner, parts: Parts, writer: PartsWriter, progress: Progress | None) -> None:
+def align_parts(
+    aligner: PartsAligner, parts: Parts, writer: PartsWriter, jobs: int, progress: Progress | None
+) -> None:
     """Map and write each part that an interrupted run has not finished.
 
     Args:
         aligner: of the scene.
         parts: of the scene.
         writer: of the aligned scene.
+        jobs: threads, each with one part.
         progress: called with (done, total) parts.
     """
     import msgspec
@@ -228,20 +232,24 @@ def align_parts(aligner: PartsAligner, parts: Parts, writer: PartsWriter, progre
     from alula.schemas.artifact import Artifact, file_hash
     from alula.schemas.kinds import SCENE
     from alula.schemas.manifest import InputRef
-    from alula.schemas.parts_output import kept_part, part_name, write_part
+    from alula.schemas.parts_output import WrittenPart, kept_part, part_name, write_part
+    from alula.stages.distribute import distribute
 
-    for number, ref in enumerate(parts.refs):
+    def work(number: int) -> WrittenPart:
+        ref = parts.refs[number]
         name = ref.file if parts.is_folder else part_name(SCENE, 0)
-        made = kept_part(writer.folder, name, SCENE)
-        if made is None:
-            part = aligner.part(number)
-            sha256 = ref.sha256 if parts.is_folder else file_hash(parts.path)
-            source = InputRef("scene", SCENE.name, SCENE.version, sha256, parts.file(number).name)
-            manifest = msgspec.structs.replace(part.manifest, inputs=[source])
-            made = write_part(writer.folder, name, Artifact(manifest, part.arrays))
+        if (kept := kept_part(writer.folder, name, SCENE)) is not None:
+            return kept
+        part = aligner.part(number)
+        sha256 = ref.sha256 if parts.is_folder else file_hash(parts.path)
+        source = InputRef("scene", SCENE.name, SCENE.version, sha256, parts.file(number).name)
+        manifest = msgspec.structs.replace(part.manifest, inputs=[source])
+        return write_part(writer.folder, name, Artifact(manifest, part.arrays))
+
+    for done, made in enumerate(distribute(work, range(len(parts)), jobs=jobs)):
         writer.take(made)
         if progress is not None:
-            progress(number + 1, len(parts))
+            progress(done + 1, len(parts))
 
 
 def _recorded(manifest: Any) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from alula.stages.alignment.scale_align import (
     solved,
 )
 from alula.stages.alignment.uncertainty import mapped_corners
+from alula.stages.distribute import distribute
 
 MOST_POINTS = 2**22  # centres in memory at once: 100 MB
 
@@ -42,6 +43,7 @@ class PartsAligner:
         evidence: see `scale_align`.
         seed: seed of the robust estimation.
         report: called with the record of the alignment before the gates are applied.
+        jobs: threads, each with one part.
         progress: called with (done, total) parts while their boxes are read.
 
     Raises:
@@ -55,18 +57,18 @@ class PartsAligner:
         evidence: Evidence | None,
         seed: int,
         report: Callable[[dict[str, Any]], None] | None = None,
+        jobs: int = 0,
         progress: Progress | None = None,
     ) -> None:
         assert isinstance(scene.manifest, SceneManifest)
         self._config, self._scene, self._manifest = config, scene, scene.manifest
         self._step = -(-scene.count // MOST_POINTS)
         boxes, centres = [], []
-        for number, part in enumerate(scene):
-            mean = np.asarray(part["mean"], np.float64)
-            boxes.append(bounds(mean, part["scale"]))
-            centres.append((mean.min(axis=0), mean.max(axis=0)))
+        for done, (box, centre) in enumerate(distribute(self._boxes, range(len(scene)), jobs=jobs)):
+            boxes.append(box)
+            centres.append(centre)
             if progress is not None:
-                progress(number + 1, len(scene))
+                progress(done + 1, len(scene))
         box = _around(boxes)
         self._is_sampled = False
         every, visible = (partial(self._sampled, opacity) for opacity in (0.0, VISIBLE))
@@ -78,6 +80,12 @@ class PartsAligner:
         units = np.spacing(np.nextafter(farthest.astype(np.float32), np.float32(np.inf)))
         rounding = float(np.linalg.norm(units.astype(np.float64) / 2))
         self._alignment = alignment_of(config, scene.manifest, found, rounding, report)
+
+    def _boxes(self, number: int) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """Boxes of the ellipsoids and of the centres of a part."""
+        part = self._scene[number]
+        mean = np.asarray(part["mean"], np.float64)
+        return bounds(mean, part["scale"]), (mean.min(axis=0), mean.max(axis=0))
 
     def _sampled(self, min_opacity: float) -> FloatArray:
         """Centres of every n-th Gaussian of all parts that is opaque enough, shape (k, 3), scene units."""
