@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.kinds import SCENE
 from alula.schemas.parts import Parts
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
@@ -97,6 +98,8 @@ def parts_facts(parts: Parts) -> Facts:
         "lower": lower.tolist(),
         "upper": upper.tolist(),
     }
+    if parts.kind is SCENE:
+        measured["longest semi-axis"] = max(ref.reach for ref in parts.refs)
     return _after(facts, "summary", {"in parts": measured})
 
 

@@ -9,6 +9,7 @@ from alula.cli import main
 from alula.schemas import parts_join
 from alula.schemas.artifact import Artifact, make_artifact, read_artifact
 from alula.schemas.kinds import SCENE
+from alula.schemas.parts import open_parts
 from alula.schemas.run import read_run
 from support.parted import write_parts
 
@@ -98,6 +99,8 @@ def test_info_explains_parts_and_finds_damage(tmp_path, parted, capsys):
     assert facts["kind"] == "alula/scene"
     assert facts["in parts"]["parts"] == 3
     assert facts["in parts"]["elements"] == 800
+    scale = np.concatenate([part["scale"] for part in open_parts(parted / "tiny.scene")])
+    assert facts["in parts"]["longest semi-axis"] == pytest.approx(scale.max(), rel=1e-6)
     assert facts["whole"] is True
     assert facts["bytes"] == sum(file.stat().st_size for file in (parted / "tiny.scene").iterdir())
     path = write_parts(tmp_path / "a.voxels", pieces(read_artifact_of(parted / "tiny.voxels"), 2))
