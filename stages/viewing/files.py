@@ -16,10 +16,10 @@ from alula.schemas.mcap_log import MAGIC
 from alula.schemas.parts import is_parts, open_parts
 from alula.schemas.parts_join import joined
 from alula.schemas.salvage import is_artifact_like
+from alula.stages.drawing.splat import thinned
 from alula.stages.reporting.material import Run
 from alula.stages.viewing.compose import Shown
 from alula.stages.viewing.logged_map import LoggedMap, read_map
-from alula.stages.drawing.splat import thinned
 
 MOST_READ = 2**21  # Gaussians of a scene in parts; of larger ones a page gets those that contribute most
 
