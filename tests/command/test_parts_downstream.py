@@ -140,3 +140,10 @@ def test_a_whole_beyond_the_memory_is_refused_by_each_command(tmp_path, parted, 
         (line,) = capsys.readouterr().err.splitlines()
         assert "has 800 Gaussians; this command needs all of them in memory and takes at most 799" in line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_replaces_its_own_input(parted, capsys):
+    scene = parted / "tiny.scene"
+    assert run("scale-align", scene, "-o", scene, "--scale", "2", "-f") == 2
+    assert "is also an input" in capsys.readouterr().err
+    assert run("info", scene, "-q") == 0
