@@ -17,8 +17,9 @@ from alula.schemas.manifest import SPLAT_LOSS
 from alula.schemas.parts import open_parts
 from alula.schemas.parts_join import read_whole
 from alula.stages.compression.ellipsoids import unproven_voxels
+from alula.stages.compression.lattice_blocks import Block, crop_of
 from alula.stages.compression.voxelize import voxelize
-from alula.stages.compression.voxelize_parts import Block, BlockVoxelizer, crop_of, voxelize_whole
+from alula.stages.compression.voxelize_parts import BlockVoxelizer, voxelize_whole
 from support.effort import examples
 from support.parted import write_parts
 
