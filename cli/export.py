@@ -58,10 +58,10 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     from alula.cli.export_model import export_model
     from alula.cli.export_run import export_bag, export_layout
     from alula.cli.runner import check_output, current, run
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError, UsageError
     from alula.schemas.kinds import SCENE
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.targets import TARGETS
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
@@ -89,7 +89,7 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     header = common.output.with_suffix(".h")
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        found = read_artifact(artifact)
+        found = read_whole(artifact)
         try:
             parts = list(export(found, name, provenance))
         except InputError as error:

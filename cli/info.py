@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
+from alula.cli.runner import INDEX
 
 if TYPE_CHECKING:
     from alula.schemas.errors import AlulaError
@@ -27,26 +28,20 @@ Explained = tuple[dict[str, Any], "AlulaError | None"]
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
     """Explain an artifact or a splat file.
 
-    FILE may also be the folder of a splat. For a damaged file, info prints what it can still read and ends
-    with exit code 3.
+    FILE may also be the folder of a splat, or of an artifact in parts. For a damaged file, info prints what
+    it can still read and ends with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
-    from alula.schemas.files import printable
+    from alula.schemas.files import printable, size_of
 
     facts, error = _explain(file)
-    facts = {"file": printable(file.name), "bytes": _size(file), "whole": error is None, **facts}
+    facts = {"file": printable(file.name), "bytes": size_of(file), "whole": error is None, **facts}
     if json:
         print_json(facts)
     elif not quiet:
         print_sections(facts)
     if error is not None:
         raise error
-
-
-def _size(path: Path) -> int:
-    if path.is_file():
-        return path.stat().st_size
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def _explain(path: Path) -> Explained:
@@ -63,7 +58,7 @@ def _explain(path: Path) -> Explained:
     from alula.stages.reporting.inspect import provenance_facts
 
     if path.is_dir():
-        return _splat(path)
+        return _parts(path) if (path / INDEX).is_file() else _splat(path)
     check_no_stream(path)
     try:
         with path.open("rb") as file:
@@ -83,6 +78,23 @@ def _explain(path: Path) -> Explained:
     if head.startswith(b"ply") or (made := read_provenance(path)) is None:
         return _splat(path)
     return provenance_facts(made), None
+
+
+def _parts(path: Path) -> Explained:
+    """Read the index of an artifact in parts, and check all parts."""
+    from alula.schemas.errors import ArtifactError
+    from alula.schemas.parts import open_parts
+    from alula.stages.reporting.inspect import parts_facts
+
+    try:
+        parts = open_parts(path)
+    except ArtifactError as error:
+        return {"kind": "alula/parts", "damage": str(error)}, error
+    try:
+        parts.check()
+    except ArtifactError as error:
+        return {"damage": str(error), **parts_facts(parts)}, error
+    return parts_facts(parts), None
 
 
 def _artifact(path: Path) -> Explained:

@@ -77,8 +77,9 @@ def command(
     Memory: 14 bytes per voxel of the scene's box, up to 134,217,728 voxels; 160 to 270 bytes per Gaussian;
     per job an image and 1 byte per voxel.
     """
-    from alula.schemas.artifact import Artifact, read_artifact
+    from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE, SEEN, VOXELS
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
     from alula.stages.alignment import colmap as models
     from alula.stages.alignment import nerfstudio as training
@@ -113,8 +114,8 @@ def command(
         inputs |= training.transform_files(nerfstudio)
 
     def build(progress: Progress) -> Artifact:
-        metric = read_artifact(scene, SCENE)
-        obstacles = None if voxels is None else read_artifact(voxels, VOXELS)
+        metric = read_whole(scene, SCENE)
+        obstacles = None if voxels is None else read_whole(voxels, VOXELS)
         if obstacles is not None:
             _check_origin(voxels, obstacles, runner.input_ref("scene", scene).sha256)
         found = None if config.reach is not None else _pinholes(colmap, cameras, nerfstudio)

@@ -155,12 +155,12 @@ def _first_bytes(path: Path) -> bytes:
 
 def _read(paths: dict[str, Path]) -> dict[str, Any]:
     """The maps by role."""
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, SCENE, SEEN
+    from alula.schemas.parts_join import read_whole
 
     kinds = {"cover": COVER, "scene": SCENE, "within": SEEN}
     return {
-        role: path.read_bytes() if role == "image" else read_artifact(path, kinds[role])
+        role: path.read_bytes() if role == "image" else read_whole(path, kinds[role])
         for role, path in paths.items()
     }
 

@@ -173,10 +173,11 @@ def _figures_of(output: Path) -> list[Path]:
 
 
 def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.cut_run import read_logged
     from alula.schemas.errors import ArtifactError, InputError
+    from alula.schemas.files import size_of
     from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import read_provenance
     from alula.stages.reporting.certificate import decode_certificate
     from alula.stages.reporting.material import Material, Run, cover_hash
@@ -191,7 +192,7 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
         flights = found.flights
         flown.append(Run(label, found.record, flights.by_trial, flights.hulls, flights.course))
     artifacts = {
-        kind.name.removeprefix("alula/"): read_artifact(inputs[kind.name.removeprefix("alula/")], kind)
+        kind.name.removeprefix("alula/"): read_whole(inputs[kind.name.removeprefix("alula/")], kind)
         for kind in (COVER, SCENE, PLAN)
         if kind.name.removeprefix("alula/") in inputs
     }
@@ -212,7 +213,7 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
         **artifacts,
         certificate=certificate,
         inputs=tuple(provenance.inputs),
-        file_bytes={role: path.stat().st_size for role, path in inputs.items()},
+        file_bytes={role: size_of(path) for role, path in inputs.items()},
     )
 
 

@@ -21,6 +21,8 @@ from alula.schemas.files import check_no_stream, is_special, printable
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, differences, parameters_of, read_provenance
 
+INDEX = "index.json"  # as `alula.schemas.parts` has it, which imports NumPy
+
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import Kind
@@ -30,9 +32,11 @@ if TYPE_CHECKING:
 def input_ref(role: str, path: Path) -> InputRef:
     """Describe an input file, with its kind and version when it is an artifact.
 
+    The hash of an artifact in parts is that of its index, which has the hashes of the parts.
+
     Args:
         role: role of the input, such as "scene".
-        path: the file.
+        path: the file, or the folder of an artifact in parts.
 
     Raises:
         InputError: the file cannot be read.
@@ -41,13 +45,24 @@ def input_ref(role: str, path: Path) -> InputRef:
     from alula.schemas.manifest import InputRef
 
     _check_input(path)
-    sha256 = file_hash(path)
+    sha256 = file_hash(index_of(path))
     recorded = read_provenance(path)
     schema, version = (recorded.schema, recorded.version) if recorded else ("", "")
     return InputRef(role, schema, version, sha256, printable(path.name))
 
 
+def index_of(path: Path) -> Path:
+    """File that names all others of an input: the index of an artifact in parts, else the file itself.
+
+    Args:
+        path: a file, or the folder of an artifact in parts.
+    """
+    index = path / INDEX
+    return index if index.is_file() else path
+
+
 def _check_input(path: Path) -> None:
+    path = index_of(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
     check_no_stream(path)
@@ -95,8 +110,9 @@ def run_stage(
         return lambda: write_artifact(common.output, finished), manifest.summary
 
     if not common.output.name.endswith(".npz"):
-        raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix})")
-    _run(common, kind.name, kind.version, parameters_of(config), inputs, make, seed)
+        folder = f" or, for a folder of parts, {kind.folder_suffix}" if kind.folder_suffix else ""
+        raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix}){folder}")
+    run_beside(common, kind.name, kind.version, parameters_of(config), inputs, make, seed)
 
 
 def run(
@@ -131,7 +147,7 @@ def run(
         InputError: an input cannot be read, or changed during the run.
         OutputError: the output's folder does not exist or the file cannot be written.
     """
-    _run(
+    run_beside(
         *(common, schema, version, parameters, inputs),
         lambda provenance, progress: make(provenance(), progress),
         seed,
@@ -140,7 +156,7 @@ def run(
     )
 
 
-def _run(
+def run_beside(
     common: Common,
     schema: str,
     version: str,
@@ -155,13 +171,14 @@ def _run(
     target = common.output / mark
     if mark and common.output.exists():
         _check_folder(common.output, target, members)
+        _check_no_input(common.output, inputs)
     else:
         check_output(common.output, inputs)
     if common.depfile is not None:
         check_output(common.depfile, {**inputs, "output": common.output})
     for path in inputs.values():
         _check_input(path)
-    before = {path: _state(path) for path in inputs.values()}
+    before = {path: _state(index_of(path)) for path in inputs.values()}
     provenance = _Meanwhile(
         lambda: Provenance.now(
             schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
@@ -169,7 +186,8 @@ def _run(
     )
     status = "written"
     summary: dict[str, Any] = {}
-    if target.exists() and (recorded := current(target, provenance(), force=common.force)) is not None:
+    made = common.output if mark == INDEX else target  # an index of parts alone proves nothing
+    if target.exists() and (recorded := current(made, provenance(), force=common.force)) is not None:
         status, summary = "unchanged", recorded.summary
         if not common.dry_run:
             os.utime(target)
@@ -177,15 +195,16 @@ def _run(
         with progress_bar(common) as progress:
             write, summary = make(provenance, progress)
         for path, state in before.items():
-            if _state(path) != state:
+            if _state(index_of(path)) != state:
                 raise InputError(f"{path}: changed while it was read; start again when it is whole")
         if common.dry_run:
             status = "dry-run"
         else:
             write()
     if common.depfile is not None and not common.dry_run:
-        names = " ".join(["", *map(_make_escape, inputs.values())])
-        write_text(common.depfile, _make_escape(common.output, " \t#:*?[%") + f":{names}\n")
+        names = " ".join(["", *(_make_escape(index_of(path)) for path in inputs.values())])
+        written = target if mark == INDEX else common.output
+        write_text(common.depfile, _make_escape(written, " \t#:*?[%") + f":{names}\n")
     show(common, status, summary)
 
 
@@ -262,6 +281,10 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
         raise OutputError(f"{output}: the folder {output.parent} does not exist")
     if not os.access(output.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{output}: the folder {output.parent} is not writable")
+    _check_no_input(output, inputs)
+
+
+def _check_no_input(output: Path, inputs: Mapping[str, Path]) -> None:
     for role, path in inputs.items():
         if path.absolute() == output.absolute() or (
             output.exists() and path.exists() and output.samefile(path)

@@ -160,9 +160,9 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
     import msgspec
 
     from alula.cli.journal import JournalFile
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.journal import TRIALS
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.vehicle import contents
     from alula.schemas.world import FILES
@@ -189,7 +189,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         read = {
-            role: read_artifact(paths[role], kind)
+            role: read_whole(paths[role], kind)
             for role, kind in (("cover", COVER), ("scene", SCENE), ("seen", SEEN), ("plan", PLAN))
             if role in paths
         }

@@ -16,10 +16,10 @@ def map_role(path: Path) -> str:
     Raises:
         WrongKindError: it is another artifact.
     """
-    from alula.schemas.artifact import read_manifest
     from alula.schemas.kinds import COVER, SCENE
+    from alula.schemas.parts import manifest_of
 
-    found = read_manifest(path).schema
+    found = manifest_of(path).schema
     if found not in (COVER.name, SCENE.name):
         raise WrongKindError(f"{path}: is {found}, but {COVER.name} or {SCENE.name} is needed")
     return found.removeprefix("alula/")
@@ -37,10 +37,10 @@ def source_files(source: Path, map_path: Path | None, scene: Path | None) -> dic
         WrongKindError: a file is of another kind.
         UsageError: the files do not go together.
     """
-    from alula.schemas.artifact import read_manifest
     from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.parts import manifest_of
 
-    found = read_manifest(source).schema
+    found = manifest_of(source).schema
     if found not in (COVER.name, PLAN.name, SCENE.name):
         raise WrongKindError(
             f"{source}: is {found}, but a scenario, {PLAN.name}, {COVER.name} or {SCENE.name} is needed"

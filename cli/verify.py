@@ -80,10 +80,10 @@ def command(
 
     from alula.cli import runner
     from alula.cli.sources import map_role
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, read_provenance
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify import verify_map
@@ -126,31 +126,31 @@ def command(
     with runner.progress_bar(common) as progress:
         sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
         others = {
-            "voxels": None if voxels is None else read_artifact(voxels, VOXELS),
-            "scene": None if scene is None else read_artifact(scene, SCENE),
+            "voxels": None if voxels is None else read_whole(voxels, VOXELS),
+            "scene": None if scene is None else read_whole(scene, SCENE),
         }
         if is_plan:
             certificate = verify_plan(
-                read_artifact(proven, PLAN),
-                cover=None if map_path is None else read_artifact(map_path, COVER),
+                read_whole(proven, PLAN),
+                cover=None if map_path is None else read_whole(map_path, COVER),
                 scene=others["scene"],
-                within=None if within is None else read_artifact(within, SEEN),
+                within=None if within is None else read_whole(within, SEEN),
                 sha256=sha256,
                 jobs=jobs,
             )
         elif is_map:
             image = read_map(proven.read_bytes(), proven)
-            origin = None if cover is None else read_artifact(cover, COVER)
+            origin = None if cover is None else read_whole(cover, COVER)
             certificate = verify_map(
                 image, cover=origin, **others, sha256=sha256, jobs=jobs, progress=progress
             )
         elif is_seen:
             certificate = verify_seen(
-                read_artifact(proven, SEEN), **others, sha256=sha256, jobs=jobs, progress=progress
+                read_whole(proven, SEEN), **others, sha256=sha256, jobs=jobs, progress=progress
             )
         else:
             certificate = verify(
-                read_artifact(proven, COVER), **others, sha256=sha256, jobs=jobs, progress=progress
+                read_whole(proven, COVER), **others, sha256=sha256, jobs=jobs, progress=progress
             )
     if not certificate.covered:
         _show(common, "failed", certificate)

@@ -13,6 +13,7 @@ EXAMPLES = """\b
 Examples:
   alula voxelize room.scene.npz -o room.voxels.npz --size 0.05 --min-overlap 3
   alula voxelize street.scene.npz -o street.voxels.npz --confidence 0.99 --crop -20 -20 -2 20 20 8
+  alula voxelize city.scene -o city.voxels --size 0.1
 """
 
 
@@ -23,10 +24,11 @@ Examples:
     "--tile",
     "tile_m",
     type=options.FINITE_FLOAT,
-    help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory.",
+    help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory. In a folder "
+    "of voxels each tile is a part; default then: 512 voxels.",
 )
 @options.scheduler("Send tiles, 128 voxels wide unless --tile is given,")
-@options.output(".voxels.npz")
+@options.output(".voxels.npz, or a folder .voxels")
 @click.pass_context
 def command(
     context: click.Context,
@@ -47,8 +49,15 @@ def command(
     brick of 4 x 4 x 8 voxels with a touched voxel. More than 134,217,728 voxels or 4,194,304 bricks are
     refused: 2 GiB each. --tile limits the counters to those of one tile per job, but takes 32 bytes per
     marked voxel. Tiles, jobs and scheduler never change the result.
+
+    With an output NAME.voxels the voxels are a folder of parts, one per tile, and --max-voxels is the limit
+    of a tile. Where SCENE or the output is a folder, memory holds three parts of the scene, and the Gaussians
+    (96 bytes each) and the voxels of one tile, whatever the number of parts; with --crop also a byte per
+    Gaussian of the scene. Interrupted, the same command continues with the parts that are finished.
     """
-    from alula.cli.runner import run_stage
+    from alula.cli.parted import is_parted
+    from alula.cli.runner import index_of, run_stage
+    from alula.cli.voxelize_parts import voxelize_parts
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import InfeasibleError, InputError, UsageError
     from alula.schemas.kinds import SCENE, VOXELS
@@ -57,6 +66,10 @@ def command(
 
     if config.confidence is not None and options.is_given(context, "sigma"):
         raise UsageError("--confidence sets sigma; give one of --confidence and --sigma")
+
+    if is_parted(common.output, VOXELS.folder_suffix) or index_of(scene) != scene:
+        voxelize_parts(scene, config, tile_m, scheduler, common)
+        return
 
     def build(progress: Progress) -> Artifact:
         metric = read_artifact(scene, SCENE)

@@ -74,7 +74,7 @@ def atomic_outputs(*paths: Path, is_final: bool = True) -> Iterator[list[BinaryI
                 temporary[at].replace(at)
                 del temporary[at]
         for folder in {path.parent for path in paths}:
-            _sync_folder(folder)
+            sync_folder(folder)
     except OSError as error:
         raise OutputError(f"{at}: cannot write: {error.strerror or error}") from error
     finally:
@@ -104,15 +104,29 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         for file in made.iterdir():
             with file.open("rb") as written:
                 os.fsync(written.fileno())
-        with appearing():
-            if path.exists():
-                path.rename(temporary / f"{path.name}.old")
-            made.rename(path)
-        _sync_folder(path.parent)
+        replace_folder(made, path, temporary / f"{path.name}.old")
     except OSError as error:
         raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def replace_folder(made: Path, path: Path, old: Path) -> None:
+    """Give a folder its final name, after which interruptions are ignored.
+
+    Args:
+        made: the folder, beside `path` or below that.
+        path: its final name.
+        old: new name of an earlier folder of that name.
+
+    Raises:
+        OSError: a folder cannot be renamed.
+    """
+    with appearing():
+        if path.exists():
+            path.rename(old)
+        made.rename(path)
+    sync_folder(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -129,7 +143,12 @@ def write_text(path: Path, text: str) -> None:
         file.write(text.encode(errors="surrogateescape"))
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to the disk, where the system can.
+
+    Args:
+        folder: that exists.
+    """
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

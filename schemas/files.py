@@ -55,6 +55,17 @@ def read_small(path: Path, most_bytes: int) -> bytes:
     return raw
 
 
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder.
+
+    Args:
+        path: that exists.
+    """
+    if not path.is_dir():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+
+
 def text_of(path: Path) -> str:
     """Text of a file in UTF-8.
 

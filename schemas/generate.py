@@ -54,6 +54,7 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.kinds import KINDS
     from alula.schemas.manifest import VERSION
     from alula.schemas.mission import MISSION_SCHEMA, Mission
+    from alula.schemas.parts import PARTS_SCHEMA, PARTS_VERSION, PartsIndex
     from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
@@ -62,6 +63,7 @@ def documents() -> dict[str, bytes]:
 
     types: list[tuple[str, str, type[Any]]] = [
         *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
+        (PARTS_SCHEMA, PARTS_VERSION, PartsIndex),
         (RUN_SCHEMA, RUN_VERSION, RunRecord),
         (REPORT_SCHEMA, REPORT_VERSION, Report),
         (COMPARISON_SCHEMA, COMPARISON_VERSION, Comparison),

@@ -58,13 +58,23 @@ class ArrayRule:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One artifact kind."""
+    """One artifact kind.
+
+    Attributes:
+        name: in manifests.
+        suffix: usual suffix of a file.
+        manifest: type of the manifest.
+        arrays: rules of the arrays.
+        version: of the kind.
+        folder_suffix: suffix of a folder of parts; empty for a kind without parts.
+    """
 
     name: str
     suffix: str
     manifest: type[Manifest]
     arrays: tuple[ArrayRule, ...]
     version: str = VERSION
+    folder_suffix: str = ""
 
 
 SCENE = Kind(
@@ -87,6 +97,7 @@ SCENE = Kind(
             optional=True,
         ),
     ),
+    folder_suffix=".scene",
 )
 
 VOXELS = Kind(
@@ -99,6 +110,7 @@ VOXELS = Kind(
         ),
         ArrayRule("overlap", "<u4", ("M",), "1", "number of ellipsoids that touch the voxel"),
     ),
+    folder_suffix=".voxels",
 )
 
 SEEN = Kind(
@@ -129,6 +141,7 @@ COVER = Kind(
         ),
         ArrayRule("history", "<f8", ("H", 3), "1", "merges: left, right, weight [voxels]", "finite"),
     ),
+    folder_suffix=".cover",
 )
 
 LONGEST_PLAN_S = 1e4

@@ -15,7 +15,7 @@ import msgspec
 from alula.schemas.decode import MalformedError, decode_json, json_decoder
 from alula.schemas.errors import InputError
 from alula.schemas.files import is_special
-from alula.schemas.manifest import InputRef, Producer, producer
+from alula.schemas.manifest import InputRef, Manifest, Producer, producer
 from alula.schemas.mcap_log import MAGIC, metadata
 
 MARK = "alula-provenance: "
@@ -163,12 +163,14 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     """Read the provenance of a file; None when it has none that can be read.
 
     Args:
-        path: the file, of any format.
+        path: the file, of any format, or an artifact in parts.
         verify: also check the content of array artifacts and onboard maps; damaged ones give None.
     """
     if is_special(path):
         return None
     try:
+        if path.is_dir():
+            return _of_parts(path, verify)
         with path.open("rb") as file:
             head = file.read(8)
             if head.startswith(b"PK\x03\x04"):
@@ -261,7 +263,26 @@ def _of_pdf(path: Path) -> Provenance | None:
 def _of_artifact(path: Path, verify: bool) -> Provenance | None:
     from alula.schemas.artifact import read_artifact, read_manifest
 
-    manifest = read_artifact(path).manifest if verify else read_manifest(path)
+    return of_manifest(read_artifact(path).manifest if verify else read_manifest(path))
+
+
+def _of_parts(path: Path, verify: bool) -> Provenance | None:
+    from alula.schemas.parts import is_parts, open_parts
+
+    if not is_parts(path):
+        return None
+    parts = open_parts(path)
+    if verify:
+        parts.check()
+    return of_manifest(parts.manifest)
+
+
+def of_manifest(manifest: Manifest) -> Provenance:
+    """Provenance of an array artifact.
+
+    Args:
+        manifest: of the artifact.
+    """
     return Provenance(
         schema=manifest.schema,
         version=manifest.version,

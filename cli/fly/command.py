@@ -108,9 +108,9 @@ def command(
     from alula.cli.fly.inputs import inputs_of, is_among_ellipsoids
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.extras import require
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.start_time import start_time_ns
@@ -142,12 +142,12 @@ def command(
             raise UsageError(f"{old}: exists; a flight is not continued; use -f to replace it")
     mission = make_mission(
         config,
-        read_artifact(paths["plan"], PLAN),
+        read_whole(paths["plan"], PLAN),
         vehicle,
-        cover=read_artifact(paths["cover"], COVER) if "cover" in paths else None,
-        scene=read_artifact(paths["scene"], SCENE) if "scene" in paths else None,
+        cover=read_whole(paths["cover"], COVER) if "cover" in paths else None,
+        scene=read_whole(paths["scene"], SCENE) if "scene" in paths else None,
         is_splat=is_splat,
-        within=None if within is None else read_artifact(within, SEEN),
+        within=None if within is None else read_whole(within, SEEN),
         jobs=common.jobs,
     )
     unused = ("filter_parameters",) if not mission.config.filter_parameters else ()

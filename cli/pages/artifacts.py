@@ -26,6 +26,7 @@ _RULES = {
 
 RECORDS: dict[str, tuple[str, str]] = {
     "run": ("alula-run", "the record of a run (`.run.json`, and inside `.run.mcap`)"),
+    "parts": ("alula-parts", "the index of an artifact in parts (`index.json` of `NAME.scene/`, ...)"),
     "report": ("alula-report", "a report as data (`alula report -o FILE.json`)"),
     "vehicle": ("alula-vehicle", "a vehicle file (`.toml`)"),
     "mission": ("alula-mission", "a mission file (`.toml`)"),
@@ -90,7 +91,7 @@ A reader that meets a name in `requires` that it does not know must refuse the f
 
 def _record_page(name: str, beginning: str, what: str) -> str:
     file, schema = _schema(beginning)
-    return f"""# {name.capitalize()}s: `alula/{name}`
+    return f"""# {name.capitalize().removesuffix("s")}s: `alula/{name}`
 
 From this page you learn every key of {what}. The JSON Schema is `schemas/json/{file}`.
 

@@ -8,6 +8,7 @@ from typing import Literal
 from alula.schemas.errors import UsageError
 
 DRAWN = 0.0039  # just below 1/255: renderers skip a Gaussian whose alpha at a pixel is less than 1/255
+PART_GAUSSIANS = 2_000_000  # of a part of a scene: 112 MB in the file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

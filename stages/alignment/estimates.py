@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import radians
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import Similarity
@@ -20,7 +19,7 @@ from alula.stages.alignment.poses import fit_poses
 from alula.stages.alignment.robust import Fit, fit_similarity
 from alula.stages.alignment.uncertainty import CONFIDENCE, Uncertainty, mapped_corners
 
-_VISIBLE = 0.1  # opacity of Gaussians that are registered to a cloud
+VISIBLE = 0.1  # opacity of Gaussians that are registered to a cloud
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ class Estimate:
 
 def estimate(
     config: ScaleAlignConfig,
-    scene: Artifact,
+    visible: Callable[[], FloatArray],
     evidence: Evidence,
     seed: int,
     box: tuple[FloatArray, FloatArray],
@@ -70,7 +69,8 @@ def estimate(
 
     Args:
         config: see `ScaleAlignConfig`.
-        scene: an `alula/scene`.
+        visible: function that returns the centres of Gaussians with an opacity of at least `VISIBLE`, shape
+            (n, 3), scene units; called for a cloud.
         evidence: see `scale_align`.
         seed: seed of the robust estimation.
         box: smallest and largest coordinates of the scene, each of shape (3,), scene units.
@@ -84,7 +84,7 @@ def estimate(
         case Correspondences():
             return _by_correspondences(config, evidence, seed, box)
         case Cloud():
-            return _by_cloud(config, scene, evidence, seed, box)
+            return _by_cloud(config, visible(), evidence, seed, box)
         case Similarity():
             return _given(config, Given(evidence))
         case Given():
@@ -144,7 +144,11 @@ def _by_correspondences(
 
 
 def _by_cloud(
-    config: ScaleAlignConfig, scene: Artifact, evidence: Cloud, seed: int, box: tuple[FloatArray, FloatArray]
+    config: ScaleAlignConfig,
+    visible: FloatArray,
+    evidence: Cloud,
+    seed: int,
+    box: tuple[FloatArray, FloatArray],
 ) -> Estimate:
     facts: dict[str, Any] = {"initial": "as it is"}
     match evidence.initial:
@@ -156,9 +160,7 @@ def _by_cloud(
             facts = {"initial": "given"}
         case None:
             initial = scale_only(1.0)
-    mean = np.asarray(scene["mean"], np.float64)
-    visible = np.asarray(scene["opacity"]) >= _VISIBLE
-    fit = fit_cloud(mean[visible], evidence.points, initial, config.threshold_m, config.min_fitness)
+    fit = fit_cloud(visible, evidence.points, initial, config.threshold_m, config.min_fitness)
     square = np.bincount(fit.block, weights=fit.residual**2) / np.bincount(fit.block)
     items = [
         {

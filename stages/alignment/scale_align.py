@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee, SceneManifest, Similarity
 from alula.schemas.provenance import parameters_of
 from alula.stages.alignment.cloud import Cloud
-from alula.stages.alignment.estimates import Estimate, Evidence, Given, estimate, scale_only
+from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.levelling import level_by_direction, level_by_floor
 from alula.stages.alignment.similarity import compose, transform_points
@@ -69,7 +70,37 @@ def scale_align(
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
     mean = np.asarray(scene["mean"], np.float64)
-    box = _bounds(mean, scene["scale"])
+    box = bounds(mean, scene["scale"])
+    found = solved(
+        config, manifest, box, lambda: mean, lambda: mean[scene["opacity"] >= VISIBLE], evidence, seed
+    )
+    arrays, rounding = mapped(scene, found.similarity)
+    return aligned(config, alignment_of(config, manifest, found, rounding, report), manifest, arrays)
+
+
+def solved(
+    config: ScaleAlignConfig,
+    manifest: SceneManifest,
+    box: tuple[FloatArray, FloatArray],
+    means: Callable[[], FloatArray],
+    visible: Callable[[], FloatArray],
+    evidence: Evidence | None,
+    seed: int,
+) -> Estimate:
+    """Estimate the similarity and level its frame.
+
+    Args:
+        config: see `ScaleAlignConfig`.
+        manifest: of the scene.
+        box: see `bounds`.
+        means: function that returns centres, shape (n, 3), scene units; called for a floor.
+        visible: the same of Gaussians with an opacity of at least `VISIBLE`; called for a cloud.
+        evidence: see `scale_align`.
+        seed: seed of the robust estimation.
+
+    Raises:
+        InputError, CheckError, UsageError: see `scale_align`.
+    """
     if config.levels and isinstance(evidence, Correspondences | Cloud):
         raise UsageError("--up and --floor turn the frame, but the evidence fixes its rotation already")
     if evidence is None:
@@ -78,17 +109,54 @@ def scale_align(
                 "--up and --floor alone are for scenes in metres; give a way to align too (--scale ...)"
             )
         evidence = Given(scale_only(1.0), "level", ())
-    found = estimate(config, scene, evidence, seed, box)
+    found = estimate(config, visible, evidence, seed, box)
     if config.levels:
         known = manifest.frame == "world" or isinstance(evidence, Similarity)
-        found = _levelled(config, found, mean, box, frame_is_known=known)
+        found = _levelled(config, found, means, box, frame_is_known=known)
+    return found
 
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """A checked alignment of a scene.
+
+    Attributes:
+        record: as the manifest holds it.
+        world_from_scene: composition with earlier alignments.
+        inflation: suggested radius [m].
+        error: bound of the error of positions [m]; None where it is not known.
+    """
+
+    record: dict[str, Any]
+    world_from_scene: Similarity
+    inflation: float
+    error: float | None
+
+
+def alignment_of(
+    config: ScaleAlignConfig,
+    manifest: SceneManifest,
+    found: Estimate,
+    rounding: float,
+    report: Callable[[dict[str, Any]], None] | None = None,
+) -> Alignment:
+    """Record an estimate and check it against the gates.
+
+    Args:
+        config: see `ScaleAlignConfig`.
+        manifest: of the scene.
+        found: see `solved`.
+        rounding: bound of the shift of a centre by its rounding to single precision [m].
+        report: called with the record before the gates are applied.
+
+    Raises:
+        CheckError: a gate does not hold.
+    """
     similarity = found.similarity
     matrix = np.eye(4)
     matrix[:3, :3] = similarity.scale * np.array(similarity.rotation)
     matrix[:3, 3] = similarity.translation_m
     q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
-    arrays, rounding = _mapped(scene, similarity, q_world_scene)
     error = None if found.position_error is None else found.position_error + rounding
     warnings = list(found.record["warnings"])
     if rounding > _COARSE_M:
@@ -121,38 +189,85 @@ def scale_align(
         whole = compose(similarity, manifest.world_from_scene)
         inflation += similarity.scale * manifest.suggested_inflation_m
         alignment["previous"] = manifest.alignment
+    return Alignment(alignment, whole, inflation, error)
+
+
+def aligned(
+    config: ScaleAlignConfig, alignment: Alignment, manifest: SceneManifest, arrays: dict[str, Any]
+) -> Artifact:
+    """Aligned scene.
+
+    Args:
+        config: see `ScaleAlignConfig`.
+        alignment: see `alignment_of`.
+        manifest: of the scene that was aligned.
+        arrays: see `mapped`.
+    """
     lower, upper = arrays["mean"].min(axis=0), arrays["mean"].max(axis=0)
+    summary = align_summary(alignment, len(arrays["mean"]), lower.tolist(), upper.tolist())
+    return make_artifact(
+        SCENE,
+        arrays,
+        parameters=parameters_of(config),
+        **aligned_fields(alignment, manifest),
+        summary=summary,
+    )
+
+
+def align_summary(
+    alignment: Alignment, gaussians: int, lower: list[float], upper: list[float]
+) -> dict[str, Any]:
+    """Summary of an aligned scene.
+
+    Args:
+        alignment: see `alignment_of`.
+        gaussians: their number.
+        lower: lowest coordinates of centres [m].
+        upper: highest ones [m].
+    """
+    record = alignment.record
     figures = (
         *("method", "scale", "scale_sigma", "scale_interval", "count", "inliers", "fitness"),
         *("rms_m", "max_m", "rms_deg", "position_error_m"),
     )
     summary = {
-        "gaussians": len(mean),
-        **{key: alignment[key] for key in figures if alignment.get(key) is not None},
-        "lower_m": lower.tolist(),
-        "upper_m": upper.tolist(),
-        "suggested_inflation_m": inflation,
+        "gaussians": gaussians,
+        **{key: record[key] for key in figures if record.get(key) is not None},
+        "lower_m": lower,
+        "upper_m": upper,
+        "suggested_inflation_m": alignment.inflation,
     }
-    if alignment["warnings"]:
-        summary["warnings"] = alignment["warnings"]
-    return make_artifact(
-        SCENE,
-        arrays,
-        frame="world",
-        unit="m",
-        parameters=parameters_of(config),
-        summary=summary,
-        guarantee=_guarantee(manifest, error, inflation),
-        source=manifest.source,
-        requires=manifest.requires,
-        world_from_scene=whole,
-        alignment=alignment,
-        suggested_inflation_m=inflation,
-    )
+    if record["warnings"]:
+        summary["warnings"] = record["warnings"]
+    return summary
 
 
-def _bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-    """Bounding box of the ellipsoids that the error bound covers."""
+def aligned_fields(alignment: Alignment, manifest: SceneManifest) -> dict[str, Any]:
+    """Fields of the manifest of an aligned scene that follow from the alignment.
+
+    Args:
+        alignment: see `alignment_of`.
+        manifest: of the scene that was aligned.
+    """
+    return {
+        "frame": "world",
+        "unit": "m",
+        "guarantee": _guarantee(manifest, alignment.error, alignment.inflation),
+        "source": manifest.source,
+        "requires": manifest.requires,
+        "world_from_scene": alignment.world_from_scene,
+        "alignment": alignment.record,
+        "suggested_inflation_m": alignment.inflation,
+    }
+
+
+def bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+    """Bounding box of the ellipsoids that the error bound covers.
+
+    Args:
+        mean: centres, shape (n, 3).
+        scale: one-sigma semi-axes, shape (n, 3).
+    """
     reach = _BOUNDED_SIGMA * scale.max(axis=1, keepdims=True).astype(np.float64)
     return (mean - reach).min(axis=0), (mean + reach).max(axis=0)
 
@@ -160,7 +275,7 @@ def _bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, F
 def _levelled(
     config: ScaleAlignConfig,
     found: Estimate,
-    mean: FloatArray,
+    means: Callable[[], FloatArray],
     box: tuple[FloatArray, FloatArray],
     *,
     frame_is_known: bool,
@@ -175,7 +290,7 @@ def _levelled(
     if config.up is not None:
         up = np.array(found.similarity.rotation) @ np.array(config.up)
     if config.floor:
-        level = level_by_floor(transform_points(found.similarity, mean), up, config.threshold_m)
+        level = level_by_floor(transform_points(found.similarity, means()), up, config.threshold_m)
     else:
         level = level_by_direction(up)
     similarity = compose(level.motion, found.similarity)
@@ -228,10 +343,17 @@ def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
         )
 
 
-def _mapped(
-    scene: Artifact, similarity: Similarity, q_world_scene: FloatArray
-) -> tuple[dict[str, Any], float]:
-    """Arrays in the new frame, and the largest shift of a mean by its rounding [m]."""
+def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], float]:
+    """Arrays in the new frame, and the largest shift of a mean by its rounding [m].
+
+    Args:
+        scene: an `alula/scene`.
+        similarity: new from old frame.
+
+    Raises:
+        InputError: a value does not fit single precision.
+    """
+    q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
     exact = transform_points(similarity, scene["mean"])
     quat = multiply_quat_wxyz(q_world_scene, scene["quat_wxyz"])
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)

@@ -201,10 +201,20 @@ def largest_share(ellipsoids: Ellipsoids, voxels: int) -> tuple[int, float] | No
     """
     if ellipsoids.crop is not None or voxels == 0:
         return None
+    row, volume = largest_volume(ellipsoids)
+    return row, min(volume / voxels, 1.0)
+
+
+def largest_volume(ellipsoids: Ellipsoids) -> tuple[int, float]:
+    """Row of the largest ellipsoid and its volume [voxels].
+
+    Args:
+        ellipsoids: the sets and the lattice.
+    """
     semi = ellipsoids.scale.astype(np.float64) * ellipsoids.sigma + ellipsoids.inflation_m
     volume = 4 / 3 * math.pi * np.prod(semi / ellipsoids.voxel_size_m, axis=1)
     row = int(np.argmax(volume))
-    return row, min(float(volume[row]) / voxels, 1.0)
+    return row, float(volume[row])
 
 
 def named(rows: tuple[int, ...]) -> str:

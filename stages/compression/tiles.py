@@ -155,7 +155,7 @@ def mark_tiles(
             raise OverflowError(f"the scene would need more than {_core.MAX_VOXELS} voxels")
         if marked_all is not None:
             marked_all(done, len(row))
-    index, overlap = _joined(parts)
+    index, overlap = joined_tiles(parts)
     if progress is not None:
         progress(WHOLE, WHOLE)
     return Marked(index, overlap, reach, below, max_overlap)
@@ -196,14 +196,18 @@ def _mark_chunk(chunk: _Chunk) -> Marked:
         parts.append((index, overlap))
         reach.append(tile_reach)
         below, max_overlap = below + tile_below, max(max_overlap, tile_max)
-    index, overlap = _joined(parts)
+    index, overlap = joined_tiles(parts)
     return Marked(index, overlap, np.concatenate(reach), below, max_overlap)
 
 
-def _joined(
+def joined_tiles(
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]],
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Join disjoint sorted lists into one sorted list."""
+    """Join disjoint sorted lists of voxels into one sorted list, and empty the given one.
+
+    Args:
+        parts: voxels and overlaps of each list.
+    """
     if len(parts) == 1:
         return parts[0]
     start = np.cumsum([0, *(len(overlap) for _, overlap in parts)], dtype=np.int64)

@@ -30,7 +30,7 @@ from alula.stages.compression.level import mass_within
 from alula.stages.compression.limits import MERGE_VOXELS
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
-_SURE = 1.25  # an estimate above this multiple of the limit ends the command before the work
+SURE = 1.25  # an estimate above this multiple of the limit ends the command before the work
 _NOTABLE = 0.25  # fraction of the voxels; a Gaussian that fills more is named
 _CROWD = 100  # among fewer Gaussians a large one is nothing unusual
 DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
@@ -102,19 +102,72 @@ def voxelize(
     """
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
-    if manifest.unit != "m":
-        raise InputError(
-            f"the scene's unit is {manifest.unit!r}, but voxels have a size in metres; run scale-align first"
-        )
+    sigma, inflation = level_for(config, manifest)
     if len(scene["mean"]) == 0:
         raise InputError("the scene has no Gaussians")
-    sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
-    inflation = manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m
     rows = retained(scene, config.min_opacity)
     if len(rows) == 0:
         raise InfeasibleError(f"no Gaussian has an opacity of at least {exact(config.min_opacity)}")
+    ellipsoids = ellipsoids_of(config, scene, rows, sigma, inflation)
+    limit = config.max_voxels
+    if limit < MAX_VOXELS and may_exceed(ellipsoids, limit, jobs):
+        about = estimated_voxels(ellipsoids)
+        if about > SURE * limit:
+            raise InputError(_too_many(ellipsoids, rows, about, config, manifest))
+    marked = _mark(ellipsoids, tile_m, scheduler, jobs, progress)
+    index, overlap = marked.index, marked.overlap
+    if len(index) > limit:
+        raise InputError(_too_many(ellipsoids, rows, len(index), config, manifest))
+    check_some(config, len(index), marked.below, marked.max_overlap)
+    left_out = {
+        "removed_from_splat": dict(manifest.source.get("removed", {})),
+        "gaussians_below_opacity": len(scene["mean"]) - len(rows),
+        "voxels_below_min_overlap": marked.below,
+        "gaussians_outside_crop": int((marked.reach == 0).sum()),
+        "gaussians_cut_by_crop": int((marked.reach == 2).sum()),
+    }
+    return make_artifact(
+        VOXELS,
+        {"index": index, "overlap": overlap},
+        parameters=parameters_of(config),
+        summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation)
+        | _notes(ellipsoids, rows, len(index)),
+        **voxels_fields(config, manifest, left_out),
+    )
+
+
+def level_for(config: VoxelizeConfig, scene: SceneManifest) -> tuple[float, float]:
+    """Level k and radius r [m] of the obstacles.
+
+    Args:
+        config: see `VoxelizeConfig`.
+        scene: manifest of the scene.
+
+    Raises:
+        InputError: the scene is not metric.
+    """
+    if scene.unit != "m":
+        raise InputError(
+            f"the scene's unit is {scene.unit!r}, but voxels have a size in metres; run scale-align first"
+        )
+    sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
+    return sigma, scene.suggested_inflation_m if config.inflation_m is None else config.inflation_m
+
+
+def ellipsoids_of(
+    config: VoxelizeConfig, scene: Artifact, rows: NDArray[np.intp], sigma: float, inflation: float
+) -> Ellipsoids:
+    """Ellipsoids of some Gaussians and the lattice of their voxels.
+
+    Args:
+        config: see `VoxelizeConfig`.
+        scene: an `alula/scene` in metres.
+        rows: of the Gaussians, in ascending order.
+        sigma: level k.
+        inflation: radius r of the ball added to each [m].
+    """
     found = rows_of(scene, rows, ignore_loss=config.ignore_loss)
-    ellipsoids = Ellipsoids(
+    return Ellipsoids(
         mean=found.mean,
         scale=found.scale,
         quat_wxyz=found.quat_wxyz,
@@ -125,74 +178,77 @@ def voxelize(
         crop=config.crop,
         min_overlap=config.min_overlap,
     )
-    limit = config.max_voxels
-    if limit < MAX_VOXELS and may_exceed(ellipsoids, limit, jobs):
-        about = estimated_voxels(ellipsoids)
-        if about > _SURE * limit:
-            raise InputError(_too_many(ellipsoids, rows, about, config, manifest))
-    marked = _mark(ellipsoids, tile_m, scheduler, jobs, progress)
-    index, overlap = marked.index, marked.overlap
-    if len(index) > limit:
-        raise InputError(_too_many(ellipsoids, rows, len(index), config, manifest))
-    if len(index) + marked.below == 0:
+
+
+def check_some(config: VoxelizeConfig, voxels: int, below: int, max_overlap: int) -> None:
+    """Check that there is a voxel.
+
+    Args:
+        config: see `VoxelizeConfig`.
+        voxels: number of voxels.
+        below: number of touched voxels left out because of `min_overlap`.
+        max_overlap: maximum overlap of all touched voxels.
+
+    Raises:
+        InfeasibleError: there is none.
+    """
+    if voxels + below == 0:
         raise InfeasibleError("no Gaussian touches the crop, so there is no voxel to mark")
-    if len(index) == 0:
+    if voxels == 0:
         raise InfeasibleError(
-            f"no voxel is touched by {config.min_overlap} Gaussians; the maximum is {marked.max_overlap}"
+            f"no voxel is touched by {config.min_overlap} Gaussians; the maximum is {max_overlap}"
         )
-    left_out = {
-        "removed_from_splat": dict(manifest.source.get("removed", {})),
-        "gaussians_below_opacity": len(scene["mean"]) - len(rows),
-        "voxels_below_min_overlap": marked.below,
-        "gaussians_outside_crop": int((marked.reach == 0).sum()),
-        "gaussians_cut_by_crop": int((marked.reach == 2).sum()),
-    }
-    if lacks := lacks_of(manifest):
-        left_out["lacks_of_capture"] = lacks
-    return make_artifact(
-        VOXELS,
-        {"index": index, "overlap": overlap},
-        frame=manifest.frame,
-        unit="m",
-        parameters=parameters_of(config),
-        summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation)
-        | _notes(ellipsoids, rows, len(index)),
-        guarantee=_guarantee(
+
+
+def voxels_fields(config: VoxelizeConfig, scene: SceneManifest, left_out: dict[str, Any]) -> dict[str, Any]:
+    """Fields of the manifest of an `alula/voxels` that follow from the level of the obstacles.
+
+    Args:
+        config: see `VoxelizeConfig`; its crop is that of the voxels.
+        scene: manifest of the scene.
+        left_out: numbers of Gaussians and voxels that are left out, by reason.
+    """
+    sigma, inflation = level_for(config, scene)
+    lacks = lacks_of(scene)
+    return {
+        "frame": scene.frame,
+        "unit": "m",
+        "guarantee": _guarantee(
             config,
             sigma,
             inflation,
-            left_out,
-            _losses(manifest, config),
-            excluded_errors(manifest, inflation, ignore_loss=config.ignore_loss),
+            left_out | ({"lacks_of_capture": lacks} if lacks else {}),
+            _losses(scene, config),
+            excluded_errors(scene, inflation, ignore_loss=config.ignore_loss),
         ),
-        voxel_size_m=config.size_m,
-        sigma=sigma,
-        min_overlap=config.min_overlap,
-        inflation_m=inflation,
-        crop=None if config.crop is None else list(config.crop),
-        min_opacity=config.min_opacity,
-        ignore_loss=config.ignore_loss,
-    )
+        "voxel_size_m": config.size_m,
+        "sigma": sigma,
+        "min_overlap": config.min_overlap,
+        "inflation_m": inflation,
+        "crop": None if config.crop is None else list(config.crop),
+        "min_opacity": config.min_opacity,
+        "ignore_loss": config.ignore_loss,
+    }
 
 
 def _too_many(
     ellipsoids: Ellipsoids, rows: NDArray[np.intp], about: float, config: VoxelizeConfig, scene: SceneManifest
 ) -> str:
     """Message with the number of voxels, and with the size and the filter that would fit."""
-    number = "far more than" if math.isinf(about) else f"about {_rounded(about)}, more than"
+    number = "far more than" if math.isinf(about) else f"about {rounded(about)}, more than"
     words = f"voxels of {config.size_m:g} m: {number} the {config.max_voxels:,} of --max-voxels"
     if config.max_voxels == MERGE_VOXELS:
         words += ", which merge can take"
     remedies = []
     if fits := fitting_size(ellipsoids, config.max_voxels):
-        remedies.append(f"--size {fits[0]:g} makes about {_rounded(fits[1])}")
+        remedies.append(f"--size {fits[0]:g} makes about {rounded(fits[1])}")
     if few := dominant(ellipsoids, about, config.max_voxels):
         which = named(tuple(int(rows[row]) for row in few.rows))
         unit = scene.world_from_scene.scale if scene.world_from_scene is not None else 1.0
         some = "the largest Gaussian" if len(few.rows) == 1 else f"the {len(few.rows)} largest Gaussians"
         remedies.append(
             f"without {some} (row {which}; semi-axis up to {few.longest:.3g} m) there are about "
-            f"{_rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
+            f"{rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
             f"semi-axes above {few.limit:.3g} m"
         )
     remedies.append("--crop marks less")
@@ -214,8 +270,12 @@ def _notes(ellipsoids: Ellipsoids, rows: NDArray[np.intp], voxels: int) -> dict[
     }
 
 
-def _rounded(number: float) -> str:
-    """Two digits, with commas."""
+def rounded(number: float) -> str:
+    """Number in words: two digits, with commas.
+
+    Args:
+        number: not negative.
+    """
     digits = max(len(str(int(number))) - 2, 0)
     return f"{round(number / 10**digits) * 10**digits:,}"
 
@@ -228,6 +288,24 @@ def _losses(scene: SceneManifest, config: VoxelizeConfig) -> dict[str, float]:
     return {key: value for key, value in loss.items() if isinstance(value, float) and key != "opacity"}
 
 
+def tile_edge(tile_m: float, size: float) -> int:
+    """Edge of a tile, rounded to whole voxels.
+
+    Args:
+        tile_m: edge of a tile [m].
+        size: edge of a voxel [m].
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    edge = max(1, round(tile_m / size)) if tile_m > 0 else 0
+    if not 1 <= edge <= LONGEST_EDGE:
+        raise UsageError(
+            f"--tile must be more than 0 and at most {exact(LONGEST_EDGE * size)} m, not {tile_m}"
+        )
+    return edge
+
+
 def _mark(
     ellipsoids: Ellipsoids, tile_m: float | None, scheduler: str | None, jobs: int, progress: Progress | None
 ) -> Marked:
@@ -235,11 +313,7 @@ def _mark(
     try:
         if tile_m is None and scheduler is None:
             return mark(ellipsoids, jobs, progress)
-        edge = DEFAULT_TILE if tile_m is None else max(1, round(tile_m / size)) if tile_m > 0 else 0
-        if not 1 <= edge <= LONGEST_EDGE:
-            raise UsageError(
-                f"--tile must be more than 0 and at most {exact(LONGEST_EDGE * size)} m, not {tile_m}"
-            )
+        edge = DEFAULT_TILE if tile_m is None else tile_edge(tile_m, size)
         return mark_tiles(ellipsoids, edge, jobs, scheduler, progress)
     except OverflowError as error:
         remedy = "a larger --tile, " if "tiles" in str(error) else ""
@@ -298,9 +372,10 @@ def _guarantee(
             f"{left_out['voxels_below_min_overlap']} touched voxels are left out"
         )
     if config.crop is not None:
-        outside, cut = left_out["gaussians_outside_crop"], left_out["gaussians_cut_by_crop"]
-        statement += f", as far as it touches the crop {exact(config.crop)} m; "
-        statement += f"{outside} Gaussians lie outside and {cut} in part"
+        statement += f", as far as it touches the crop {exact(config.crop)} m"
+        if "gaussians_cut_by_crop" in left_out:  # of a part of a whole the others have them
+            outside, cut = left_out["gaussians_outside_crop"], left_out["gaussians_cut_by_crop"]
+            statement += f"; {outside} Gaussians lie outside and {cut} in part"
     if before:
         statement += ". Not included: " + "; ".join(before)
     claims = {

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifact import Artifact, describe_arrays
 from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.schemas.parts import Parts
 from alula.stages.drawing.content import Gaussians
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
 _LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
+THINNED_FROM = "thinned_from"  # entry of the summary of a thinned scene: number of Gaussians of the whole
 _MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left out
 
 
@@ -88,6 +92,35 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
         for axis in range(3):
             code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return code
+
+
+def thinned(parts: Parts, maximum: int) -> Artifact:
+    """At most `maximum` Gaussians of a scene in parts, chosen and grown in each part as by `chosen`.
+
+    Memory holds one part and the chosen Gaussians. The summary has the number of all as `THINNED_FROM`.
+
+    Args:
+        parts: of an `alula/scene`.
+        maximum: number of rows.
+    """
+    names = ("mean", "scale", "quat_wxyz", "opacity", "color")
+    found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    for part, ref in zip(parts, parts.refs, strict=True):
+        choice = chosen(part, ref.count * maximum // max(parts.count, maximum))
+        rows = {name: np.asarray(part[name])[choice.row] for name in names}
+        is_short = np.arange(3) == rows["scale"].argmin(axis=1)[:, None]
+        rows["scale"] = np.where(is_short, rows["scale"], rows["scale"] * choice.grown[:, None])
+        for name, values in rows.items():
+            found[name].append(values)
+    arrays = {
+        name: np.concatenate(values).astype(np.uint8 if name == "color" else np.float32)
+        for name, values in found.items()
+    }
+    manifest = parts.manifest
+    described = describe_arrays(parts.kind, manifest.frame, manifest.unit, arrays)
+    summary = manifest.summary | {THINNED_FROM: parts.count}
+    shown = msgspec.structs.replace(manifest, arrays=described, requires=[], summary=summary)
+    return Artifact(shown, arrays)
 
 
 def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = True) -> Gaussians:

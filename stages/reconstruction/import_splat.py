@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +20,12 @@ from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
-from alula.stages.reconstruction.formats.splats import LOSSES, Splats
+from alula.stages.reconstruction.formats.splats import LOSSES, Level, Splats
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
-_NOTABLE = 0.02  # fraction of the volume that is worth a note
+NOTABLE = 0.02  # fraction of the volume that is worth a note
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
@@ -51,7 +52,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         InputError: no Gaussian is left, one has a value that is not finite, or files of a level of detail are
             lacking.
     """
-    _check_whole(config, splats)
+    check_whole(config, splats.levels)
     splats = turned(splats, config.turn)
     given = _Columns(
         np.ascontiguousarray(splats.mean, np.float32),
@@ -123,7 +124,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         unit="arbitrary",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=_guarantee(config, removed, loss["figures"], lacks),
+        guarantee=import_guarantee(config, removed, loss["figures"], lacks),
         requires=[SPLAT_LOSS] if "loss" in arrays else [],
         source={
             "format": splats.format,
@@ -146,15 +147,35 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     )
 
 
-def _check_whole(config: ImportSplatConfig, splats: Splats) -> None:
-    """Refuse some files of a level of detail without the others, unless `part` is set."""
-    missing = missing_files(splats.levels)
+def check_whole(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
+    """Refuse some files of a level of detail without the others, unless `part` is set.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        levels: levels of detail that the Gaussians come from.
+
+    Raises:
+        InputError: files are lacking.
+    """
+    missing = missing_files(levels)
     if missing and not config.part:
-        first = next(one for one in splats.levels if one.number is None or len(one.files) < len(one.of))
+        first = next(one for one in levels if one.number is None or len(one.files) < len(one.of))
         raise InputError(
             f"only a part of a capture, without {'; '.join(missing)}; import {first.index} --lod "
             f"{first.number or 0}, which reads all files of the level, or pass --part to import the part"
         )
+
+
+class NothingLeftError(InputError):
+    """No Gaussian is left.
+
+    Attributes:
+        removed: number of rows that each rule removed.
+    """
+
+    def __init__(self, text: str, removed: dict[str, int]) -> None:
+        super().__init__(text)
+        self.removed = removed
 
 
 class _Columns(NamedTuple):
@@ -222,7 +243,7 @@ def _opacity_notes(
             f"--min-opacity {at.limit:g} removed {words}; obstacles are missing unless all of it is haze: "
             f"--min-opacity {DRAWN:g} keeps all that renderers draw"
         ]
-    if faint.gaussians > at.gaussians and volume.share(faint) >= _NOTABLE:
+    if faint.gaussians > at.gaussians and volume.share(faint) >= NOTABLE:
         return [
             f"an opacity below {FAINT:g} have {words}; they count as obstacles, and if they are haze, "
             f"--min-opacity {FAINT:g} removes them"
@@ -274,9 +295,17 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
     return {"bound": bound if bound.any() else None, "figures": figures}
 
 
-def _guarantee(
+def import_guarantee(
     config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any], lacks: list[str]
 ) -> Guarantee:
+    """Guarantee of an imported scene.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        removed: number of rows that each rule removed.
+        loss: the entry `loss` of the scene's `source`.
+        lacks: phrases that name what the scene lacks of its capture.
+    """
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
     figures = ", ".join(f"{name} {at_most(loss[name])}" for name in (*LOSSES, "opacity") if loss[name])
@@ -308,4 +337,4 @@ def _guarantee(
 def _check_some_left(removal: NDArray[np.uint8], removed: dict[str, int]) -> None:
     if removal.all():
         reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
-        raise InputError(f"no Gaussian is left of {len(removal)}: removed {reasons or 'none'}")
+        raise NothingLeftError(f"no Gaussian is left of {len(removal)}: removed {reasons or 'none'}", removed)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.kinds import SCENE
+from alula.schemas.parts import Parts
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
@@ -77,6 +79,28 @@ def artifact_facts(artifact: Artifact) -> Facts:
     facts = manifest_facts(msgspec.to_builtins(artifact.manifest))
     measured = _MEASURES[artifact.manifest.schema](artifact)
     return _after(facts, "summary", {"measured": measured})
+
+
+def parts_facts(parts: Parts) -> Facts:
+    """Facts in the index of an artifact in parts, which describes the whole.
+
+    Args:
+        parts: of one artifact.
+    """
+    facts = manifest_facts(msgspec.to_builtins(parts.manifest))
+    counts = [ref.count for ref in parts.refs]
+    lower = np.min([ref.lower for ref in parts.refs], axis=0)
+    upper = np.max([ref.upper for ref in parts.refs], axis=0)
+    measured = {
+        "parts": len(parts),
+        "elements": sum(counts),
+        "elements of a part": {"fewest": min(counts), "most": max(counts)},
+        "lower": lower.tolist(),
+        "upper": upper.tolist(),
+    }
+    if parts.kind is SCENE:
+        measured["longest semi-axis"] = max(ref.reach for ref in parts.refs)
+    return _after(facts, "summary", {"in parts": measured})
 
 
 def _after(facts: Facts, key: str, more: Facts) -> Facts:

@@ -15,7 +15,7 @@ from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import scene_obstacles
 from alula.stages.drawing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
 from alula.stages.drawing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
-from alula.stages.drawing.splat import chosen, gaussians
+from alula.stages.drawing.splat import THINNED_FROM, chosen, gaussians
 from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.flight_curves import sigma_of
@@ -192,7 +192,9 @@ def _matter(shown: Shown, solids: Sequence[tuple[str, Solids]]) -> FloatArray:
 
 def _splat_parts(name: str, scene: Artifact, cut: Cut | None, maximum: int, notes: list[str]) -> list[Part]:
     choice = chosen(scene, maximum)
-    total, count = len(scene["mean"]), len(choice.row)
+    count = len(choice.row)
+    whole = scene.manifest.summary.get(THINNED_FROM)
+    total = whole if isinstance(whole, int) else len(scene["mean"])
     if count < total:
         notes.append(f"{name}: {count:,} of {total:,} Gaussians, by contribution, grown to fill the gaps")
     mean = np.asarray(scene["mean"], np.float64)[choice.row]

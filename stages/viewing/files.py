@@ -11,12 +11,17 @@ from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream, printable
-from alula.schemas.kinds import KINDS
+from alula.schemas.kinds import KINDS, SCENE
 from alula.schemas.mcap_log import MAGIC
+from alula.schemas.parts import is_parts, open_parts
+from alula.schemas.parts_join import joined
 from alula.schemas.salvage import is_artifact_like
+from alula.stages.drawing.splat import thinned
 from alula.stages.reporting.material import Run
 from alula.stages.viewing.compose import Shown
 from alula.stages.viewing.logged_map import LoggedMap, read_map
+
+MOST_READ = 2**21  # Gaussians of a scene in parts; of larger ones a page gets those that contribute most
 
 if TYPE_CHECKING:
     from alula.stages.reconstruction.formats.registry import SplatFile
@@ -26,12 +31,12 @@ def members(path: Path) -> list[Path]:
     """All files that one argument names: itself, or the files of a splat in several.
 
     Args:
-        path: a file, or the folder of a splat.
+        path: a file, or the folder of a splat or of an artifact in parts.
 
     Raises:
         InputError: it cannot be opened, or is of no known format.
     """
-    if not path.is_dir() and (_is_run(path) or is_artifact_like(path)):
+    if is_parts(path) or (not path.is_dir() and (_is_run(path) or is_artifact_like(path))):
         return [path]
     return list(_splat(path).files().values())
 
@@ -56,6 +61,9 @@ def read_files(paths: Sequence[Path], title: str = "") -> Shown:
             runs.append(run)
             if logged is not None:
                 maps[run.label] = logged
+        elif is_parts(path):
+            artifact = _parts(path)
+            artifacts[artifact.kind.name].append((name, artifact))
         elif not path.is_dir() and is_artifact_like(path):
             artifact = read_artifact(path)
             artifacts[artifact.kind.name].append((name, artifact))
@@ -109,6 +117,14 @@ def _run(path: Path, taken: list[str]) -> tuple[Run, LoggedMap | None]:
         logged = None
     flights = found.flights
     return Run(label, found.record, flights.by_trial, flights.hulls, flights.course), logged
+
+
+def _parts(path: Path) -> Artifact:
+    """An artifact in parts as a whole; a scene that is too large to be drawn is thinned part by part."""
+    parts = open_parts(path)
+    if parts.kind is SCENE and parts.count > MOST_READ:
+        return thinned(parts, MOST_READ)
+    return joined(parts)
 
 
 def _splat(path: Path) -> SplatFile:

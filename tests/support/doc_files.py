@@ -114,6 +114,12 @@ class DocFiles:
                 return ["scale-align", of(".scene.npz"), *how]
             case ".scene.npz":
                 return ["import-splat", of(".ply"), *(["--min-opacity", "0.1"] if is_room else [])]
+            case ".metric.scene":
+                return ["scale-align", of(".scene"), "--scale", "1"]
+            case ".scene":
+                return ["import-splat", of(".ply")]
+            case ".voxels":
+                return ["voxelize", of(".metric.scene"), "--size", SIZE]
             case ".voxels.npz":
                 return ["voxelize", of(".metric.scene.npz"), "--size", SIZE]
             case ".cover.npz":
@@ -146,6 +152,16 @@ class DocFiles:
 
 _KINDS = (
     *(".metric.scene.npz", ".scene.npz", ".voxels.npz", ".cover.npz", ".seen.npz", ".plan.npz"),
-    *(".certificate.json", ".run.mcap", ".bin", ".ply", ".splat", ".spz"),
+    *(
+        ".metric.scene",
+        ".scene",
+        ".voxels",
+        ".certificate.json",
+        ".run.mcap",
+        ".bin",
+        ".ply",
+        ".splat",
+        ".spz",
+    ),
     *("sparse/0", "colmap", "surveyed_cameras.csv", "reference.csv", "pairs.csv"),
 )

@@ -6,12 +6,15 @@ import time
 import numpy as np
 import pytest
 
+from alula.schemas.artifact import write_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.manifest import Producer
+from alula.schemas.parts import open_parts
 from alula.stages import distribute as module
 from alula.stages.compression import tiles
 from alula.stages.compression.voxelize import voxelize
+from alula.stages.compression.voxelize_parts import BlockVoxelizer, voxelize_whole
 from alula.stages.distribute import check_scheduler, distribute
 from support.clusters import Cluster
 from support.fabricate import make_scene
@@ -88,7 +91,7 @@ def cluster(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # those of other packages
-def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster, monkeypatch):
+def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster, monkeypatch, tmp_path):
     monkeypatch.setattr(tiles, "CHUNK", 200)
     scene, config = make_scene(4000), VoxelizeConfig(size_m=0.02, min_overlap=2)
     plain = voxelize(config, scene)
@@ -109,6 +112,11 @@ def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster,
     assert tiled.manifest == plain.manifest
     for name in ("index", "overlap"):
         np.testing.assert_array_equal(tiled[name], plain[name])
+    write_artifact(tmp_path / "a.scene.npz", scene)
+    blocks = BlockVoxelizer(config, open_parts(tmp_path / "a.scene.npz"), 16, tmp_path)
+    sent = voxelize_whole(blocks, scheduler=cluster.address)
+    for name in ("index", "overlap"):
+        np.testing.assert_array_equal(sent[name], plain[name])
 
 
 @pytest.mark.slow

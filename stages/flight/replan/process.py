@@ -15,8 +15,9 @@ from typing import Any, Protocol
 
 import msgspec
 
-from alula.schemas.artifact import Artifact, encode_manifest, read_artifact
+from alula.schemas.artifact import Artifact, encode_manifest
 from alula.schemas.errors import AlulaError, InputError
+from alula.schemas.parts_join import read_whole
 from alula.schemas.vehicle import Vehicle, contents
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
@@ -191,7 +192,7 @@ def main() -> None:
 
 
 def _task_of(head: _Head) -> ReplanTask:
-    artifacts = {role: read_artifact(Path(path)) for role, path in head.paths.items()}
+    artifacts = {role: read_whole(Path(path)) for role, path in head.paths.items()}
     for role, each in artifacts.items():
         if encode_manifest(each.manifest) != head.manifests[role]:
             raise InputError(f"{head.paths[role]} has changed since the flight was prepared")

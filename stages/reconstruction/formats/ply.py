@@ -42,7 +42,19 @@ _Arrays = tuple[
 _Place = tuple[int, str] | None
 
 
-def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
+def count_ply(buffer: memoryview) -> int:
+    """Number of Gaussians of a PLY file by its header.
+
+    Args:
+        buffer: the whole file.
+
+    Raises:
+        ArtifactError: not PLY, or not Gaussians.
+    """
+    return _gaussians(parse_header(bytes(buffer[:HEADER_LIMIT]))).count
+
+
+def decode_ply(buffer: memoryview, progress: Progress | None = None, window: slice = slice(None)) -> Splats:
     """Decode a PLY file of Gaussians; columns are found by name, all others are skipped.
 
     scale = exp(scale_i), opacity = 1 / (1 + exp(-opacity)), evaluated in double precision and
@@ -52,6 +64,7 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
     Args:
         buffer: the whole file; only the rows of `vertex` are touched.
         progress: called with the rows done and the rows in all.
+        window: rows to decode.
 
     Raises:
         ArtifactError: not PLY, not Gaussians, truncated, or a column is of a wrong type.
@@ -60,14 +73,18 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
     vertex = _gaussians(header)
     color_columns = _color_columns(vertex)
     flat = vertex.column("scale_2") is None
-    count = vertex.count
+    first, end, _ = window.indices(vertex.count)
+    count = end - first
     decode = (_binary if header.order else _text)(header, vertex, color_columns, buffer)
     mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
     opacity = np.empty(count, np.float32)
     for start in range(0, count, decode.rows):
         part = slice(start, min(start + decode.rows, count))
-        decode.into(part, (mean[part], scale[part], quat[part], opacity[part], color[part]))
+        decode.into(
+            slice(first + part.start, first + part.stop),
+            (mean[part], scale[part], quat[part], opacity[part], color[part]),
+        )
         if progress is not None:
             progress(part.stop, count)
 

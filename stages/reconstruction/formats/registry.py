@@ -20,10 +20,10 @@ from alula.stages.reconstruction.formats.nerfstudio import (
     is_nerfstudio,
     members_of_nerfstudio,
 )
-from alula.stages.reconstruction.formats.ply import decode_ply
+from alula.stages.reconstruction.formats.ply import count_ply, decode_ply
 from alula.stages.reconstruction.formats.sog import is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
-from alula.stages.reconstruction.formats.splat import decode_splat
+from alula.stages.reconstruction.formats.splat import count_splat, decode_splat
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.formats.spz import decode_spz
 from alula.stages.reconstruction.formats.spz_container import is_spz
@@ -42,6 +42,19 @@ def _itself(source: Source) -> Sequence[str]:
 
 
 @dataclass(frozen=True, slots=True)
+class Windows:
+    """Decoding of some rows of a file without the others.
+
+    Attributes:
+        count: function from a source to its number of rows; raises ArtifactError.
+        decode: function from a source and a slice of rows to their Gaussians; raises ArtifactError.
+    """
+
+    count: Callable[[Source], int]
+    decode: Callable[[Source, slice], Splats]
+
+
+@dataclass(frozen=True, slots=True)
 class SplatFormat:
     """One format; other packages add theirs as entry points of the group `alula.formats`.
 
@@ -51,12 +64,14 @@ class SplatFormat:
         decode: function from a source to its Gaussians; raises ArtifactError.
         members: function from a source to the names of all files to read, relative to its folder, the main
             one first.
+        windows: of a format with rows of known places, the number of rows and the decoder of some of them.
     """
 
     name: str
     matches: Callable[[Source], bool]
     decode: Callable[[Source, Progress | None], Splats]
     members: Callable[[Source], Sequence[str]] = _itself
+    windows: Windows | None = None
 
 
 def _of_file(
@@ -65,12 +80,26 @@ def _of_file(
     return lambda source, progress: decode(source.data, progress)
 
 
-PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
+PLY = SplatFormat(
+    "ply",
+    lambda source: re.match(rb"ply\s", source.head) is not None,
+    _of_file(decode_ply),
+    windows=Windows(
+        lambda source: count_ply(source.data), lambda source, rows: decode_ply(source.data, window=rows)
+    ),
+)
 COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decode_compressed_ply))
 SOG = SplatFormat("sog", is_sog, decode_sog_file, sog_members)
 STREAMED_SOG = SplatFormat("streamed-sog", is_streamed_sog, decode_streamed_sog, streamed_members)
 KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
-SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
+SPLAT = SplatFormat(
+    "splat",
+    lambda source: source.suffix == ".splat",
+    _of_file(decode_splat),
+    windows=Windows(
+        lambda source: count_splat(source.data), lambda source, rows: decode_splat(source.data, window=rows)
+    ),
+)
 SPZ = SplatFormat(
     "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
 )
@@ -167,6 +196,11 @@ class SplatFile:
                 f"{path}: --lod is for lod-meta.json; {found.format.name} has no levels of detail"
             )
         return found
+
+    def fresh(self) -> SplatFile:
+        """The same splat without the bytes that have been read of it, which a source keeps."""
+        source = Source(self.source.path, self.source.notes, self.source.level)
+        return dataclasses.replace(self, source=source)
 
     def files(self) -> dict[str, Path]:
         """All files to read, by role.

@@ -9,6 +9,7 @@ import numpy as np
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import whole_rotation_error
+from alula.stages.reconstruction.formats.source import let_go
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -20,16 +21,11 @@ QUATERNION_LOSS = 4.0 / 255.0
 OPACITY_LOSS = 1.0 / 255.0
 
 
-def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats:
-    """Decode a `.splat` file: position, linear scale, colour with alpha, quaternion bytes w, x, y, z.
-
-    Position and scale are exact; the loss of rotation and opacity is recorded. Some writers do not normalise
-    quaternions; the error bound of one shorter than 1 grows as its length decreases. A negative scale renders
-    like its absolute value and is read as such.
+def count_splat(buffer: memoryview) -> int:
+    """Number of Gaussians of a `.splat` file.
 
     Args:
         buffer: the whole file.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         ArtifactError: the file is empty, or not a whole number of records.
@@ -41,7 +37,26 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
             f".splat: truncated, or of another format: {len(buffer)} bytes are no whole number of "
             f"{RECORD.itemsize}-byte records"
         )
-    rows = np.frombuffer(buffer, RECORD)
+    return len(buffer) // RECORD.itemsize
+
+
+def decode_splat(buffer: memoryview, progress: Progress | None = None, window: slice = slice(None)) -> Splats:
+    """Decode a `.splat` file: position, linear scale, colour with alpha, quaternion bytes w, x, y, z.
+
+    Position and scale are exact; the loss of rotation and opacity is recorded. Some writers do not normalise
+    quaternions; the error bound of one shorter than 1 grows as its length decreases. A negative scale renders
+    like its absolute value and is read as such.
+
+    Args:
+        buffer: the whole file.
+        progress: called with the rows done and the rows in all.
+        window: rows to decode.
+
+    Raises:
+        ArtifactError: the file is empty, or not a whole number of records.
+    """
+    first, end, _ = window.indices(count_splat(buffer))
+    rows = np.frombuffer(buffer, RECORD)[first:end]
     count = len(rows)
     mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
@@ -57,6 +72,7 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
         bound[part, 2] = rounded_up(np.minimum(whole_rotation_error(quat[part], QUATERNION_LOSS), np.pi))
         color[part] = chunk["rgba"][:, :3]
         opacity[part] = chunk["rgba"][:, 3] / 255.0
+        let_go(buffer, (first + part.start) * RECORD.itemsize, (first + part.stop) * RECORD.itemsize)
         if progress is not None:
             progress(part.stop, count)
     return Splats(

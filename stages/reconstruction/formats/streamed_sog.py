@@ -100,24 +100,65 @@ def decode_streamed_sog(source: Source, progress: Progress | None = None) -> Spl
         UsageError: the capture has no such level.
         ArtifactError: the index or a file is damaged, or a file of the level is missing.
     """
-    index = _index(source)
-    number = _chosen(source, index)
-    path = source.folder / (INDEX if source.is_folder else source.path.name)
-    files = sorted(index.ranges[number])
+    names = level_files(source)
     parts = []
-    for done, at in enumerate(files):
-        name = index.files[at]
-        of_file = share(progress, done / len(files), (done + 1) / len(files))
-        try:
-            parts.append(
-                (name, _rows_of_level(index, number, at, decode_sog(Source(source.folder / name), of_file)))
-            )
-        except ArtifactError as error:
-            raise ArtifactError(f"{name}: {error}") from error
+    for done, name in enumerate(names):
+        of_file = share(progress, done / len(names), (done + 1) / len(names))
+        parts.append((name, decode_level_file(source, name, of_file)))
     if progress is not None:
         progress(WHOLE, WHOLE)
-    level = index.level(number, index.of_level(number), str(path.resolve()))
-    return dataclasses.replace(joined(parts), levels=(level,))
+    return joined(parts)
+
+
+def level_files(source: Source) -> tuple[str, ...]:
+    """Names of the files of the chosen level, relative to the index.
+
+    Args:
+        source: as for `decode_streamed_sog`.
+
+    Raises:
+        UsageError: the capture has no such level.
+        ArtifactError: the index is damaged, or a file of the level is missing.
+    """
+    index = _index(source)
+    return index.of_level(_chosen(source, index))
+
+
+def decode_level_file(source: Source, name: str, progress: Progress | None = None) -> Splats:
+    """Decode one file of the chosen level; `levels` of the result names all files of the level.
+
+    Args:
+        source: as for `decode_streamed_sog`.
+        name: one of `level_files`.
+        progress: called with the rows done and the rows in all.
+
+    Raises:
+        UsageError, ArtifactError: as `decode_streamed_sog`.
+    """
+    index = _index(source)
+    number = _chosen(source, index)
+    try:
+        splats = decode_sog(Source(source.folder / name), progress)
+        mine = _rows_of_level(index, number, index.files.index(name), splats)
+    except ArtifactError as error:
+        raise ArtifactError(f"{name}: {error}") from error
+    return dataclasses.replace(mine, levels=(chosen_level(source, index),))
+
+
+def chosen_level(source: Source, index: LevelIndex | None = None) -> Level:
+    """Description of the chosen level with all of its files.
+
+    Args:
+        source: as for `decode_streamed_sog`.
+        index: contents of the index; None reads them.
+
+    Raises:
+        UsageError, ArtifactError: as `level_files`.
+    """
+    index = _index(source) if index is None else index
+    number = _chosen(source, index)
+    path = source.folder / (INDEX if source.is_folder else source.path.name)
+    return index.level(number, index.of_level(number), str(path.resolve()))
 
 
 def part_of_capture(source: Source) -> tuple[Level | None, str]:

@@ -1,0 +1,231 @@
+"""The stage `import-splat` for scenes in parts: one piece of a file at a time, and the whole's manifest."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
+from alula.schemas.errors import InputError, UsageError
+from alula.schemas.manifest import SPLAT_LOSS, Manifest, SceneManifest
+from alula.stages.reconstruction.faint import FAINT
+from alula.stages.reconstruction.formats.capture import lacking, level_facts
+from alula.stages.reconstruction.formats.splats import LOSSES, Level
+from alula.stages.reconstruction.import_splat import (
+    NOTABLE,
+    SCALE_FLOOR,
+    NothingLeftError,
+    check_whole,
+    import_guarantee,
+    import_splat,
+)
+from alula.stages.reconstruction.pieces import Piece, decode_piece, sliced
+
+_NOTES = 10  # maximum number of notes of the whole
+_LISTED = 3  # maximum number of reasons of an unbounded loss
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """Rows of a piece of which no Gaussian is left.
+
+    Attributes:
+        rows: their number.
+        removed: number of rows that each rule removed.
+        levels: levels of detail that they come from.
+    """
+
+    rows: int
+    removed: Mapping[str, int]
+    levels: tuple[Level, ...] = ()
+
+
+def check_parted(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
+    """Refuse what an import in parts cannot do, before any work is done.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        levels: see `levels_of`.
+
+    Raises:
+        UsageError: a rule needs the neighbours of a Gaussian, which may be in another part.
+        InputError: files of a level of detail are lacking.
+    """
+    if config.drop_floaters:
+        raise UsageError(
+            "--drop-floaters compares each Gaussian with its neighbours, which may be in another part: it "
+            "would remove obstacles at the border of a part; leave it out, or import into one .scene.npz"
+        )
+    check_whole(config, levels)
+
+
+def import_piece(
+    config: ImportSplatConfig, piece: Piece, levels: Sequence[Level], most: int
+) -> Iterator[Artifact | Nothing]:
+    """Import a piece of a file; see `import_splat`.
+
+    Args:
+        config: see `ImportSplatConfig`; without `drop_floaters`.
+        piece: of a file.
+        levels: see `levels_of`: levels of detail of all files.
+        most: maximum number of Gaussians of a part.
+
+    Yields:
+        An `alula/scene` of at most `most` rows of the file, or `Nothing` where no Gaussian of them is left.
+
+    Raises:
+        ArtifactError, InputError: the file is damaged or cannot be read, or a value is not finite.
+    """
+    splats = decode_piece(piece)
+    if levels and splats.levels:
+        splats = dataclasses.replace(splats, levels=tuple(levels))
+    for rows in sliced(splats, most):
+        try:
+            yield import_splat(config, rows)
+        except NothingLeftError as error:
+            yield Nothing(len(rows), error.removed, rows.levels)
+        except InputError as error:
+            raise InputError(f"{piece.found.path}: {error}") from error
+
+
+def whole_scene(
+    config: ImportSplatConfig,
+    manifests: Sequence[Manifest],
+    nothing: Sequence[Nothing],
+    levels: Sequence[Level],
+) -> dict[str, Any]:
+    """Fields of the manifest of a whole scene, from those of its parts.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        manifests: of the parts that `import_piece` made.
+        nothing: pieces of which nothing is left.
+        levels: levels of detail of all files.
+
+    Raises:
+        InputError: no Gaussian is left.
+    """
+    parts = [manifest for manifest in manifests if isinstance(manifest, SceneManifest)]
+    removed: Counter[str] = Counter()
+    for table in (*(part.source["removed"] for part in parts), *(one.removed for one in nothing)):
+        removed.update(table)
+    rows = sum(part.source["rows"] for part in parts) + sum(one.rows for one in nothing)
+    if not parts:
+        reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
+        raise InputError(f"no Gaussian is left of {rows}: removed {reasons or 'none'}")
+    sources = [part.source for part in parts]
+    lacks = (
+        lacking(levels) if levels else list(dict.fromkeys(what for one in sources for what in one["lacks"]))
+    )
+    lower = [min(one["bounds"]["lower"][axis] for one in sources) for axis in range(3)]
+    upper = [max(one["bounds"]["upper"][axis] for one in sources) for axis in range(3)]
+    loss = _loss([one["loss"] for one in sources])
+    format_ = " + ".join(dict.fromkeys(one["format"] for one in sources))
+    frames = list(dict.fromkeys(one["frame"]["file"] for one in sources))
+    frame = frames[0] if len(frames) == 1 else "several"
+    notes = [f"the scene is not the whole capture: it lacks {'; '.join(lacks)}"] if lacks else []
+    if len(frames) > 1:
+        notes.append(f"the files state different frames ({', '.join(frames)}); none was turned")
+    notes += _notes(config, sources, loss)
+    kept = sum(one["kept"] for one in sources)
+    summary = {
+        "gaussians": kept,
+        "parts": len(parts),
+        "rows": rows,
+        "removed": dict(removed),
+        "format": format_,
+        "frame": f"that of the file ({frame}), "
+        + (f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"),
+        "lower": lower,
+        "upper": upper,
+        "scale_max": max(part.summary["scale_max"] for part in parts),
+    }
+    requires = sorted({need for part in parts for need in part.requires})
+    if SPLAT_LOSS in requires:
+        summary["loss"] = {key: loss[key] for key in LOSSES}
+    if lacks:
+        summary["lacks"] = lacks
+    if notes:
+        summary["notes"] = notes
+    return {
+        "frame": "scene",
+        "unit": "arbitrary",
+        "summary": summary,
+        "guarantee": import_guarantee(config, dict(removed), loss, lacks),
+        "requires": requires,
+        "source": {
+            "format": format_,
+            "rows": rows,
+            "kept": kept,
+            "removed": dict(removed),
+            "rules": {},
+            "levels_of_detail": level_facts(levels),
+            "lacks": lacks,
+            "scale_floor": SCALE_FLOOR,
+            "scale_floored": sum(one["scale_floored"] for one in sources),
+            "bounds": {"lower": lower, "upper": upper},
+            "loss": loss,
+            "frame": {"file": frame, "turn": config.turn},
+            "notes": notes,
+        },
+    }
+
+
+def _loss(losses: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Maximum of each kind of loss, and all reasons of those without a bound."""
+    found: dict[str, Any] = {key: max(one[key] for one in losses) for key in (*LOSSES, "opacity")}
+    whys: dict[str, dict[str, None]] = {}
+    for one in losses:
+        for quantity, why in one["unbounded"].items():
+            whys.setdefault(quantity, {})[why] = None
+    found["unbounded"] = {
+        quantity: "; ".join([*why][:_LISTED]) + ("; ..." if len(why) > _LISTED else "")
+        for quantity, why in whys.items()
+    }
+    return found
+
+
+def _notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]], loss: dict[str, Any]) -> list[str]:
+    """Notes about the whole; those of a file with the number of the first part that has it."""
+    found: dict[str, list[int]] = {}
+    for number, source in enumerate(sources):
+        for note in source["notes"]:
+            found.setdefault(note, []).append(number)
+    words = [
+        f"part {numbers[0]}{f' and {len(numbers) - 1} more' if len(numbers) > 1 else ''}: {note}"
+        for note, numbers in found.items()
+    ]
+    if (more := len(words) - _NOTES) > 0:
+        words = [*words[:_NOTES], f"{more} more notes are in the parts"]
+    unsure = [f"no certain bound of {what}: {why}" for what, why in loss["unbounded"].items()]
+    return [*_opacity_notes(config, sources), *words, *unsure]
+
+
+def _opacity_notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]]) -> list[str]:
+    """Note about the volume that the minimum opacity removes; else about that of the faint Gaussians kept."""
+    limit = config.min_opacity if config.min_opacity > DRAWN else FAINT
+    volumes = [one["opacity"] for one in sources if one["opacity"] is not None]
+    total = sum(one["cells"] * one["edge"] ** 3 for one in volumes)
+    below = [(one, at) for one in volumes for at in one["limits"] if at["limit"] == limit]
+    gaussians = sum(at["gaussians"] for _, at in below)
+    share = sum(at["cells"] * one["edge"] ** 3 for one, at in below) / total if total else 0.0
+    if not gaussians or (limit == FAINT and share < NOTABLE):
+        return []
+    rows = sum(one["rows"] for one in sources)
+    words = (
+        f"{gaussians} of {rows} Gaussians ({gaussians / rows:.0%}), which alone mark {share:.0%} of the "
+        f"volume of the {len(volumes)} parts that have any"
+    )
+    if limit == config.min_opacity:
+        return [
+            f"--min-opacity {limit:g} removed {words}; obstacles are missing unless all of it is haze: "
+            f"--min-opacity {DRAWN:g} keeps all that renderers draw"
+        ]
+    return [
+        f"an opacity below {limit:g} have {words}; they count as obstacles, and if they are haze, "
+        f"--min-opacity {limit:g} removes them"
+    ]
