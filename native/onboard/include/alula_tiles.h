@@ -28,10 +28,11 @@
  * into the buffer of `request.slot`, then alula_tiles_loaded(&tiles, buffer). That call checks all bytes. It and
  * alula_tiles_select must not run at the same time. The slot of the map that was selected last is never requested.
  *
- * A tile is left for another when the position is more than half the hysteresis outside of it and the other is
- * resident, so a vehicle that hovers at a border does not switch to and fro. The tile to load is the one in which the
- * way from the position straight to `towards` leaves the region; when it does not leave it, the tile of `towards`. A
- * load that has begun is finished first.
+ * A tile is left for another when the position is more than half the hysteresis outside of it and in the region of
+ * the other, which is resident. So a vehicle that hovers at a border does not switch to and fro, and the new walls
+ * are farther away than `reach`: a switch never makes psi less than the smaller of its value before and `reach`. The
+ * tile to load is the one in which the way from the position straight to `towards` leaves the region; when it does
+ * not leave it, the tile of `towards`. A load that has begun is finished first.
  *
  * Index, little-endian, 128 bytes and 40 per tile, x before y:
  *    0  4  magic "ALTI"                          80  8  first bytes of the SHA-256 of the cover's file
@@ -83,7 +84,7 @@ typedef enum {
 typedef enum {
   ALULA_TILES_INSIDE = 0, /* in the region of the selected tile: the commands of the whole map */
   ALULA_TILES_OUTSIDE,    /* outside of it, because the next tile is late: safe, and held back by walls */
-  ALULA_TILES_NOT_LOADED  /* no tile is resident, or the position is not finite: there is no map */
+  ALULA_TILES_NOT_LOADED  /* no tile near the position is resident, or it is not finite: there is no map */
 } alula_tiles_place;
 
 typedef struct {

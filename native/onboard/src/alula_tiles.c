@@ -101,17 +101,19 @@ static float outside(const alula_tiles* tiles, const alula_tile_slot* slot, cons
 
 static int is_resident(const alula_tiles* tiles, uint32_t slot) { return tiles->slot[slot].map.data != 0; }
 
-/* Keeps the active tile within half the hysteresis of it; otherwise the nearest resident one. */
+/* Keeps the active tile within half the hysteresis of it; otherwise takes the nearest resident one that has the
+ * position in its region, so that a switch never leads behind a wall. */
 static void choose(alula_tiles* tiles, const float position[3]) {
-  float best = FAR;
+  float best = tiles->hysteresis_m;
   if (tiles->active != ALULA_TILES_NO_SLOT) {
-    best = outside(tiles, tiles->slot + tiles->active, position);
-    if (best <= 0.5F * tiles->hysteresis_m) return;
+    const float now = outside(tiles, tiles->slot + tiles->active, position);
+    if (now <= 0.5F * tiles->hysteresis_m) return;
+    if (now < best) best = now;
   }
   for (uint32_t s = 0; s < ALULA_TILES_SLOTS; ++s) {
-    if (!is_resident(tiles, s)) continue;
+    if (s == tiles->active || !is_resident(tiles, s)) continue;
     const float distance = outside(tiles, tiles->slot + s, position);
-    if (tiles->active != ALULA_TILES_NO_SLOT && !(distance < best)) continue;
+    if (!(distance < best)) continue;
     best = distance;
     tiles->active = s;
   }
@@ -168,8 +170,10 @@ alula_tiles_place alula_tiles_select(alula_tiles* tiles, const float position[3]
     request_next(tiles, position, towards && is_position(towards) ? towards : position);
   if (tiles->active == ALULA_TILES_NO_SLOT) return ALULA_TILES_NOT_LOADED;
   const alula_tile_slot* slot = tiles->slot + tiles->active;
+  const float beyond = outside(tiles, slot, position) - tiles->hysteresis_m;
+  if (!(beyond < tiles->reach_m)) return ALULA_TILES_NOT_LOADED; /* in a wall: the position has jumped */
   *map = &slot->map;
-  return outside(tiles, slot, position) <= tiles->hysteresis_m ? ALULA_TILES_INSIDE : ALULA_TILES_OUTSIDE;
+  return beyond <= 0.0F ? ALULA_TILES_INSIDE : ALULA_TILES_OUTSIDE;
 }
 
 int alula_tiles_request(const alula_tiles* tiles, alula_tiles_request_data* request) {

@@ -329,6 +329,29 @@ void test_the_rim_has_what_lies_beyond() {
   }
 }
 
+void test_a_position_that_jumps_has_no_map_until_its_tile_is_there() {
+  alula_tiles tiles;
+  CHECK(opened(tiles, world().index) == ALULA_TILES_READY);
+  const float here[3] = {0.9F, 0.9F, 0}, there[3] = {12.9F, -9.9F, 0}, between[3] = {6.0F, 0.9F, 0};
+  const alula_map* map;
+  alula_tiles_request_data request;
+  const auto load = [&] {
+    CHECK(alula_tiles_request(&tiles, &request));
+    CHECK(alula_tiles_loaded(&tiles, world().image[request.tile].data()) == ALULA_TILES_READY);
+  };
+  CHECK(alula_tiles_select(&tiles, here, there, &map) == ALULA_TILES_NOT_LOADED);
+  load();
+  CHECK(alula_tiles_select(&tiles, here, here, &map) == ALULA_TILES_INSIDE);
+  CHECK(alula_tiles_select(&tiles, between, between, &map) == ALULA_TILES_OUTSIDE && map != nullptr);
+  CHECK(alula_tiles_select(&tiles, there, there, &map) == ALULA_TILES_NOT_LOADED && map == nullptr);
+  load();  // the tile of `between`, whose load had begun
+  CHECK(alula_tiles_select(&tiles, there, there, &map) == ALULA_TILES_NOT_LOADED && map == nullptr);
+  load();
+  CHECK(request.at[0] == 3 && request.at[1] == -3);
+  CHECK(alula_tiles_select(&tiles, there, there, &map) == ALULA_TILES_INSIDE);
+  CHECK(!alula_tiles_request(&tiles, &request));
+}
+
 void test_hashes_are_those_of_the_standards() {
   const auto bytes = [](const std::string& text) { return Bytes(text.begin(), text.end()); };
   const Bytes abc = bytes("abc");
@@ -425,6 +448,7 @@ int main() {
   test_a_tile_that_never_comes_is_a_wall();
   test_a_vehicle_at_a_border_does_not_switch_to_and_fro();
   test_the_rim_has_what_lies_beyond();
+  test_a_position_that_jumps_has_no_map_until_its_tile_is_there();
   test_what_is_signed_is_flown_and_nothing_else();
   test_what_is_not_whole_is_refused();
   return alula_failures == 0 ? 0 : 1;
