@@ -164,7 +164,7 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
 
     Args:
         path: the file, of any format.
-        verify: also check the content of array artifacts and onboard maps; damaged ones give None.
+        verify: also check the content of array artifacts, onboard maps and tiles; damaged ones give None.
     """
     if is_special(path):
         return None
@@ -190,8 +190,18 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     if head.startswith((b"GIF8", b"RIFF")):
         return _of_moving_picture(path)
     if path.suffix == ".json" or head.startswith(b"{"):
-        return _of_json(path)
+        return _of_tiles(path) if verify and path.name == "tiles.json" else _of_json(path)
     return _of_text(raw)
+
+
+def _of_tiles(path: Path) -> Provenance | None:
+    """Read from the index of a map in tiles, if all files that it lists are whole."""
+    from alula.schemas.tiles import read_tiles
+
+    try:
+        return read_tiles(path.parent).index.provenance
+    except InputError:
+        return None
 
 
 def _of_text(raw: bytes) -> Provenance | None:
