@@ -78,12 +78,12 @@ void seal(Bytes& index) {
   put(index, 124, crc32_bitwise(index.data(), 124), 4);
 }
 
-Tiles cut(const std::vector<LatticeBox>& boxes) {
+Tiles cut(const std::vector<LatticeBox>& boxes, int reach) {
   Tiles made{box_map(boxes), Bytes(128, 0), {}};
   std::size_t largest = 0;
   for (int j = kFirst[1]; j < kFirst[1] + kAcross; ++j)
     for (int i = kFirst[0]; i < kFirst[0] + kAlong; ++i) {
-      const int grown = kReach + kHysteresis;
+      const int grown = reach + kHysteresis;
       const int low[2] = {i * kEdge - grown, j * kEdge - grown};
       const int high[2] = {(i + 1) * kEdge + grown, (j + 1) * kEdge + grown};
       std::vector<LatticeBox> kept;
@@ -104,7 +104,7 @@ Tiles cut(const std::vector<LatticeBox>& boxes) {
   index[4] = 1, index[6] = 128;
   for (std::size_t k = 0; k < 2; ++k) put(index, 8 + 4 * k, static_cast<std::uint64_t>(kFirst[k]), 4);
   put(index, 16, kAlong, 4), put(index, 20, kAcross, 4);
-  put(index, 24, kEdge, 4), put(index, 28, kReach, 4), put(index, 32, kHysteresis, 4);
+  put(index, 24, kEdge, 4), put(index, 28, static_cast<std::uint64_t>(reach), 4), put(index, 32, kHysteresis, 4);
   put(index, 36, largest, 4);
   std::uint64_t edge;
   std::memcpy(&edge, &kBoxMapVoxel, 8);
@@ -128,7 +128,7 @@ Tiles cut(const std::vector<LatticeBox>& boxes) {
 }
 
 const Tiles& world() {
-  static const Tiles made = cut(field());
+  static const Tiles made = cut(field(), kReach);
   return made;
 }
 
@@ -249,6 +249,58 @@ void test_commands_across_borders_are_those_of_the_whole_map() {
     CHECK(all.crossings >= 150 && all.switches >= 150 && all.outside == 0);
     CHECK(all.ticks > 20000 && all.changed > 1000 && all.least >= config().radius_m);
   }
+}
+
+// A vehicle that lags, behind all hulls as walls: polytope-cbf, the velocity loop and dr-acbf.
+void test_the_stack_gives_the_accelerations_of_the_whole_map() {
+  const Tiles made = cut(field(), 32);
+  alula_map whole;
+  CHECK(alula_map_open(&whole, made.whole.data(), static_cast<std::uint32_t>(made.whole.size())) == ALULA_MAP_READY);
+  alula_stack_config c = alula_stack_defaults();
+  c.parts = 1U << ALULA_STACK_POLYTOPE_CBF | 1U << ALULA_STACK_DR_ACBF;
+  c.gives = ALULA_STACK_ACCELERATION;
+  c.extent_m = 64.0F;
+  c.polytope_cbf.radius_m = c.dr_acbf.avoidance.radius_m;
+  static alula_stack among_whole, among_tiles;
+  alula_tiles tiles;
+  CHECK(opened(tiles, made.index) == ALULA_TILES_READY);
+  CHECK(alula_stack_init(&among_whole, &whole, nullptr, &c) == ALULA_READY);
+  CHECK(alula_stack_init(&among_tiles, &whole, nullptr, &c) == ALULA_READY);
+  CHECK(alula_polytope_cbf_reach(&among_tiles.polytope_cbf) <= tiles.reach_m);
+  const float dt = c.dr_acbf.avoidance.dt_s;
+  int different = 0, switches = 0, walls = 0;
+  const std::uint8_t* flown = nullptr;
+  for (int lane = 0; lane < 4; ++lane) {
+    float x[3] = {-15.8F, -10.4F + 4.5F * static_cast<float>(lane), 0.5F}, v[3] = {0, 0, 0};
+    for (int tick = 0; tick < 1500 && x[0] < 19.0F; ++tick) {
+      alula_stack_input in = {};
+      in.state.attitude[0] = 1.0F;
+      in.kind = ALULA_STACK_VELOCITY;
+      in.nominal[0] = 1.5F, in.nominal[1] = 0.1F * std::sin(0.01F * static_cast<float>(tick));
+      float towards[3];
+      for (int k = 0; k < 3; ++k) {
+        in.state.position[k] = x[k], in.state.velocity[k] = v[k];
+        towards[k] = x[k] + 4.0F * in.nominal[k];
+      }
+      const alula_map* map;
+      alula_tiles_request_data request;
+      (void)!alula_tiles_select(&tiles, x, towards, &map);
+      if (alula_tiles_request(&tiles, &request))
+        CHECK(alula_tiles_loaded(&tiles, made.image[request.tile].data()) == ALULA_TILES_READY);
+      CHECK(alula_tiles_select(&tiles, x, towards, &map) == ALULA_TILES_INSIDE);
+      if (map->data != flown) CHECK(alula_stack_move(&among_tiles, map) == ALULA_READY);
+      switches += map->data != flown;
+      flown = map->data;
+      alula_stack_result one, other;
+      const alula_filter_status status = alula_stack_filter(&among_whole, &in, &one);
+      different += alula_stack_filter(&among_tiles, &in, &other) != status || one.walls != other.walls ||
+                   std::memcmp(one.acceleration, other.acceleration, sizeof one.acceleration) != 0;
+      walls += static_cast<int>(one.walls);
+      for (int k = 0; k < 3; ++k) v[k] += dt * one.acceleration[k], x[k] += dt * v[k];
+    }
+  }
+  CHECK(different == 0);
+  CHECK(switches > 10 && walls > 500);
 }
 
 void test_a_tile_that_never_comes_is_a_wall() {
@@ -445,6 +497,7 @@ void test_what_is_not_whole_is_refused() {
 int main() {
   test_hashes_are_those_of_the_standards();
   test_commands_across_borders_are_those_of_the_whole_map();
+  test_the_stack_gives_the_accelerations_of_the_whole_map();
   test_a_tile_that_never_comes_is_a_wall();
   test_a_vehicle_at_a_border_does_not_switch_to_and_fro();
   test_the_rim_has_what_lies_beyond();
