@@ -32,7 +32,7 @@ Examples:
     type=options.input_path(),
     help="Cover, tiles or scene to fly in; required with a plan.",
 )
-@click.option("--key", "key_path", type=options.input_path(), help="Key that must have signed the tiles.")
+@click.option("--key", "tiles_key", type=options.input_path(), help="Key that must have signed the tiles.")
 @click.option("--scene", "scene_path", type=options.input_path(), help="Metric scene, if --map is a cover.")
 @click.option(
     "--within",
@@ -83,7 +83,7 @@ def command(
     context: click.Context,
     source: Path,
     map_path: Path | None,
-    key_path: Path | None,
+    tiles_key: Path | None,
     scene_path: Path | None,
     within: Path | None,
     vehicle_path: Path | None,
@@ -131,7 +131,7 @@ def command(
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
     paths |= {} if within is None else {"within": within}
-    tiles = read_tiles_of(paths, key_path)
+    tiles = read_tiles_of(paths, tiles_key)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
     if address is None:

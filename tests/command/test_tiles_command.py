@@ -14,6 +14,7 @@ from alula.schemas.provenance import read_provenance
 from alula.schemas.run import read_run
 from alula.schemas.tiles import read_tiles
 from support.covers import cover_of, furniture, voxels_of
+from support.small_scenes import line_plan
 from support.tiled import KEY, posts
 
 TILES = ["--tiles", "0.8", "--reach", "1.4"]
@@ -157,3 +158,12 @@ def test_a_simulation_reads_the_tiles_that_were_signed_and_flies_as_in_the_whole
     unused = ["simulate", "posts.cover.npz", "-o", "no.run.mcap", "--set", "world.tile_load_s=1"]
     assert "there are no tiles" in fails(capsys, 2, *unused)
     assert "--key is for tiles" in fails(capsys, 2, *unused[:4], "--key", "my.key")
+
+
+def test_a_flight_is_refused_with_tiles_of_another_key_or_of_too_short_a_reach(here, capsys):
+    assert run(["export", "posts.cover.npz", "-o", "p.tiles", *TILES, "--sign", "my.key", "-q"]) == 0
+    write_artifact(here / "p.plan.npz", line_plan((-3.0, 0.45, 1.0), (3.0, 0.45, 1.0), 12.0))
+    fly = ["fly", "p.plan.npz", "--map", "p.tiles", "--link", "sim:", "-o", "f.run.mcap"]
+    assert "does not match the key" in fails(capsys, 4, *fly, "--key", "other.key")
+    assert "--key is for tiles" in fails(capsys, 2, *fly[:3], "posts.cover.npz", *fly[4:], "--key", "my.key")
+    assert "only polytope-cbf reads tiles" in fails(capsys, 2, *fly, "--filter", "none", "--key", "my.key")
