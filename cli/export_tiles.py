@@ -47,7 +47,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
         key_id,
         sign,
     )
-    from alula.stages.compression.onboard.tiles import cut_map, sealed, tiles_facts
+    from alula.stages.compression.onboard.tiles import cut_map, fastest_m_s, sealed, tiles_facts
 
     key = None if key_path is None else read_key(key_path)
     parameters = config.tile_parameters() | {"key_id": key_id(key)}
@@ -69,6 +69,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
             raise type(error)(f"{path}: {error}") from error
         index = sealed(cut, key_id=key_id(key), provenance=provenance)
         facts = {"format": "tiles", **tiles_facts(index), "notes": []}
+        facts["fastest_m_s"] = round(fastest_m_s(cut.images[0], index.reach_m) - 5e-4, 3)
         if key is None:
             facts["notes"] = ["the index is not signed: readers cannot tell who made it; sign it with --sign"]
         recorded = msgspec.structs.replace(

@@ -49,10 +49,15 @@ def cut(cover, tile_m=1.2, reach_m=1.6, hysteresis_m=0.2, **fields):
     )
 
 
+def sealed_binary(made, key=None):
+    """The index of a map that was cut, as a microcontroller reads it."""
+    provenance = Provenance.now(TILES_SCHEMA, TILES_VERSION, {}, None, [])
+    return sealed(made, key_id=key_id(key), provenance=provenance).binary()
+
+
 def native(made, key=None):
     """The native set of tiles of a map that was cut, signed with a key if there is one."""
-    provenance = Provenance.now(TILES_SCHEMA, TILES_VERSION, {}, None, [])
-    binary = sealed(made, key_id=key_id(key), provenance=provenance).binary()
+    binary = sealed_binary(made, key)
     signature = b"" if key is None else sign(binary, key)
     return _core.TileSet(binary, made.images, key=key, signature=signature)
 

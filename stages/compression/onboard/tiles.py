@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InfeasibleError
 from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import MOST_TILES, TILES_SCHEMA, TILES_VERSION, Tile, TilesIndex, merkle_root
+from alula.stages.compression.onboard.cost import ASSUMED
 from alula.stages.compression.onboard.image import (
     HEADER,
     HEADER_BYTES,
@@ -210,6 +212,29 @@ def tiles_facts(index: TilesIndex) -> dict[str, Any]:
         "merkle_root": index.merkle_root,
         "key_id": index.key_id or None,
     }
+
+
+def fastest_m_s(image: bytes, reach_m: float) -> float:
+    """Highest speed at which commands of polytope-cbf do not depend on hulls beyond a reach [m/s].
+
+    The parameters are `ASSUMED`, apart from the speed.
+
+    Args:
+        image: of any tile.
+        reach_m: reach of the tiles [m].
+
+    Returns:
+        The speed; 0 where there is none.
+    """
+    extent_m = decode_map(image).extent_m
+
+    def needed_m(speed_m_s: float) -> float:
+        return _core.PolytopeCbf.from_image(
+            image, extent_m=extent_m, **ASSUMED | {"v_max": speed_m_s}
+        ).reach_m
+
+    slow, fast = needed_m(1.0), needed_m(2.0)  # affine in the speed
+    return max(0.0, 1.0 + (reach_m - slow) / (fast - slow))
 
 
 def _records(raw: bytes, image: MapImage) -> list[bytes]:
