@@ -157,6 +157,8 @@ def test_a_simulation_reads_the_tiles_that_were_signed_and_flies_as_in_the_whole
     assert "cut from another cover" in fails(capsys, 3, "simulate", "s.toml", "-o", "no.run.mcap")
     unused = ["simulate", "posts.cover.npz", "-o", "no.run.mcap", "--set", "world.tile_load_s=1"]
     assert "there are no tiles" in fails(capsys, 2, *unused)
+    lagging = [*flown, "--vehicle", "fastbridge", "--set", "vehicle.interface=velocity"]
+    assert "a vehicle that lags" in fails(capsys, 2, *lagging, "--set", "world.tile_load_s=1")
     assert "--key is for tiles" in fails(capsys, 2, *unused[:4], "--key", "my.key")
 
 

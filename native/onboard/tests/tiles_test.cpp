@@ -303,6 +303,41 @@ void test_the_stack_gives_the_accelerations_of_the_whole_map() {
   CHECK(switches > 10 && walls > 500);
 }
 
+// The cache of a geofence does not outlive the tile that it is of.
+void test_a_geofence_that_moves_is_as_one_that_starts_on_the_tile() {
+  const Tiles made = cut(field(), 40);
+  alula_map map[2];
+  alula_fence fence{}, fresh_fence{};
+  static alula_geofence moved, fresh;
+  const alula_geofence_config config = alula_geofence_defaults();
+  for (std::uint32_t k = 0; k < 2; ++k) {
+    const Bytes& image = made.image[static_cast<std::size_t>(-kFirst[1] * kAlong - kFirst[0]) + k];
+    CHECK(alula_map_open(&map[k], image.data(), static_cast<std::uint32_t>(image.size())) == ALULA_MAP_READY);
+  }
+  fence.keep_out = &map[0];
+  CHECK(alula_geofence_init(&moved, &fence, &config) == ALULA_READY);
+  int blended = 0;
+  for (int tick = 0; tick < 40; ++tick) {
+    alula_racer_state x{};
+    x.attitude[0] = 1.0F;
+    x.position[0] = 3.6F + 0.02F * static_cast<float>(tick), x.position[1] = 0.9F, x.position[2] = 0.5F;
+    x.velocity[0] = 2.0F;
+    const alula_racer_command pilot{0.4F, {0.0F, 1.0F, 0.0F}};
+    if (tick % 4 == 0) {
+      fence.keep_out = fresh_fence.keep_out = &map[tick / 4 % 2];
+      alula_geofence_move(&moved);
+      alula_geofence_reset(&moved);
+      CHECK(alula_geofence_init(&fresh, &fresh_fence, &config) == ALULA_READY);
+    }
+    alula_geofence_result one, other;
+    CHECK(alula_geofence_filter(&moved, &x, &pilot, &one) == alula_geofence_filter(&fresh, &x, &pilot, &other));
+    CHECK(std::memcmp(&one.command, &other.command, sizeof one.command) == 0 && one.h_i == other.h_i);
+    blended += one.lambda < 1.0F;
+  }
+  CHECK(blended > 10);
+  alula_geofence_move(nullptr);
+}
+
 void test_a_tile_that_never_comes_is_a_wall() {
   // every tile comes late: the vehicle waits in front of walls, and goes on
   const Flight flight = fly({{15.0F, 0.9F, 0.5F}}, {-1.0F, 0.9F, 0.5F}, 200, 2000);
@@ -498,6 +533,7 @@ int main() {
   test_hashes_are_those_of_the_standards();
   test_commands_across_borders_are_those_of_the_whole_map();
   test_the_stack_gives_the_accelerations_of_the_whole_map();
+  test_a_geofence_that_moves_is_as_one_that_starts_on_the_tile();
   test_a_tile_that_never_comes_is_a_wall();
   test_a_vehicle_at_a_border_does_not_switch_to_and_fro();
   test_the_rim_has_what_lies_beyond();
