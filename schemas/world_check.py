@@ -304,8 +304,8 @@ def _wrong_tiles(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
         return f"{where} only polytope-cbf reads tiles; set safety.filters=polytope-cbf and no guide"
     if world.tile_load_s > 0 and vehicle.model != "single-integrator":
         return (
-            "`$.world.tile_load_s`: a vehicle that lags is filtered at several points per tick, so loading is "
-            "not simulated; set vehicle.type=single-integrator, or world.tile_load_s=0"
+            "`$.world.tile_load_s`: a vehicle that lags is filtered at several points per tick, so loading "
+            "is not simulated; set vehicle.type=single-integrator, or world.tile_load_s=0"
         )
     return None
 
