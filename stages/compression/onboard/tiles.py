@@ -169,7 +169,7 @@ def walls_around(low: _Rows, high: _Rows, lower: _Rows, upper: _Rows) -> _Rows:
     A hull with a box that does not meet the column lies beyond one of its four sides, and so in one wall.
 
     Args:
-        low: lower ends of the column along x and y, shape (2,).
+        low: lower ends of the column along x and y, shape (2,); it meets the box.
         high: upper ends, shape (2,).
         lower: lower corner of the box, shape (3,).
         upper: upper corner, shape (3,).
@@ -181,11 +181,11 @@ def walls_around(low: _Rows, high: _Rows, lower: _Rows, upper: _Rows) -> _Rows:
     for axis in (0, 1):
         if low[axis] > lower[axis]:
             end = upper.copy()
-            end[axis] = min(low[axis], upper[axis])
+            end[axis] = low[axis]
             walls.append(np.concatenate([lower, end]))
         if high[axis] < upper[axis]:
             start = lower.copy()
-            start[axis] = max(high[axis], lower[axis])
+            start[axis] = high[axis]
             walls.append(np.concatenate([start, upper]))
     return np.array(walls, np.int64).reshape(-1, 6)
 

@@ -88,6 +88,38 @@ def test_commands_across_hundreds_of_borders_are_those_of_the_whole_map(field):
     assert ticks > 5000
 
 
+def differing(rng, share, count):
+    """Counts of commands with a share of the stated reach: those that differ from the whole map's; changed."""
+    cover = posts(18, 18, pitch=int(rng.choice([5, 9])), seed=int(rng.integers(1000)))
+    options = OPTIONS | {
+        "radius_m": float(rng.choice([0.0, 0.1, 0.3])),
+        "beta": float(rng.choice([0.5, 2, 10])),
+        "kappa": float(rng.choice([20, 100, 1000])),
+        "v_max": float(rng.choice([0.3, 1, 3])),
+        "smoothing": str(rng.choice(["sound", "paper"])),
+    }
+    by_whole = _core.PolytopeCbf.from_image(encode_map(cover), **options)
+    made = cut(cover, tile_m=float(rng.choice([0.5, 1])), reach_m=share * by_whole.reach_m, hysteresis_m=0.1)
+    edge, lowest, grid = 0.1 * made.index["tile"], np.array(made.index["first"]), made.index["count"]
+    by_tile = [_core.PolytopeCbf.from_image(image, **options) for image in made.images]
+    different = changed = 0
+    for x in rng.uniform([-2.5, -2.5, -1], [2.5, 2.5, 1.6], (count, 3)):
+        at = np.clip(np.floor(x[:2] / edge).astype(int) - lowest, 0, np.subtract(grid, 1))
+        u = (rng.normal(size=3) * options["v_max"]).tolist()
+        one = by_whole.filter(x.tolist(), u)
+        different += one[:2] != by_tile[at[1] * grid[0] + at[0]].filter(x.tolist(), u)[:2]
+        changed += one[1] > 0
+    return different, changed
+
+
+def test_the_stated_reach_is_enough_for_all_parameters_and_less_is_not():
+    rng = np.random.default_rng(7)
+    enough = [differing(rng, 1.0, 300) for _ in range(4)]
+    assert sum(different for different, _ in enough) == 0
+    assert sum(changed for _, changed in enough) > 600
+    assert sum(differing(rng, 0.3, 300)[0] for _ in range(4)) > 0
+
+
 def flights(field, starts, goals, tiles=None, **world):
     """Native logs of a point that is simulated behind polytope-cbf, which reads the onboard map or tiles."""
     named = {"cover": "x"} | ({"onboard": True} if tiles is None else {"tiles": "x"}) | world
