@@ -89,7 +89,7 @@ def test_commands_across_hundreds_of_borders_are_those_of_the_whole_map(field):
 
 
 def differing(rng, share, count):
-    """Numbers of commands with a share of the stated reach that differ from the whole map's, and of changed ones."""
+    """Counts, at a share of the stated reach: commands unlike the whole map's, and changed ones."""
     cover = posts(18, 18, pitch=int(rng.choice([5, 9])), seed=int(rng.integers(1000)))
     options = OPTIONS | {
         "radius_m": float(rng.choice([0.0, 0.1, 0.3])),
