@@ -79,6 +79,9 @@ ENTRIES = (
     "alula_geofence_filter",
     "alula_stack_init",
     "alula_stack_filter",
+    "alula_tiles_open",
+    "alula_tiles_select",
+    "alula_tiles_loaded",
 )
 WORK = ("boxes", "hulls", "planes", "made", "exponentials")
 

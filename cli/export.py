@@ -23,6 +23,7 @@ Examples:
   alula export room.cover.npz -o room.xml
   alula export room.cover.npz -o room_model --format gazebo
   alula export room.voxels.npz -o room.bt
+  alula export city.cover.npz -o city.tiles --tiles 20 --reach 5 --sign my.key
   alula export first.run.mcap -o first_bag --ros2
   alula export --foxglove-layout -o alula.layout.json
 """
@@ -31,8 +32,15 @@ Examples:
 @click.command(epilog=EXAMPLES)
 @click.argument("artifact", metavar="[INPUT]", required=False, type=options.input_path())
 @options.from_config(ExportConfig)
+@click.option(
+    "--sign",
+    "key_path",
+    metavar="KEYFILE",
+    type=options.input_path(),
+    help="Tiles: sign the index with this key, a file of 32 bytes or of 64 hexadecimal digits.",
+)
 @options.output(".glb .obj .json .stl .bin .h .xml .usda .npz .geojson .ply .splat .spz .bt .pcd")
-def command(artifact: Path | None, config: ExportConfig, common: Common) -> None:
+def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, common: Common) -> None:
     """Convert a cover, a scene or a run for other programs.
 
     A cover becomes GLB, OBJ, STL (one mesh per hull), JSON (the exact integers), or an onboard map that
@@ -54,9 +62,13 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     and a bound for any position (every hull counts). A map that does not fit ends with exit code 5 and the
     number of bytes that would fit. A map whose tick takes longer than the period of the control rate (--rate)
     ends with exit code 4. Neither writes a file.
+
+    With --tiles the map becomes a folder of tiles, each a whole onboard map in which all that is not within
+    --reach is an obstacle. docs/guide/tiles.md has the guarantee, and the reach that a speed needs.
     """
     from alula.cli.export_model import export_model
     from alula.cli.export_run import export_bag, export_layout
+    from alula.cli.export_tiles import export_tiles
     from alula.cli.runner import check_output, current, run
     from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError, UsageError
@@ -77,6 +89,11 @@ def command(artifact: Path | None, config: ExportConfig, common: Common) -> None
     if config.ros2:
         export_bag(artifact, common)
         return
+    if config.tiles_m is not None:
+        export_tiles(artifact, config, key_path, common)
+        return
+    if key_path is not None:
+        raise UsageError("--sign goes with --tiles")
     if artifact.name.endswith(".mcap"):
         raise UsageError(
             f"{artifact}: a run is exported with --ros2, or a layout for it with --foxglove-layout"

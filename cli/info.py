@@ -28,8 +28,8 @@ Explained = tuple[dict[str, Any], "AlulaError | None"]
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
     """Explain an artifact or a splat file.
 
-    FILE may also be the folder of a splat, or of an artifact in parts. For a damaged file, info prints what
-    it can still read and ends with exit code 3.
+    FILE may also be the folder of a splat, of an artifact in parts, or of a map in tiles. For a damaged file,
+    info prints what it can still read and ends with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
     from alula.schemas.files import printable, size_of
@@ -54,9 +54,12 @@ def _explain(path: Path) -> Explained:
     from alula.schemas.files import check_no_stream
     from alula.schemas.provenance import read_provenance
     from alula.schemas.salvage import is_artifact_like
+    from alula.schemas.tiles import is_tiles
     from alula.stages.compression.onboard.image import is_map
     from alula.stages.reporting.inspect import provenance_facts
 
+    if is_tiles(path):
+        return _tiles(path)
     if path.is_dir():
         return _parts(path) if (path / INDEX).is_file() else _splat(path)
     check_no_stream(path)
@@ -150,6 +153,19 @@ def _map(path: Path) -> Explained:
         return map_image_facts(read_map(path.read_bytes(), path)) | written, None
     except ArtifactError as error:
         return {**about(SCHEMA, VERSION), **written}, error
+
+
+def _tiles(path: Path) -> Explained:
+    from alula.schemas.errors import AlulaError
+    from alula.schemas.tiles import read_tiles, read_tiles_index
+    from alula.stages.reporting.inspect import tiles_index_facts
+
+    facts = tiles_index_facts(read_tiles_index(path))
+    try:
+        read_tiles(path)
+    except AlulaError as error:
+        return facts, error
+    return facts, None
 
 
 def _toml(path: Path) -> Explained:

@@ -156,8 +156,8 @@ def command(
         )
         link = f"udpin:{link.removeprefix(_CRTP)}"
     else:
+        from alula.schemas.signing_key import read_key
         from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-        from alula.stages.flight.links.mavlink.signing import read_key
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand

@@ -33,7 +33,8 @@ Examples:
 
 @click.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
-@click.option("--map", "map_path", type=options.input_path(), help="Cover or scene to fly in.")
+@click.option("--map", "map_path", type=options.input_path(), help="Cover, tiles or scene to fly in.")
+@click.option("--key", "key_path", type=options.input_path(), help="Key that must have signed the tiles.")
 @click.option("--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover.")
 @click.option(
     "--vehicle",
@@ -60,6 +61,7 @@ def command(
     context: click.Context,
     source: Path,
     map_path: Path | None,
+    key_path: Path | None,
     scene_path: Path | None,
     vehicle: str | None,
     pairs_path: Path | None,
@@ -73,10 +75,11 @@ def command(
 ) -> None:
     """Fly missions through a world behind safety filters, and judge them.
 
-    SOURCE is a scenario (.toml), which says everything; a cover or scene, in which random start-goal pairs
-    are flown; or a plan, flown in the --map. Options replace values of the scenario. Without one, a point
-    moved by velocities flies behind polytope-cbf in a cover, a quadrotor behind cone-backup in a scene; other
-    filters bring the vehicle that they are made for. alula scenario --keys lists all that --set can set.
+    SOURCE is a scenario (.toml), which says everything; a cover, tiles or a scene, in which random start-goal
+    pairs are flown; or a plan, flown in the --map. Options replace values of the scenario. Without one, a
+    point moved by velocities flies behind polytope-cbf in a cover, a quadrotor behind cone-backup in a
+    scene; other filters bring the vehicle that they are made for. alula scenario --keys lists all that
+    --set can set.
 
     A pair is flown straight at its goal, and filters see no way around an obstacle: among walls most flights
     end in front of one, unless they are --planned. R.run.json beside R.run.mcap has the summary and measured
@@ -102,10 +105,12 @@ def command(
     _check_paths(given, names)
     scenario: WorldScenario
     if source.suffix == ".toml":
-        from alula.cli.sources import map_role
+        from alula.cli.sources import map_files
 
         if map_path is not None:
-            changes[f"world.{map_role(map_path)}"] = _relative(map_path, source)
+            changes |= {
+                f"world.{role}": _relative(path, source) for role, path in map_files(map_path).items()
+            }
         if scene_path is not None:
             changes["world.scene"] = _relative(scene_path, source)
         if vehicle is not None:
@@ -125,7 +130,7 @@ def command(
         chosen = [chosen] if isinstance(chosen, str) else chosen
         tree = source_tree(files, filter_kind, filters=chosen, vehicle=vehicle, speed_m_s=speed)
         scenario = changed(tree, str(source), changes | given)
-    _fly(scenario, source, scheduler, common)
+    _fly(scenario, source, key_path, scheduler, common)
 
 
 def _names_of(filters: str) -> list[str]:
@@ -155,11 +160,18 @@ def _check_paths(given: Mapping[str, Any], filters: list[str] | None) -> None:
         raise UsageError(f"--set {path}: needs the whole path of a key; {hint}")
 
 
-def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: options.Common) -> None:
+def _fly(
+    scenario: WorldScenario,
+    source: Path,
+    key_path: Path | None,
+    scheduler: str | None,
+    common: options.Common,
+) -> None:
     """Fly all trials, and write log and record."""
     import msgspec
 
     from alula.cli.journal import JournalFile
+    from alula.cli.sources import read_tiles_of
     from alula.schemas.journal import TRIALS
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.parts_join import read_whole
@@ -182,6 +194,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
         table, name = key.split(".")
         if (file := parameters[table].pop(name)) is not None:
             paths[_ROLES.get(key, name)] = folder / file
+    tiles = read_tiles_of(paths, key_path)
     pairs = None
     if "pairs" in paths:
         pairs = pairs_flown(read_run(paths["pairs"]).trials, scenario.rules.trials)
@@ -205,6 +218,7 @@ def _fly(scenario: WorldScenario, source: Path, scheduler: str | None, common: o
                     scene=read.get("scene"),
                     seen=read.get("seen"),
                     plan=read.get("plan"),
+                    tiles=tiles,
                     pairs=pairs,
                     journal=journal,
                     jobs=common.jobs,

@@ -18,6 +18,7 @@ Examples:
   alula verify room.cover.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
   alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
+  alula verify city.tiles --voxels city.voxels.npz --scene city.metric.scene.npz --key my.key
   alula verify room.plan.npz --map room.cover.npz --scene room.metric.scene.npz
   alula verify among.plan.npz --map room.scene.npz
   alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
@@ -34,6 +35,9 @@ Examples:
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
 @click.option(
+    "--key", "key_path", type=options.input_path(), help="Key that must have signed the index of tiles."
+)
+@click.option(
     "-o", "--output", type=options.PATH, help="Certificate to write when every check holds (.json)."
 )
 @click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
@@ -48,6 +52,7 @@ def command(
     within: Path | None,
     voxels: Path | None,
     scene: Path | None,
+    key_path: Path | None,
     output: Path | None,
     force: bool,
     dry_run: bool,
@@ -59,17 +64,19 @@ def command(
 ) -> None:
     """Prove independently that a cover contains the ellipsoids of a scene.
 
-    The proof uses the files alone and other algorithms than those that made them: exact integers for
-    hulls and voxels, separating planes for ellipsoids. It covers what the files show: without --scene no
+    The proof uses the files alone and other algorithms than those that made them: exact integers for hulls
+    and voxels, separating planes for ellipsoids. It covers what the files show: without --scene no
     ellipsoid is checked, without --voxels only the voxels that the cover lists. The first line of the
     answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
-    were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
-    the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
-    from its own bytes, against voxels or a cover. Seen voxels (.seen.npz) are proven to touch no obstacle of
-    the voxels or the scene, and to be reached by their ball; what the cameras saw is not proven again. A plan
-    is proven against the map of --map, a cover or the scene that it was made in: clearance, corridor, limits
-    of the motion, continuity; with --scene beside a cover, against its ellipsoids, too; with --within against
-    the space that was not seen.
+    were missing, and what was not checked for that reason. When something is not proven, the exit code is
+    4, the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
+    from its own bytes, against voxels or a cover. Of tiles, a folder, each tile is proven to contain
+    every voxel, by its hulls within its reach and by its walls beyond, and every byte is compared with
+    the index; without --voxels against the cover in the folder. Seen voxels (.seen.npz) are proven to
+    touch no obstacle of the voxels or the scene, and to be reached by their ball; what the cameras saw is
+    not proven again. A plan is proven against the map of --map, a cover or the scene that it was made in:
+    clearance, corridor, limits of the motion, continuity; with --scene beside a cover, against its
+    ellipsoids, too; with --within against the space that was not seen.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -85,8 +92,11 @@ def command(
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
     from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, read_provenance
+    from alula.schemas.signing_key import read_key
+    from alula.schemas.tiles import TILES, WHOLE, is_tiles, read_tiles
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify import verify_map
+    from alula.stages.compression.onboard.verify_tiles import verify_tiles
     from alula.stages.compression.verify import SCHEMA, VERSION, verify
     from alula.stages.planning.verify import verify_plan
     from alula.stages.planning.verify_seen import verify_seen
@@ -97,6 +107,12 @@ def command(
         raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
+    if is_tiles(proven):
+        if map_path is not None or within is not None:
+            raise UsageError("tiles are proven against --voxels, --scene and --cover; leave out other files")
+        cover = proven / WHOLE if cover is None else cover
+    elif key_path is not None:
+        raise UsageError("--key is for tiles")
     is_plan = map_path is not None or _is_plan(proven)
     is_map = not is_plan and (cover is not None or _is_map(proven))
     known_as = None if is_plan or is_map else read_provenance(proven)
@@ -112,6 +128,7 @@ def command(
             raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
         map_path, scene = None, map_path
     inputs = {"plan" if is_plan else "map" if is_map else "seen" if is_seen else "cover": proven}
+    inputs = {"map": proven / TILES} if is_tiles(proven) else inputs
     inputs |= {"cover": map_path} if map_path is not None else {}
     inputs |= {"within": within} if within is not None else {}
     inputs |= {"cover": cover} if cover is not None else {}
@@ -137,6 +154,16 @@ def command(
                 within=None if within is None else read_whole(within, SEEN),
                 sha256=sha256,
                 jobs=jobs,
+            )
+        elif is_tiles(proven):
+            assert cover is not None
+            certificate = verify_tiles(
+                read_tiles(proven, None if key_path is None else read_key(key_path)),
+                cover=read_whole(cover, COVER),
+                **others,
+                sha256=sha256,
+                jobs=jobs,
+                progress=progress,
             )
         elif is_map:
             image = read_map(proven.read_bytes(), proven)

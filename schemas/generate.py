@@ -58,6 +58,7 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
+    from alula.schemas.tiles import TILES_SCHEMA, TILES_VERSION, TilesIndex
     from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
     from alula.schemas.world import WORLD_VERSION, WorldScenario
 
@@ -68,6 +69,7 @@ def documents() -> dict[str, bytes]:
         (REPORT_SCHEMA, REPORT_VERSION, Report),
         (COMPARISON_SCHEMA, COMPARISON_VERSION, Comparison),
         (PAPERS_SCHEMA, PAPERS_VERSION, Papers),
+        (TILES_SCHEMA, TILES_VERSION, TilesIndex),
         (SCENARIO_SCHEMA, VERSION, Scenario),
         (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),
         (f"{SCENARIO_SCHEMA}-encounters", VERSION, Encounters),

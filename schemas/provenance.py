@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import re
 import zlib
@@ -149,6 +150,21 @@ class _Carrier(msgspec.Struct, frozen=True):
     provenance: msgspec.Raw = msgspec.Raw(b"null")
 
 
+class _Listed(msgspec.Struct, frozen=True):
+    """One tile of a map in tiles."""
+
+    i: int
+    j: int
+    sha256: str
+
+
+class _Listing(_Carrier, frozen=True, kw_only=True):
+    """The index of a map in tiles."""
+
+    sha256: str
+    tiles: list[_Listed]
+
+
 class _Asset(msgspec.Struct, frozen=True):
     extras: _Carrier = _Carrier()
 
@@ -163,8 +179,8 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     """Read the provenance of a file; None when it has none that can be read.
 
     Args:
-        path: the file, of any format, or an artifact in parts.
-        verify: also check the content of array artifacts and onboard maps; damaged ones give None.
+        path: the file, of any format, an artifact in parts, or a map in tiles.
+        verify: also check the content of array artifacts, onboard maps and tiles; damaged ones give None.
     """
     if is_special(path):
         return None
@@ -192,8 +208,24 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     if head.startswith((b"GIF8", b"RIFF")):
         return _of_moving_picture(path)
     if path.suffix == ".json" or head.startswith(b"{"):
-        return _of_json(path)
+        return _of_tiles(path) if verify and path.name == "tiles.json" else _of_json(path)
     return _of_text(raw)
+
+
+def _of_tiles(path: Path) -> Provenance | None:
+    """Read from the index of a map in tiles, as of `alula.schemas.tiles`, if all its files are whole."""
+    try:
+        index = json_decoder(_Listing).decode(path.read_bytes())
+        listed = {
+            "tiles.bin": index.sha256,
+            **{f"tile_{one.i}_{one.j}.bin": one.sha256 for one in index.tiles},
+        }
+        for name, sha256 in listed.items():
+            if hashlib.sha256((path.parent / name).read_bytes()).hexdigest() != sha256:
+                return None
+    except (OSError, *_NOT_JSON):
+        return None
+    return _decode(bytes(index.provenance))
 
 
 def _of_text(raw: bytes) -> Provenance | None:

@@ -68,7 +68,10 @@ from alula.schemas.world_upgrade import upgraded_tree
 
 WORLD_VERSION = "2.0"
 
-FILES = ("vehicle.file", "world.cover", "world.scene", "world.seen", "mission.plan", "mission.pairs_from")
+FILES = (
+    *("vehicle.file", "world.cover", "world.tiles", "world.scene", "world.seen"),
+    *("mission.plan", "mission.pairs_from"),
+)
 """Keys that name files, relative to the scenario's folder."""
 
 TEXTS = ("name", *FILES)

@@ -267,6 +267,8 @@ def _wrong_world(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
         return "`$.world.onboard`: the image is of a cover; set world.cover, or world.onboard=false"
     if world.onboard and not scenario.safety.filters:
         return "`$.world.onboard`: filters read the image, and there is none; set world.onboard=false"
+    if words := _wrong_tiles(scenario, vehicle):
+        return words
     for name in scenario.safety.filters:
         where = f"`$.safety.filters`: {name}"
         if name == "polytope-cbf" and not hulls:
@@ -286,6 +288,25 @@ def _wrong_world(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
             return f"{where} needs a box or faces; set world.fence.box_m{other}"
         if words := _wrong_shield(scenario, name):
             return words
+    return None
+
+
+def _wrong_tiles(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+    world, where = scenario.world, "`$.world.tiles`:"
+    if world.tiles is None:
+        unused = world.tile_load_s > 0
+        return "`$.world.tile_load_s`: there are no tiles; set world.tiles" if unused else None
+    if world.cover is None:
+        return f"{where} tiles are of a cover, against which flights are judged; set world.cover"
+    if world.has_boxes:
+        return f"{where} tiles lack walls and unseen space; leave out world.walls and world.seen"
+    if list(scenario.safety.filters) != ["polytope-cbf"] or scenario.mission.controller.guide != "none":
+        return f"{where} only polytope-cbf reads tiles; set safety.filters=polytope-cbf and no guide"
+    if world.tile_load_s > 0 and vehicle.model != "single-integrator":
+        return (
+            "`$.world.tile_load_s`: a vehicle that lags is filtered at several points per tick, so loading "
+            "is not simulated; set vehicle.type=single-integrator, or world.tile_load_s=0"
+        )
     return None
 
 

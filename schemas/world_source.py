@@ -55,7 +55,7 @@ def source_tree(
         flown |= point_limits(files.get("plan"), speed_m_s=speed_m_s)
     elif speed_m_s is not None:
         mission["speed_m_s"] = speed_m_s
-    world: dict[str, Any] = {role: str(files[role]) for role in ("cover", "scene") if role in files}
+    world: dict[str, Any] = {role: str(files[role]) for role in ("cover", "tiles", "scene") if role in files}
     if {"cover", "scene"} <= files.keys():
         manifest: Any = read_manifest(files["cover"])
         world["sigma"] = float(manifest.sigma)

@@ -170,6 +170,14 @@ class WorldTable(Table, frozen=True, kw_only=True):
     onboard: Annotated[
         bool, about("filters read the cover as the image that flies, as on a microcontroller, bit by bit")
     ] = False
+    tiles: Annotated[
+        FileName | None,
+        about(
+            "folder of `export --tiles` of the cover, of which polytope-cbf reads two tiles at a time; None: "
+            "it reads the whole"
+        ),
+    ] = None
+    tile_load_s: Annotated[Delay, about("time that a tile takes to load, after the first [s]")] = 0.0
     scene: Annotated[FileName | None, about("scene whose ellipsoids are obstacles; None: no ellipsoids")] = (
         None
     )

@@ -27,8 +27,12 @@ Examples:
 @click.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
 @click.option(
-    "--map", "map_path", type=options.input_path(), help="Cover or scene to fly in; required with a plan."
+    "--map",
+    "map_path",
+    type=options.input_path(),
+    help="Cover, tiles or scene to fly in; required with a plan.",
 )
+@click.option("--key", "tiles_key", type=options.input_path(), help="Key that must have signed the tiles.")
 @click.option("--scene", "scene_path", type=options.input_path(), help="Metric scene, if --map is a cover.")
 @click.option(
     "--within",
@@ -79,6 +83,7 @@ def command(
     context: click.Context,
     source: Path,
     map_path: Path | None,
+    tiles_key: Path | None,
     scene_path: Path | None,
     within: Path | None,
     vehicle_path: Path | None,
@@ -108,6 +113,7 @@ def command(
     from alula.cli.fly.inputs import inputs_of, is_among_ellipsoids
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
+    from alula.cli.sources import read_tiles_of
     from alula.schemas.extras import require
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.parts_join import read_whole
@@ -125,6 +131,7 @@ def command(
     check_log_name(common.output)
     paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
     paths |= {} if within is None else {"within": within}
+    tiles = read_tiles_of(paths, tiles_key)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
     if address is None:
@@ -147,6 +154,7 @@ def command(
         cover=read_whole(paths["cover"], COVER) if "cover" in paths else None,
         scene=read_whole(paths["scene"], SCENE) if "scene" in paths else None,
         is_splat=is_splat,
+        tiles=tiles,
         within=None if within is None else read_whole(within, SEEN),
         jobs=common.jobs,
     )

@@ -49,7 +49,7 @@ class Route(NamedTuple):
             vehicle: the vehicle file.
             more: further fields of `LinkOptions`.
         """
-        from alula.stages.flight.links.mavlink.signing import read_key
+        from alula.schemas.signing_key import read_key
         from alula.stages.flight.links.open_link import open_link
         from alula.stages.flight.links.options import LinkOptions
         from alula.stages.vehicles.frames import LocalFrame

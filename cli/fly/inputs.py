@@ -19,7 +19,7 @@ def inputs_of(
 
     Args:
         source: scenario or plan.
-        map_path: cover or scene of --map.
+        map_path: cover, tiles or scene of --map.
         scene: scene of --scene.
         vehicle: file of --vehicle.
 
@@ -27,7 +27,7 @@ def inputs_of(
         WrongKindError: a file is of another kind.
         UsageError: the files do not go together, or there is no plan.
     """
-    from alula.cli.sources import map_role, source_files
+    from alula.cli.sources import map_files, source_files
     from alula.schemas.scenario import read_scenario
 
     scenario = None
@@ -43,7 +43,7 @@ def inputs_of(
         paths = {role: source.parent / name for role, name in named.items() if name is not None}
         paths["scenario"] = source
         if map_path is not None:
-            paths[map_role(map_path)] = map_path
+            paths |= map_files(map_path)
         if scene is not None:
             paths["scene"] = scene
     else:

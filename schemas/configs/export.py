@@ -67,6 +67,33 @@ class ExportConfig:
         },
     )
 
+    tiles_m: float | None = field(
+        default=None,
+        metadata={
+            "option": "--tiles",
+            "metavar": "METRES",
+            "help": "Onboard map in tiles of this edge along x and y, a folder, of which a vehicle "
+            "holds two; requires --reach [m].",
+        },
+    )
+    reach_m: float | None = field(
+        default=None,
+        metadata={
+            "option": "--reach",
+            "metavar": "METRES",
+            "help": "Tiles: each has all hulls within this distance of it; the filter must not depend on "
+            "others [m].",
+        },
+    )
+    hysteresis_m: float | None = field(
+        default=None,
+        metadata={
+            "option": "--hysteresis",
+            "metavar": "METRES",
+            "help": "Tiles: a tile is valid up to this distance beyond its borders; default: an eighth of a "
+            "tile [m].",
+        },
+    )
     ros2: bool = field(
         default=False,
         metadata={
@@ -122,6 +149,7 @@ class ExportConfig:
             raise UsageError("--rate goes with a --target whose clock is known: crazyflie or teensy")
         if (self.ros2 or self.foxglove_layout) and (self.format != "auto" or self.target != "none"):
             raise UsageError("--ros2 and --foxglove-layout go with neither --format nor --target")
+        self._check_tiles()
         if self.ros2 and self.foxglove_layout:
             raise UsageError("give --ros2 or --foxglove-layout, not both")
         if self.spacing_m is not None and not 1e-3 <= self.spacing_m <= 1e3:
@@ -132,6 +160,34 @@ class ExportConfig:
             raise UsageError("--origin needs a latitude of -89.9 to 89.9 and a longitude of -180 to 180")
         if self.spz_version not in (2, 3, 4):
             raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
+
+    def _check_tiles(self) -> None:
+        lengths = {"--tiles": self.tiles_m, "--reach": self.reach_m, "--hysteresis": self.hysteresis_m}
+        for name, value in lengths.items():
+            if value is not None and not 0 < value <= 1e6:
+                raise UsageError(f"{name} must be above 0 and at most 1e6 m, not {value:g}")
+        if self.tiles_m is None:
+            if self.reach_m is not None or self.hysteresis_m is not None:
+                raise UsageError("--reach and --hysteresis go with --tiles")
+            return
+        if self.reach_m is None:
+            raise UsageError("--tiles needs --reach: the distance up to which hulls must be in a tile")
+        if self.format != "auto" or self.target != "none" or self.ros2 or self.foxglove_layout:
+            raise UsageError("--tiles goes with neither --format, --target, --ros2 nor --foxglove-layout")
+        if self.hysteresis_m is not None and 2 * self.hysteresis_m > self.tiles_m:
+            raise UsageError("--hysteresis must be at most half of --tiles")
+
+    def tile_parameters(self) -> dict[str, Any]:
+        """Parameters of a map in tiles, apart from the key."""
+        assert self.tiles_m is not None
+        hysteresis = self.tiles_m / 8 if self.hysteresis_m is None else self.hysteresis_m
+        return {
+            "format": "tiles",
+            "largest_normal": self.largest_normal,
+            "tile_m": self.tiles_m,
+            "reach_m": self.reach_m,
+            "hysteresis_m": hysteresis,
+        }
 
     def resolved(self, output: Path) -> str:
         """Determine the format for an output file.

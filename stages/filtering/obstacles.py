@@ -8,7 +8,8 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.schemas.tiles import TileFiles
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.verify import require_solid_hulls
 
@@ -80,3 +81,18 @@ def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _c
         )
     except ValueError as error:
         raise UsageError(f"no barriers for this scene: {error}") from error
+
+
+def tile_set(tiles: TileFiles) -> _core.TileSet:
+    """A map in tiles, as the onboard code reads it.
+
+    Args:
+        tiles: that were read.
+
+    Raises:
+        ArtifactError: the onboard code refuses the index.
+    """
+    try:
+        return _core.TileSet(tiles.binary, list(tiles.images))
+    except ValueError as error:
+        raise ArtifactError(f"the index of the tiles: {error}") from error

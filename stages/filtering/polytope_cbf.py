@@ -25,7 +25,9 @@ def polytope_cbf(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeFil
     hull grown by r. So a flight that starts with psi >= r keeps psi >= r at all times, between
     samples too, and stays at least r away from every hull. With smoothing "paper" nothing of
     this is guaranteed. With `world.image` the hulls are those of an onboard map, which contain the
-    cover's, and the commands those of a microcontroller that has it. The margin is s - r.
+    cover's, and the commands those of a microcontroller that has it. With `world.tiles` they are those of the
+    resident tile; in its region the commands are those of the whole onboard map, beyond it what is not loaded
+    is an obstacle, and without a resident tile every velocity is refused. The margin is s - r.
 
     Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; native/onboard/include/alula_polytope_cbf.h.
 
@@ -34,10 +36,12 @@ def polytope_cbf(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeFil
         parameters: see `PolytopeCbfParameters`; `onboard` is not among them, `world.image` stands for it.
 
     Raises:
-        UsageError: a parameter is unknown or has no meaning, or there are no hulls.
+        UsageError: a parameter is unknown or has no meaning, there are no hulls, or tiles do not reach far
+            enough.
     """
     values = _values(parameters)
-    return NativeFilter(_core.VelocityFilter(_native(world, values, reads=bool(world.image))), values)
+    reads = bool(world.image) or world.tiles is not None
+    return NativeFilter(_core.VelocityFilter(_native(world, values, reads=reads)), values)
 
 
 def without_filter(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeFilter:
@@ -86,6 +90,8 @@ def _native(world: FilterWorld, values: Mapping[str, Any], *, reads: bool) -> _c
         **{NATIVE_NAMES["polytope-cbf"].get(name, name): value for name, value in values.items()},
     }
     try:
+        if reads and world.tiles is not None:
+            return _core.PolytopeCbf.from_tiles(world.tiles, world.tile_load_ticks, **options)
         if reads:
             return _core.PolytopeCbf.from_image(world.image, **options)
         return _core.PolytopeCbf(

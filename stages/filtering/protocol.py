@@ -135,6 +135,8 @@ class FilterWorld:
         hull_radius_m: radius that is kept from hulls; None: `radius_m` [m].
         image: the cover as an onboard map with an index, which `polytope-cbf` then reads instead of `hulls`,
             and which `geofence` keeps out of.
+        tiles: the cover in tiles, which `polytope-cbf` then reads instead.
+        tile_load_ticks: calls of the filter between the request for a tile and its arrival.
         index: the ellipsoids at their level, and grown by `radius_m`; None: there are none.
         parts: native maps by name, ellipsoids, hulls and fence, which shields and filters among moving
             obstacles take; empty: made of `index` and `polytopes`.
@@ -161,6 +163,8 @@ class FilterWorld:
     polytopes: _core.PolytopeSet | None = None
     hull_radius_m: float | None = None
     image: bytes = b""
+    tiles: _core.TileSet | None = None
+    tile_load_ticks: int = 0
     index: _core.EllipsoidIndex | None = None
     parts: Mapping[str, _core.ObstacleMap] = field(default_factory=dict)
     parts_radius_m: float | None = None

@@ -15,13 +15,14 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
+from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
-from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
+from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric, tile_set
 from alula.stages.filtering.polytope_cbf import without_filter
 from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import complete_parameters, make_filter
@@ -74,6 +75,7 @@ class Mission:
         obstacles: all obstacles of the map by name, for checks and verdict, world frame.
         inflation_m: distance that filters among ellipsoids add to radius and margin [m].
         hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
+        tiles: the cover in tiles, if `polytope-cbf` reads them; else None.
         sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words;
@@ -95,6 +97,7 @@ class Mission:
     obstacles: Obstacles
     inflation_m: float
     hull_keep_m: float
+    tiles: _core.TileSet | None
     sees_hulls: bool
     fence: _core.Fence
     is_clear: tuple[bool, str]
@@ -200,6 +203,7 @@ def make_mission(
     cover: Artifact | None,
     scene: Artifact | None,
     is_splat: bool,
+    tiles: TileFiles | None = None,
     within: Artifact | None = None,
     jobs: int = 0,
 ) -> Mission:
@@ -214,6 +218,7 @@ def make_mission(
         cover: map of hulls, if there is one.
         scene: map of ellipsoids, if there is one.
         is_splat: a filter of the whole quadrotor flies, else one of velocities among the hulls.
+        tiles: the cover in tiles, which `polytope-cbf` then reads, two at a time.
         within: seen space to stay in, beside a cover; unseen space counts like hulls.
         jobs: number of threads, 0 for all cores.
 
@@ -245,6 +250,8 @@ def make_mission(
     obstacles: Obstacles = []
     proofs: list[tuple[bool, str]] = []
     hulls = None
+    if tiles is not None and (config.filter != "polytope-cbf" or within is not None):
+        raise UsageError("only polytope-cbf reads tiles, which lack unseen space: leave out --within")
     if within is not None and cover is None:
         raise UsageError("--within needs a cover: its filter keeps from hulls and unseen space alike")
     if cover is not None:
@@ -307,6 +314,7 @@ def make_mission(
         obstacles=obstacles,
         inflation_m=inflation,
         hull_keep_m=hull_keep,
+        tiles=None if tiles is None else tile_set(tiles),
         sees_hulls=sees_hulls,
         fence=fence(box=(low, high), cover=keep_out),
         is_clear=_clearness(proofs, is_unproven=is_unproven),
@@ -377,6 +385,7 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
     lead = (1 + float(_lags_s(config).max())) * config.speed_m_s
     hull_world = FilterWorld(
         hulls=hulls,
+        tiles=mission.tiles,
         radius_m=keep,
         speed_m_s=config.speed_m_s,
         dt_s=dt,

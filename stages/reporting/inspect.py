@@ -14,9 +14,11 @@ from alula.schemas.kinds import SCENE
 from alula.schemas.parts import Parts
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
+from alula.schemas.tiles import TilesIndex
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, MapImage
 from alula.stages.compression.onboard.layout import map_facts
+from alula.stages.compression.onboard.tiles import tiles_facts
 from alula.stages.reconstruction.faint import marked_volume
 from alula.stages.reconstruction.formats.capture import lacking
 from alula.stages.reconstruction.formats.splats import LOSSES, Loss, Splats
@@ -36,6 +38,7 @@ WHAT = {
     "alula/view": "A view of artifacts and runs: a page, a picture or a moving picture.",
     "alula/export": "A copy of a cover or a scene for another program.",
     "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",
+    "alula/tiles": "A cover as an onboard map per tile, with an index that is signed if it has a key_id.",
     "alula/certificate": "The result of checking again what a cover contains.",
     "alula/demo-scene": "The built-in scene as a splat file.",
 }
@@ -188,6 +191,26 @@ def map_image_facts(image: MapImage) -> Facts:
         },
         "unit": "m",
         "guarantee": "Each hull contains a hull of the cover; `alula verify` proves this for these bytes.",
+    }
+
+
+def tiles_index_facts(index: TilesIndex) -> Facts:
+    """Facts about a map in tiles."""
+    return {
+        **provenance_facts(index.provenance),
+        **about(index.schema, index.version),
+        "summary": tiles_facts(index),
+        "properties": {
+            "voxel_size_m": index.voxel_size_m,
+            "first_i": index.first[0],
+            "first_j": index.first[1],
+            "lower_m": [index.voxel_size_m * edge for edge in index.lower],
+            "upper_m": [index.voxel_size_m * edge for edge in index.upper],
+            "cover sha256 begins with": index.cover_hash,
+        },
+        "unit": "m",
+        "guarantee": "Each tile contains every hull of the cover, in its hulls or its walls; `alula verify` "
+        "proves this for these bytes.",
     }
 
 

@@ -92,6 +92,9 @@ class DocFiles:
         if kind in ("sparse/0", "colmap", "reference.csv", "surveyed_cameras.csv"):
             self.made("room", ".ply")
             return self.folder / ("cameras" if kind in ("sparse/0", "colmap") else "cameras.csv")
+        if kind == ".key":
+            target.write_bytes(bytes(range(32)))
+            return target
         if kind == "pairs.csv":
             rows = [",".join(row.split()) for row in PAIRS.splitlines()]
             target.write_text("\n".join(["sx,sy,sz,wx,wy,wz", *rows, ""]))
@@ -145,6 +148,8 @@ class DocFiles:
             case ".run.mcap":
                 given = ["--filter", "cone-backup", "--speed", "3", "--set", "world.confidence=0.99"]
                 return ["simulate", of(".metric.scene.npz"), *given, "--trials", "3"]
+            case ".tiles":
+                return ["export", of(".cover.npz"), "--tiles", "2", "--reach", "1.2", "--sign", of(".key")]
             case ".bin":
                 return ["export", of(".cover.npz")]
         raise AssertionError(kind)
@@ -162,6 +167,8 @@ _KINDS = (
         ".ply",
         ".splat",
         ".spz",
+        ".key",
+        ".tiles",
     ),
     *("sparse/0", "colmap", "surveyed_cameras.csv", "reference.csv", "pairs.csv"),
 )

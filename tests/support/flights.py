@@ -29,7 +29,15 @@ BALL = ball_scene([(2.0, 2.2, 1.0), (2.0, -1.0, 1.0)], 0.3)  # in the way of the
 
 
 def mission(
-    name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=None, vehicle=FASTBRIDGE, **fields
+    name="polytope-cbf",
+    *,
+    cover=None,
+    scene=None,
+    plan=None,
+    is_clear=None,
+    vehicle=FASTBRIDGE,
+    tiles=None,
+    **fields,
 ):
     """By default past a pillar."""
     is_splat = scene is not None or name in ("shield", "cone-backup", "cone-ecbf")
@@ -42,6 +50,7 @@ def mission(
         cover=cover,
         scene=scene,
         is_splat=is_splat,
+        tiles=tiles,
     )
     return made if is_clear is None else dataclasses.replace(made, is_clear=(is_clear, "said so"))
 

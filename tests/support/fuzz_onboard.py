@@ -1,9 +1,9 @@
 """libFuzzer on the onboard code: `python tests/support/fuzz_onboard.py --seconds 600`, shared by the targets.
 
-native/onboard/fuzz has the targets, with address and undefined-behaviour sanitizers: images of maps, and
-ticks of polytope-cbf, dr-acbf and the geofence. Seeds are maps of covers that are merged here and, with
-ALULA_DATA, of a real scene. Without a clang that has libFuzzer nothing is run, and that is said. What fails
-is kept in --keep.
+native/onboard/fuzz has the targets, with address and undefined-behaviour sanitizers: images of maps,
+tiles, and ticks of polytope-cbf, dr-acbf and the geofence. Seeds are maps of covers that are merged here
+and, with ALULA_DATA, of a real scene. Without a clang that has libFuzzer nothing is run, and that is
+said. What fails is kept in --keep.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE.parents[1] / "native/onboard/fuzz"
-TARGETS = ("map", "polytope", "dr_acbf", "geofence", "links")
+TARGETS = ("map", "tiles", "polytope", "dr_acbf", "geofence", "links")
 EMPTY = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return !d && n; }"
 LONGEST = 16_000  # bytes of an input
 
@@ -56,6 +56,14 @@ def images() -> list[bytes]:
     return [image for image in found if len(image) < LONGEST - 1000]
 
 
+def tiles() -> list[tuple[bytes, bytes]]:
+    """Indexes of maps in tiles, each with one of the images."""
+    from support.tiled import cut, posts, sealed_binary
+
+    made = [cut(posts(size, size), tile_m=tile_m, reach_m=0.4) for size, tile_m in ((9, 0.6), (18, 1.2))]
+    return [(sealed_binary(one), max(one.images)) for one in made]
+
+
 def real_cover(data: Path):
     """Of a tile of a street."""
     from alula.cli.main import run
@@ -86,6 +94,10 @@ def write_seeds(folder: Path) -> None:
             numbers = rng.integers(0, 256, 900, np.uint8)
             head = struct.pack("<BH", 0, len(image))
             (folder / target / f"seed-{k}").write_bytes(head + image + numbers.tobytes())
+    for k, (index, image) in enumerate(tiles()):
+        head = struct.pack("<H", len(index)) + index + struct.pack("<BBH", 0, 0, len(image))
+        numbers = rng.integers(0, 256, 900, np.uint8)
+        (folder / "tiles" / f"seed-{k}").write_bytes(head + image + numbers.tobytes())
     for k in range(12):
         numbers = rng.integers(20, 256, 1500, np.uint8).tobytes()
         (folder / "dr_acbf" / f"seed-{k}").write_bytes(numbers)

@@ -1,6 +1,8 @@
 /* Alula on board: safety filters in freestanding C99. This header includes all others.
  *
  *   map          alula_map_open             a cover in flash, written by `alula export COVER --target ...`
+ *   tiles        alula_tiles_open           a cover in tiles, of which two are in memory: `alula export --tiles ...`
+ *                alula_tiles_select
  *   polytope-cbf alula_polytope_cbf_open    velocity commands among the map's hulls
  *                alula_polytope_cbf_filter
  *   dr-acbf      alula_dr_acbf_init         acceleration commands among moving obstacles and walls
@@ -26,5 +28,6 @@
 #include "alula_map.h"
 #include "alula_polytope_cbf.h"
 #include "alula_stack.h"
+#include "alula_tiles.h"
 
 #endif

@@ -145,6 +145,10 @@ ALULA_MUST_USE alula_status alula_geofence_init(alula_geofence* filter, const al
                                                 const alula_geofence_config* config);
 void alula_geofence_reset(alula_geofence* filter); /* to before the first tick */
 
+/* Call it after `keep_out` of the fence was set to another image of the same cover, such as the next tile
+ * (alula_tiles.h); O(1). */
+void alula_geofence_move(alula_geofence* filter);
+
 /* h_I of a state with a hold; `extra` is subtracted as well. Changes only the cached part of the map. */
 void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
                              float extra, alula_geofence_value* value);

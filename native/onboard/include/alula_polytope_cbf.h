@@ -136,6 +136,21 @@ ALULA_MUST_USE alula_status alula_polytope_cbf_init(alula_polytope_cbf* cbf, con
 ALULA_MUST_USE alula_status alula_polytope_cbf_open(alula_polytope_cbf* cbf, const alula_map* image, float extent_m,
                                                     const alula_polytope_cbf_config* config);
 
+/* Continues on another image of the same cover with the same margin, such as the next tile (alula_tiles.h); O(1).
+ * ALULA_BAD_MAP, and no change, when a hull of it has more planes than there are rows, or it reaches beyond the
+ * extent of the filter. A later tick depends on the image and its inputs alone. */
+ALULA_MUST_USE alula_status alula_polytope_cbf_move(alula_polytope_cbf* cbf, const alula_map* image);
+
+/* A distance [m] such that no hull with psi_k > reach at x can change the command at x:
+ *
+ *   reach = r + v_max / beta + v_max dt + (18 + 2 log 261 + log 2^24) / kappa, and the rounding of these sums.
+ *
+ * The row binds only where s < r + v_max / beta. There psi < s + (log L + log n) / kappa, a hull counts in s only
+ * with psi_k < psi + (18 + log L) / kappa, and the step is checked against hulls with psi_k < r + v_max dt. Where the
+ * row does not bind, s is not computed or has no influence; margin_m, a lower bound there, may depend on other hulls.
+ */
+ALULA_MUST_USE float alula_polytope_cbf_reach(const alula_polytope_cbf* cbf);
+
 /* psi, its smooth version and gradient at x; ALULA_BAD_INPUT when x is not finite or beyond extent_m. */
 ALULA_MUST_USE alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf* cbf, const float x[3],
                                                         alula_polytope_value* value);

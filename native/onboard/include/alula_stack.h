@@ -137,6 +137,11 @@ typedef struct {
 ALULA_MUST_USE alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const alula_fence* fence,
                                              const alula_stack_config* config);
 
+/* Continues on another image of the same cover, such as the next tile (alula_tiles.h); O(1). `hulls` is for
+ * polytope-cbf. A geofence uses the map of its fence, which the caller owns: see alula_geofence_move. Status as
+ * alula_polytope_cbf_move; no change unless it is ALULA_READY. */
+ALULA_MUST_USE alula_status alula_stack_move(alula_stack* stack, const alula_map* hulls);
+
 /* To before the first tick. */
 void alula_stack_reset(alula_stack* stack);
 

@@ -80,6 +80,10 @@ alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fenc
   return ALULA_READY;
 }
 
+void alula_geofence_move(alula_geofence* filter) {
+  if (filter && filter->fence) alula_map_near_open(&filter->near, filter->fence->keep_out);
+}
+
 void alula_geofence_reset(alula_geofence* filter) {
   if (!filter) return;
   filter->has_state = filter->has_hold = filter->silent = 0;

@@ -16,8 +16,8 @@ const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {
     {-1, 1, 1},   {0, -1, -1}, {0, -1, 1},  {0, 1, -1},  {0, 1, 1},  {1, -1, -1}, {1, -1, 0},
     {1, -1, 1},   {1, 0, -1},  {1, 0, 1},   {1, 1, -1},  {1, 1, 0},  {1, 1, 1}};
 
-/* CRC-32 as in zlib and Ethernet, half a byte at a time. */
-static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
+/* Half a byte at a time. */
+uint32_t alula_crc32(const uint8_t* data, uint32_t length) {
   static const uint32_t TABLE[16] = {0x00000000U, 0x1DB71064U, 0x3B6E20C8U, 0x26D930ACU, 0x76DC4190U, 0x6B6B51F4U,
                                      0x4DB26158U, 0x5005713CU, 0xEDB88320U, 0xF00F9344U, 0xD6D6A3E8U, 0xCB61B38CU,
                                      0x9B64C2B0U, 0x86D3D2D4U, 0xA00AE278U, 0xBDBDF21CU};
@@ -77,13 +77,13 @@ static alula_map_status open_map(alula_map* map, const uint8_t* data, uint32_t l
   }
   if (length < ALULA_MAP_HEADER_BYTES) return ALULA_MAP_TRUNCATED;
   if (data[4] != 1U) return ALULA_MAP_NEWER;
-  if (u32_at(data + 60) != crc32_of(data, 60U)) return ALULA_MAP_DAMAGED;
+  if (u32_at(data + 60) != alula_crc32(data, 60U)) return ALULA_MAP_DAMAGED;
   const uint32_t flags = u16_at(data + 8);
   if ((flags & ~(ALULA_MAP_KDOP | ALULA_MAP_INDEXED)) != 0U) return ALULA_MAP_NEWER;
   const uint32_t total = u32_at(data + 16);
   if (u16_at(data + 6) != ALULA_MAP_HEADER_BYTES || total < ALULA_MAP_HEADER_BYTES) return ALULA_MAP_MALFORMED;
   if (total > length) return ALULA_MAP_TRUNCATED;
-  if (u32_at(data + 20) != crc32_of(data + ALULA_MAP_HEADER_BYTES, total - ALULA_MAP_HEADER_BYTES)) {
+  if (u32_at(data + 20) != alula_crc32(data + ALULA_MAP_HEADER_BYTES, total - ALULA_MAP_HEADER_BYTES)) {
     return ALULA_MAP_DAMAGED;
   }
   map->data = data;

@@ -4,6 +4,8 @@
 #define OUTWARD_OF_EXTENT (1.0F / 262144.0F) /* 2^-18, see alula_polytope_cbf_open */
 #define KAPPA_MAX 1.0e5F
 #define SPEED_MAX 1.0e6F
+#define TERMS 46.0F      /* at least 18 + 2 log 261 + log 2^24, see alula_polytope_cbf_reach */
+#define ROUNDING 1.0e-5F /* more than the relative rounding of the sum of the reach */
 
 static int map_is_valid(const alula_polytope_map* map) {
   if (map->plane_start[0] != 0U || !(map->extent_m > 0.0F) || !(map->extent_m < 1.0e12F)) return 0;
@@ -71,4 +73,22 @@ alula_status alula_polytope_cbf_open(alula_polytope_cbf* cbf, const alula_map* i
   map.extent_m = extent_m > image->extent_m ? extent_m : image->extent_m;
   map.slack_m = map.extent_m * OUTWARD_OF_EXTENT;
   return set_up(cbf, image, &map, config, image->hull_count > 0U ? image->most_planes + 6U : 0U);
+}
+
+alula_status alula_polytope_cbf_move(alula_polytope_cbf* cbf, const alula_map* image) {
+  if (!cbf || !image || !image->data) return ALULA_BAD_POINTER;
+  if (image->most_planes + 6U > ALULA_PLANE_ROWS || image->extent_m > cbf->map.extent_m) return ALULA_BAD_MAP;
+  alula_polytope_map map = cbf->map;
+  map.hull_count = image->hull_count;
+  const alula_polytope_cbf_config config = cbf->config;
+  const alula_status status =
+      set_up(cbf, image, &map, &config, image->hull_count > 0U ? image->most_planes + 6U : 0U);
+  if (status == ALULA_READY) alula_walk_forget(cbf);
+  return status;
+}
+
+float alula_polytope_cbf_reach(const alula_polytope_cbf* cbf) {
+  const alula_polytope_cbf_config* c = &cbf->config;
+  const float sum = c->radius_m + c->v_max / c->beta + c->v_max * c->dt_s + TERMS * cbf->inverse_kappa;
+  return (sum + 4.0F * cbf->map.slack_m) * (1.0F + ROUNDING);
 }

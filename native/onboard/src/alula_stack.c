@@ -107,6 +107,12 @@ alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const 
   return ALULA_READY;
 }
 
+alula_status alula_stack_move(alula_stack* stack, const alula_map* hulls) {
+  if (!stack || !stack->is_ready || !hulls) return ALULA_BAD_POINTER;
+  if (!alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF)) return ALULA_READY;
+  return alula_polytope_cbf_move(&stack->polytope_cbf, hulls);
+}
+
 void alula_stack_reset(alula_stack* stack) {
   if (!stack || !stack->is_ready) return;
   if (alula_stack_has(stack, ALULA_STACK_DR_ACBF)) alula_dr_acbf_reset(&stack->dr_acbf);

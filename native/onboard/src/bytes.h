@@ -1,8 +1,11 @@
-/* Little-endian numbers at any address. Private. */
+/* Little-endian numbers at any address, and their check. Private. */
 #ifndef ALULA_ONBOARD_BYTES_H
 #define ALULA_ONBOARD_BYTES_H
 
 #include <stdint.h>
+
+/* CRC-32 as in zlib and Ethernet. */
+uint32_t alula_crc32(const uint8_t* data, uint32_t length);
 
 static inline uint32_t u16_at(const uint8_t* p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
 static inline uint32_t u32_at(const uint8_t* p) { return u16_at(p) | u16_at(p + 2) << 16; }

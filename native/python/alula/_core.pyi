@@ -213,6 +213,27 @@ class PolytopeCbf:
         the reader's message for an image that it rejects.
         """
 
+    @staticmethod
+    @staticmethod
+    def from_tiles(tiles: TileSet, load_calls: int, *, extent_m: float, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> PolytopeCbf:
+        """
+        Create the filter from tiles, of which two are resident: after the first, one that is needed comes
+        `load_calls` calls later, and far from all resident ones commands are refused. Raises ValueError when the tiles do not
+        reach far enough for the commands of the whole map.
+        """
+
+    def tile(self) -> tuple[int, bool]:
+        """
+        Row of the resident tile of the last call or -1, and whether it was in its region.
+        """
+
+    @property
+    def reach_m(self) -> float:
+        """Hulls with a larger psi cannot change a command [m]."""
+
+    def reset(self) -> None:
+        """Before another flight: no tile is resident."""
+
     def work(self) -> tuple[int, int, int, int, int]:
         """
         Counts of the last call of `filter`: boxes, hulls, planes of these hulls, planes that were
@@ -249,6 +270,20 @@ def check_map_polytopes(lower: Annotated[NDArray[numpy.int32], dict(shape=(None,
     """
     Find exactly the polytopes, given by vertices, that no hull of a decoded map with the same box contains.
     """
+
+class TileSet:
+    """
+    A map in tiles: index and images, as the C code of a microcontroller reads them.
+
+    With a key, the signature of the index must match. Raises ValueError with the reader's message.
+    """
+
+    def __init__(self, index: bytes, images: Sequence[bytes], *, key: bytes | None = None, signature: bytes = ...) -> None: ...
+
+    def __len__(self) -> int: ...
+
+    @property
+    def reach_m(self) -> float: ...
 
 class OnboardMap:
     """

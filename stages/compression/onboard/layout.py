@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -113,6 +113,26 @@ def encode_map(
         bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0"),
     )
     return head + zlib.crc32(head).to_bytes(4, "little") + records
+
+
+def with_records(image: bytes, records: Sequence[bytes], *, indexed: bool) -> bytes:
+    """Encode a map of other records, with origin, voxel size, margin and kind of planes of a given one.
+
+    Args:
+        image: of a map.
+        records: of the hulls, as in an image with its origin and kind of planes.
+        indexed: add the tree of boxes.
+    """
+    fields = list(HEADER.unpack_from(image))
+    is_kdop = bool(fields[4] & KDOP)
+    body = b"".join(records)
+    fields[4] = KDOP * is_kdop
+    if indexed and records:
+        fields[4] |= INDEXED
+        body += _index(body, len(records), is_kdop=is_kdop)
+    fields[7:10] = [len(records), HEADER_BYTES + len(body), zlib.crc32(body)]
+    head = HEADER.pack(*fields)
+    return head + zlib.crc32(head).to_bytes(4, "little") + body
 
 
 def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:

@@ -73,7 +73,7 @@ def verify_map(
     assert isinstance(level, LevelManifest)
     occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
     require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
-    checks = [_files_agree(image, cover, voxels, scene), _margin_holds(image)]
+    checks = [files_agree(image, cover, voxels, scene), margin_holds(image)]
     held = 1.0 if scene is None else 0.5
     checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))
     if cover is not None:
@@ -85,7 +85,7 @@ def verify_map(
         {"cover": cover, "voxels": voxels, "scene": scene},
         checks,
         f"every {'member of the cover' if voxels is None else 'voxel'} in a hull of the map",
-        _notes(image, (sha256 or {}).get("cover")),
+        notes_of(image, (sha256 or {}).get("cover")),
     )
     return msgspec.structs.replace(found, given=["map", *found.given])
 
@@ -96,10 +96,17 @@ def _arrays(
     return image.lower, image.upper, image.normal, image.offset, image.plane_start
 
 
-def _files_agree(
+def files_agree(
     image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
 ) -> Check:
-    """Check that lattice, level, frame and unit of all files are equal and equal to their claims."""
+    """Check that lattice, level, frame and unit of all files are equal and equal to their claims.
+
+    Args:
+        image: a decoded map.
+        cover: the `alula/cover`, if it is given.
+        voxels: the `alula/voxels`, if they are given.
+        scene: the `alula/scene`, if it is given.
+    """
     files = {"cover": cover, "voxels": voxels, "scene": scene}
     given = {name: file.manifest for name, file in files.items() if file is not None}
     offences = [
@@ -120,8 +127,12 @@ def _files_agree(
     return _check("files agree", len(given), offences, len(offences), "size, level, frame and unit")
 
 
-def _margin_holds(image: MapImage) -> Check:
-    """Check in exact arithmetic that the margin is at least 2^-18 of the largest coordinate."""
+def margin_holds(image: MapImage) -> Check:
+    """Check in exact arithmetic that the margin is at least 2^-18 of the largest coordinate.
+
+    Args:
+        image: a decoded map.
+    """
     largest = max(int(np.abs(edge.astype(np.int64)).max(initial=0)) for edge in (image.lower, image.upper))
     needed = Fraction(image.voxel_size_m) * largest * Fraction(MARGIN_OF_EXTENT)
     offences = []
@@ -163,8 +174,13 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
     return _check("hulls contain the cover's", len(start) - 1, first, len(outside), "all vertices, integers")
 
 
-def _notes(image: MapImage, cover_sha256: str | None) -> list[str]:
-    """Note about a cover that is not the file that the map records."""
+def notes_of(image: MapImage, cover_sha256: str | None) -> list[str]:
+    """Note about a cover that is not the file that the map records.
+
+    Args:
+        image: a decoded map.
+        cover_sha256: hash of the cover's file; None where it was not given.
+    """
     if cover_sha256 is None or not any(image.cover_hash):
         return []
     same = bytes.fromhex(cover_sha256)[: len(image.cover_hash)] == image.cover_hash

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.durations import Times
@@ -44,6 +45,7 @@ class RunParts:
     scene: Artifact | None = field(compare=False)
     seen: Artifact | None = field(default=None, compare=False)
     plan: Artifact | None = field(compare=False)
+    tiles: TileFiles | None = field(default=None, compare=False)
     pairs: Pairs | None = field(compare=False)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -59,6 +60,8 @@ def filter_world(
         hulls=world.hulls,
         polytopes=world.polytopes,
         hull_radius_m=world.hull_keep_m,
+        tiles=world.tiles,
+        tile_load_ticks=math.ceil(round(scenario.world.tile_load_s / (rules.dt_s * rules.filter_ticks), 6)),
         image=world.image if is_read or needs_image(scenario) else b"",
         index=world.index,
         parts=world.parts,

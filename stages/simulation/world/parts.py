@@ -13,6 +13,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
+from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.schemas.world import WorldScenario, decoded
@@ -100,6 +101,7 @@ def parts_of(
     scene: Artifact | None = None,
     seen: Artifact | None = None,
     plan: Artifact | None = None,
+    tiles: TileFiles | None = None,
     pairs: Pairs | None = None,
     jobs: int = 0,
 ) -> Parts:
@@ -112,6 +114,7 @@ def parts_of(
         scene: that it names.
         seen: space that it names.
         plan: that it names.
+        tiles: that it names.
         pairs: starts and goals of the run that it names.
         jobs: threads, 0 for all processors.
 
@@ -124,6 +127,8 @@ def parts_of(
     if vehicle is None:
         vehicle = vehicle_of(scenario, Path())
     require_named(scenario, cover=cover, scene=scene, seen=seen, plan=plan)
+    if (tiles is None) != (scenario.world.tiles is None):
+        raise UsageError("`$.world.tiles`: the tiles that the scenario names must be given, and no others")
     foreign = {name: filter_kind(name) for name in scenario.safety.filters if name not in FILTERS}
     if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
@@ -141,6 +146,7 @@ def parts_of(
         cover=cover,
         scene=scene,
         seen=seen,
+        tiles=tiles,
         needs_image=full.world.onboard or needs_image(full),
         jobs=jobs,
     )

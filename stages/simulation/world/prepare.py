@@ -9,6 +9,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
+from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.filtering.polytope_cbf import barrier
@@ -43,6 +44,7 @@ def prepare(
     scene: Artifact | None = None,
     seen: Artifact | None = None,
     plan: Artifact | None = None,
+    tiles: TileFiles | None = None,
     pairs: Pairs | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
@@ -56,6 +58,7 @@ def prepare(
         scene: that it names.
         seen: space that it names.
         plan: that it names.
+        tiles: that it names.
         pairs: starts and goals of the run that it names.
         jobs: threads, 0 for all processors.
         progress: of planning.
@@ -68,7 +71,15 @@ def prepare(
         InfeasibleError: no clear start-goal pairs were found.
     """
     parts = parts_of(
-        scenario, vehicle, cover=cover, scene=scene, seen=seen, plan=plan, pairs=pairs, jobs=jobs
+        scenario,
+        vehicle,
+        cover=cover,
+        scene=scene,
+        seen=seen,
+        plan=plan,
+        tiles=tiles,
+        pairs=pairs,
+        jobs=jobs,
     )
     full, world, told, filters = parts.scenario, parts.world, parts.told, parts.filters
     rules, mission, table = full.rules, full.mission, full.vehicle

@@ -14,6 +14,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
+from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.stages.durations import Times
@@ -74,6 +75,7 @@ def simulate_world(
     scene: Artifact | None = None,
     seen: Artifact | None = None,
     plan: Artifact | None = None,
+    tiles: TileFiles | None = None,
     pairs: Pairs | None = None,
     journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
@@ -93,6 +95,7 @@ def simulate_world(
         scene: that it names.
         seen: space that it names.
         plan: that it names.
+        tiles: that it names.
         pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
@@ -111,6 +114,7 @@ def simulate_world(
         scene=scene,
         seen=seen,
         plan=plan,
+        tiles=tiles,
         pairs=pairs,
     )
     planning = None
@@ -179,7 +183,7 @@ def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
 
 
 def _prepared(parts: RunParts, jobs: int, progress: Progress | None = None) -> PreparedRun:
-    given = {role: getattr(parts, role) for role in ("cover", "scene", "seen", "plan", "pairs")}
+    given = {role: getattr(parts, role) for role in ("cover", "scene", "seen", "plan", "tiles", "pairs")}
     return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs, progress=progress)
 
 

@@ -14,6 +14,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import WallTable
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.tiles import TileFiles
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
@@ -24,6 +25,7 @@ from alula.stages.filtering.obstacles import (
     ellipsoid_index,
     require_metric,
     require_obstacles,
+    tile_set,
     union_of,
 )
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
@@ -54,6 +56,7 @@ class StaticWorld:
         parts: native maps by name, of those there are: ellipsoids, hulls, fence.
         seen: space that was seen; the boxes of all other space are among the hulls.
         image: the cover as an onboard map; empty unless filters read it.
+        tiles: the cover in tiles; None unless a filter reads them.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
         claims: of the guarantees of scene and cover, for that of the run.
     """
@@ -71,6 +74,7 @@ class StaticWorld:
     parts: dict[str, _core.ObstacleMap]
     seen: Artifact | None
     image: bytes
+    tiles: _core.TileSet | None
     centres: FloatArray
     claims: dict[str, Any]
 
@@ -180,6 +184,7 @@ def static_world(
     cover: Artifact | None,
     scene: Artifact | None,
     seen: Artifact | None = None,
+    tiles: TileFiles | None = None,
     needs_image: bool,
     jobs: int,
 ) -> StaticWorld:
@@ -191,6 +196,7 @@ def static_world(
         cover: that the scenario names.
         scene: that the scenario names.
         seen: space that the scenario names.
+        tiles: that the scenario names.
         needs_image: whether a filter reads the cover as an onboard map.
         jobs: threads.
 
@@ -240,6 +246,7 @@ def static_world(
         parts=parts,
         seen=seen,
         image=image,
+        tiles=None if tiles is None else tile_set(tiles),
         centres=np.concatenate(centres),
         claims={
             f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims

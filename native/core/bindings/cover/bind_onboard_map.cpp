@@ -1,8 +1,11 @@
-// Bindings of alula/cover/onboard_map.hpp, alula/cover/map_check.hpp and the onboard reader, alula_map.h.
+// Bindings of alula/cover/onboard_map.hpp, alula/cover/map_check.hpp and the onboard readers of maps and tiles.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
@@ -11,6 +14,7 @@
 #include "alula/cover/map_check.hpp"
 #include "alula/cover/onboard_image.hpp"
 #include "alula/cover/onboard_map.hpp"
+#include "alula/cover/tile_window.hpp"
 #include "alula_map_near.h"
 #include "arrays.hpp"
 #include "python_control.hpp"
@@ -178,6 +182,22 @@ void bind_onboard_map(nb::module_& m) {
   m.def("check_map_polytopes", &check_polytopes, "lower"_a, "upper"_a, "normal"_a, "offset"_a, "plane_start"_a,
         "vertex"_a, "vertex_start"_a,
         "Find exactly the polytopes, given by vertices, that no hull of a decoded map with the same box contains.");
+  nb::class_<TileSet>(
+      m, "TileSet",
+      "A map in tiles: index and images, as the C code of a microcontroller reads them.\n\n"
+      "With a key, the signature of the index must match. Raises ValueError with the reader's message.")
+      .def(
+          "__init__",
+          [](TileSet* self, const nb::bytes& index, const std::vector<nb::bytes>& images,
+             const std::optional<nb::bytes>& key, const nb::bytes& signature) {
+            std::vector<Bytes> all;
+            for (const nb::bytes& image : images) all.push_back(copied(image));
+            new (self) TileSet(copied(index), std::move(all), key ? std::optional(copied(*key)) : std::nullopt,
+                               copied(signature));
+          },
+          "index"_a, "images"_a, nb::kw_only(), "key"_a = nb::none(), "signature"_a = nb::bytes("", 0))
+      .def("__len__", &TileSet::size)
+      .def_prop_ro("reach_m", [](const TileSet& self) { return static_cast<double>(self.open().reach_m); });
   nb::class_<OnboardMap>(m, "OnboardMap",
                          "An image of an onboard map, read by the C code that runs on a microcontroller.\n\n"
                          "Raises ValueError with the reader's message for an image that it rejects.")

@@ -1,6 +1,7 @@
 // Bindings of alula/filters/polytope_cbf.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
@@ -61,6 +62,17 @@ PolytopeCbf from_image(const nb::bytes& image, const nb::kwargs& others) {
   const auto* first = static_cast<const std::uint8_t*>(image.data());
   auto open = std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size()));
   return {std::move(open), arguments.extent_m, arguments.config};
+}
+
+PolytopeCbf from_tiles(const std::shared_ptr<TileSet>& tiles, std::uint32_t load_calls, const nb::kwargs& others) {
+  const PolytopeCbfArguments arguments = arguments_of(others);
+  return {TileWindow(tiles, load_calls), arguments.extent_m, arguments.config};
+}
+
+std::tuple<std::int64_t, bool> tile(const PolytopeCbf& self) {
+  if (!self.window()) throw std::invalid_argument("the filter reads no tiles");
+  const auto found = self.window()->tile();
+  return {found ? static_cast<std::int64_t>(*found) : -1, self.window()->place() == ALULA_TILES_INSIDE};
 }
 
 std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
@@ -137,6 +149,18 @@ void bind_polytope_cbf(nb::module_& m) {
                       .c_str()),
           "Create the filter from an image of an onboard map, as on a microcontroller. Raises ValueError with\n"
           "the reader's message for an image that it rejects.")
+      .def_static(
+          "from_tiles", &from_tiles, "tiles"_a, "load_calls"_a, "others"_a,
+          nb::sig(("@staticmethod\n" + fields::signature(PolytopeCbfArguments{}, "tiles: TileSet, load_calls: int",
+                                                         "from_tiles", "PolytopeCbf"))
+                      .c_str()),
+          "Create the filter from tiles, of which two are resident: after the first, one that is needed comes\n"
+          "`load_calls` calls later, and far from all resident ones commands are refused. Raises ValueError when the "
+          "tiles do not\n"
+          "reach far enough for the commands of the whole map.")
+      .def("tile", &tile, "Row of the resident tile of the last call or -1, and whether it was in its region.")
+      .def_prop_ro("reach_m", &PolytopeCbf::reach_m, "Hulls with a larger psi cannot change a command [m].")
+      .def("reset", &PolytopeCbf::reset, "Before another flight: no tile is resident.")
       .def("work", &work,
            "Counts of the last call of `filter`: boxes, hulls, planes of these hulls, planes that were\n"
            "decoded, exponentials of planes.")

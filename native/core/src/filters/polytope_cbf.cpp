@@ -2,7 +2,11 @@
 
 #include <algorithm>
 #include <cfloat>
+#include <cmath>
+#include <iomanip>
+#include <sstream>
 #include <stdexcept>
+#include <string>
 
 namespace alula {
 
@@ -12,6 +16,12 @@ constexpr float kRadiusRounding = 1e-6F;  // of a radius that leaves exactly the
 
 std::array<float, 3> to_float(const Vec3& v) {
   return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+}
+
+std::string words_of(double metres) {
+  std::ostringstream text;
+  text << std::setprecision(4) << metres;
+  return text.str();
 }
 
 void require_ready(alula_status status) {
@@ -52,9 +62,48 @@ PolytopeCbf::PolytopeCbf(std::shared_ptr<const OnboardImage> image, double exten
   require_ready(alula_polytope_cbf_open(&cbf_, &image_->map(), round_up(extent_m), &rounded));
 }
 
+PolytopeCbf::PolytopeCbf(const TileWindow& window, double extent_m, const PolytopeCbfConfig& config)
+    : config_(config), window_(window) {
+  const Bytes& any = window.set().image(0);
+  alula_map first;
+  const alula_map_status status = alula_map_open(&first, any.data(), static_cast<std::uint32_t>(any.size()));
+  if (status != ALULA_MAP_READY) throw std::invalid_argument(status_text(status));
+  const alula_polytope_cbf_config rounded = to_onboard(config);
+  require_ready(alula_polytope_cbf_open(&cbf_, &first, round_up(extent_m), &rounded));
+  const double needed = reach_m(), reach = static_cast<double>(window.tiles().reach_m);
+  if (needed > reach)
+    throw std::invalid_argument("the tiles reach " + words_of(reach) + " m, and with these parameters hulls up to " +
+                                words_of(needed) + " m away count; export with a larger --reach, or fly slower");
+  reset();
+}
+
+void PolytopeCbf::reset() {
+  if (window_) window_->reset();
+  flown_ = nullptr;
+}
+
+// Makes the filter read the tile for x; false if none is resident.
+bool PolytopeCbf::has_tile(const std::array<float, 3>& x, const std::array<float, 3>& u_nom) {
+  if (!window_) return true;
+  std::array<float, 3> towards = x;
+  const float speed = std::hypot(u_nom[0], u_nom[1]);
+  for (std::size_t k = 0; k < 2 && speed > 0; ++k) towards[k] += window_->tiles().edge_m * (u_nom[k] / speed);
+  const alula_map* map = window_->at(x, towards);
+  if (map == nullptr) return false;
+  if (map->data != flown_) require_ready(alula_polytope_cbf_move(&cbf_, map));
+  flown_ = map->data;
+  return true;
+}
+
 FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom, double more_m) {
   FilterOutput output;
   const auto position = to_float(x), nominal = to_float(u_nom);
+  if (!has_tile(position, nominal)) {
+    output.u = {};
+    output.status = ALULA_FILTER_REFUSED;
+    output.detail = {{0, 0, 0}, -FLT_MAX, -FLT_MAX, 0, ALULA_NO_HULL};
+    return output;
+  }
   const float radius = cbf_.config.radius_m;
   const auto with_radius = [&](float grown) {
     cbf_.config.radius_m = grown;
@@ -75,7 +124,8 @@ FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom, double more_m
 alula_polytope_value PolytopeCbf::evaluate(const Vec3& x) {
   alula_polytope_value value;
   const auto position = to_float(x);
-  if (alula_polytope_cbf_evaluate(&cbf_, position.data(), &value) != ALULA_READY)
+  value.nearest = ALULA_NO_HULL;
+  if (!has_tile(position, {}) || alula_polytope_cbf_evaluate(&cbf_, position.data(), &value) != ALULA_READY)
     value.hard = value.smooth = -FLT_MAX;
   return value;
 }

@@ -13,12 +13,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from alula.schemas.errors import InputError, LinkError
-from alula.schemas.files import read_small
+from alula.schemas.errors import LinkError
+from alula.schemas.signing_key import KEY_BYTES
 
 SIGNATURE_BYTES = 13
-KEY_BYTES = 32
-_MOST_KEY_BYTES = 1000  # of a file, which may have spaces around the digits
 
 _UNITS_PER_S = 100_000
 _EPOCH_S = 1_420_070_400  # 2015-01-01 in seconds since 1970
@@ -30,26 +28,6 @@ _PACKETS = _UNITS_PER_S  # more packets, of one stamp each, than are sent betwee
 _MAX_STREAMS = 256
 _SAVED_S = 5.0  # between two writes of the senders' stamps
 _STAMP = re.compile(r"[0-9]{1,20}")
-
-
-def read_key(path: Path) -> bytes:
-    """Read a key file, which holds only the key: 32 bytes, or 64 hexadecimal digits.
-
-    Args:
-        path: the file.
-
-    Raises:
-        InputError: the file cannot be read, or does not hold a key.
-    """
-    key = read_small(path, _MOST_KEY_BYTES)
-    if len(key) != KEY_BYTES:
-        try:
-            key = bytes.fromhex(key.decode("ascii").strip())
-        except ValueError:  # not ASCII, or no digits
-            key = b""
-    if len(key) != KEY_BYTES:
-        raise InputError(f"{path}: a signing key is {KEY_BYTES} bytes, or {2 * KEY_BYTES} hexadecimal digits")
-    return key
 
 
 class Signer:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from alula.schemas.errors import InputError, LinkError
-from alula.stages.flight.links.mavlink.signing import Signer, read_key
+from alula.schemas.signing_key import read_key
+from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions

@@ -46,6 +46,7 @@ class VelocityFilter final : public SafetyFilter {
 
   CommandKind kind() const override { return CommandKind::velocity; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
+  void reset() override { filter_.reset(); }
   std::unique_ptr<SafetyFilter> clone() const override { return std::make_unique<VelocityFilter>(*this); }
 
  private:
