@@ -41,7 +41,7 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     same bytes.
 
     Memory: about 600 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered or
-    --block is 0. More than 16,777,216 voxels are refused.
+    --cluster-radius is 0. More than 16,777,216 voxels are refused.
     """
     from alula import _core
     from alula.cli.journal import JournalFile

@@ -54,7 +54,7 @@ class MergeConfig:
             "help": "Replace hulls by polytopes with this many planes of fixed normals.",
         },
     )
-    block: int = field(
+    cluster_radius: int = field(
         default=1, metadata={"help": "Start from clusters of voxels up to this many voxels apart."}
     )
     method: Literal["default", "paper"] = field(
@@ -79,8 +79,8 @@ class MergeConfig:
             raise UsageError(f"--max-bytes must be at least 1, not {self.max_bytes}")
         if self.max_growth is not None and not (1 <= self.max_growth < math.inf):
             raise UsageError(f"--max-growth must be at least 1, not {self.max_growth}")
-        if not (0 <= self.block <= 8):
-            raise UsageError(f"--block must be between 0 and 8, not {self.block}")
+        if not (0 <= self.cluster_radius <= 8):
+            raise UsageError(f"--cluster-radius must be between 0 and 8, not {self.cluster_radius}")
         object.__setattr__(self, "facet_cap", self._resolved_cap(is_free))
         if self.kdop is not None and self.kdop not in KDOPS:
             raise UsageError(f"--kdop must be 6, 14, 18 or 26, not {self.kdop}")

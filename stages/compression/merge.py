@@ -47,7 +47,7 @@ def merge(
 
     With V+ the occupied voxels and W(C) = Vol(Hull(C) \ V+):
 
-    - start: the greedy set cover of V+ by the clusters C_v = {v' in V+ : |v' - v|_inf <= block},
+    - start: the greedy set cover of V+ by the clusters C_v = {v' in V+ : |v' - v|_inf <= cluster_radius},
       smallest W(C_v) per newly covered voxel first;
     - method "paper": repeatedly join the pair of touching bounding boxes with the smallest W(i u j), or the
       nearest boxes when none touch;
@@ -178,7 +178,7 @@ def _cover(
         voxels,
         member,
         member_start,
-        block=config.block,
+        block=config.cluster_radius,
         is_paper=config.method == "paper",
         max_hulls=config.hulls or 0,
         max_planes=config.max_planes or 0,
@@ -294,7 +294,7 @@ def _check_feasible(config: MergeConfig, found: dict[str, Any], growth: float) -
     if config.max_growth is not None and growth > config.max_growth:
         raise InfeasibleError(
             f"the cover grows the voxels by {growth:.6g} already with {hulls:.0f} hulls, more than"
-            f" {config.max_growth:g}; a smaller --block starts finer"
+            f" {config.max_growth:g}; a smaller --cluster-radius starts finer"
         )
 
 

@@ -68,7 +68,7 @@ def test_a_terminal_that_cannot_show_a_character_shows_another(here):
         (["voxelize", "a.scene.npz", "-o", "x\ny.npz"], "has a line break"),
         (["merge", "a.scene.npz", "-o", "b.npz", "--hulls", "9" * 30], "is out of range"),
         (["merge", "a.scene.npz", "-o", "b.npz", "--jobs", "257"], "257 is not between 0 and 256"),
-        (["merge", "a.scene.npz", "-o", "b.npz", "--block", "1.5"], "'1.5' is not a whole number"),
+        (["merge", "a.scene.npz", "-o", "b.npz", "--cluster-radius", "1.5"], "'1.5' is not a whole number"),
         (["voxelize", "a.scene.npz", "-o", "b.npz", "--sigma", "2", "--confidence", "0.9"], "give one"),
         (["voxelize", "a.scene.npz", "-o", "b.npz", "--depfile", "a.scene.npz"], "is also an input"),
         (["voxelize", "a.scene.npz", "-o", "b.npz", "--depfile", "b.npz"], "is also the output"),

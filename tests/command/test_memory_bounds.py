@@ -45,7 +45,7 @@ def scattered() -> np.ndarray:
 
 
 def block() -> np.ndarray:
-    """A full block of 27,000 voxels; with --block 0 each touches 26 others."""
+    """A full block of 27,000 voxels; with --cluster-radius 0 each touches 26 others."""
     return np.argwhere(np.ones((30, 30, 30), bool))
 
 
@@ -63,7 +63,11 @@ def peak(*words: str) -> int:
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
 @pytest.mark.parametrize(
     ("shape", "words", "bytes_per_voxel"),
-    [(terrain, [], 900), (scattered, [], limits.MERGE_BYTES), (block, ["--block", "0"], limits.MERGE_BYTES)],
+    [
+        (terrain, [], 900),
+        (scattered, [], limits.MERGE_BYTES),
+        (block, ["--cluster-radius", "0"], limits.MERGE_BYTES),
+    ],
 )
 def test_peaks_stay_below_what_the_help_says(tmp_path, monkeypatch, shape, words, bytes_per_voxel):
     monkeypatch.chdir(tmp_path)

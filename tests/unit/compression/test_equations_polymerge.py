@@ -15,7 +15,7 @@ MANY = 10**6  # hulls: nothing is merged, so the cover is the sub-cover
 
 def subcover_of(index, block):
     """The sets of the greedy set cover."""
-    cover = cover_of(voxels_of(sorted(index)), hulls=MANY, method="paper", block=block)
+    cover = cover_of(voxels_of(sorted(index)), hulls=MANY, method="paper", cluster_radius=block)
     return [frozenset(rows(cover, i, "member_index")) for i in range(len(cover["plane_start"]) - 1)], cover
 
 

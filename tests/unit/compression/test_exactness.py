@@ -82,7 +82,7 @@ def test_hulls_of_pairs_are_those_of_all_their_corners_at_every_width(extent, se
     ends = np.array([0, 1, extent // 2, extent - 2, extent - 1])
     voxels = np.concatenate([[[0, 0, 0]], [[extent - 1] * 3], rng.choice(ends, (6, 3))])
     voxels = voxels_of(voxels - rng.choice([0, 2**19, 2**20 - 2**19]))
-    cover = cover_of(voxels, hulls=1, method="paper", block=int(rng.integers(0, 2)))
+    cover = cover_of(voxels, hulls=1, method="paper", cluster_radius=int(rng.integers(0, 2)))
     corners = [
         tuple(a + b for a, b in zip(voxel, corner, strict=True))
         for voxel in rows(cover, 0, "member_index")
@@ -112,7 +112,7 @@ def sets_of(cover):
 @settings(deadline=None, max_examples=examples(15))
 def test_the_cover_holds_every_voxel_after_each_merge(index, block):
     voxels = voxels_of(sorted(index))
-    first = cover_of(voxels, hulls=10**6, method="paper", block=block)
+    first = cover_of(voxels, hulls=10**6, method="paper", cluster_radius=block)
     starts = sets_of(first)
     whole = cover_of(first, hulls=1, method="paper")
     assert len(whole["history"]) == len(starts) - 1
@@ -133,7 +133,7 @@ def test_the_cover_of_a_scene_holds_every_voxel_after_each_merge(shape):
     """In 64-bit integers, which hold these coordinates: every member in its hull, every voxel a member."""
     voxels = voxels_of(furniture(6, 9)[::3])
     index = set(map(tuple, voxels["index"].tolist()))
-    first = cover_of(voxels, hulls=10**6, method="paper", block=0)
+    first = cover_of(voxels, hulls=10**6, method="paper", cluster_radius=0)
     starts = len(sets_of(first))
     assert starts == len(index) > 60
     for hulls in range(starts, 0, -1):
@@ -154,9 +154,9 @@ def test_the_cover_of_a_scene_holds_every_voxel_after_each_merge(shape):
 @example({(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0), (1, 0, 1), (1, 1, 1)}, "paper")
 @settings(deadline=None, max_examples=examples(12))
 def test_w_is_the_volume_outside_the_voxels_and_zero_only_without_any(index, method):
-    """Voxel by voxel with --block 0, where start element i is voxel i."""
+    """Voxel by voxel with --cluster-radius 0, where start element i is voxel i."""
     voxels = voxels_of(sorted(index))
-    history = cover_of(voxels, hulls=1, method=method, block=0)["history"]
+    history = cover_of(voxels, hulls=1, method=method, cluster_radius=0)["history"]
     singles = [frozenset([voxel]) for voxel in sorted(index)]
     weight, made = [0.0] * len(singles), list(singles)
     for left, right, w in history.tolist():

@@ -95,7 +95,7 @@ def test_the_hull_is_exact_at_the_end_of_its_range():
 @settings(deadline=None, max_examples=examples(80))
 def test_every_voxel_is_covered(index, method, hulls, block):
     voxels = voxels_of(sorted(index))
-    cover = cover_of(voxels, method=method, hulls=hulls, block=block)
+    cover = cover_of(voxels, method=method, hulls=hulls, cluster_radius=block)
     assert len(cover["plane_start"]) - 1 <= hulls
     assert_covers(cover, voxels)
     assert_hulls_are_those_of_their_members(cover)
@@ -178,7 +178,7 @@ def test_the_default_leaves_less_excess_than_the_paper():
 def test_the_paper_rule_takes_the_least_weight_first():
     """On a scene small enough to try all pairs: the first merge is one of least measured weight."""
     voxels = voxels_of([(0, 0, 0), (1, 1, 0), (2, 0, 0), (2, 0, 1), (4, 4, 4), (5, 4, 4)])
-    cover = cover_of(voxels, method="paper", hulls=1, block=0)
+    cover = cover_of(voxels, method="paper", hulls=1, cluster_radius=0)
     history = cover["history"]
     assert len(history) == 5
     assert history[0, 2] == 0  # two face neighbours fill their hull
@@ -219,7 +219,7 @@ def test_budgets_hold():
 
 
 def test_growth_of_one_encloses_no_free_space():
-    cover = cover_of(SCENE, max_growth=1.0, block=0)
+    cover = cover_of(SCENE, max_growth=1.0, cluster_radius=0)
     assert cover.manifest.conservativeness == 1
     assert_covers(cover, SCENE)
     occupied = {tuple(v) for v in SCENE["index"].tolist()}
@@ -246,7 +246,13 @@ def test_contradicting_limits_are_infeasible(config):
 
 @pytest.mark.parametrize(
     "config",
-    [{"hulls": 0}, {"max_planes": 0}, {"max_growth": 0.9}, {"block": -1}, {"max_growth": float("nan")}],
+    [
+        {"hulls": 0},
+        {"max_planes": 0},
+        {"max_growth": 0.9},
+        {"cluster_radius": -1},
+        {"max_growth": float("nan")},
+    ],
 )
 def test_meaningless_limits_are_refused(config):
     with pytest.raises(UsageError):

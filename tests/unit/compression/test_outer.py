@@ -145,10 +145,10 @@ def test_a_hull_within_the_cap_stays_as_it_is():
 def test_long_normals_are_shortened():
     """A hull of four far voxels has normals in the millions, which an outer polytope must not."""
     voxels = voxels_of([(0, 0, 0), (1 << 19, 3, 1), (5, (1 << 19) - 7, 2), (11, 13, (1 << 18) + 1)])
-    plain = cover_of(voxels, hulls=1, block=0)
+    plain = cover_of(voxels, hulls=1, cluster_radius=0)
     assert np.abs(plain["plane_normal"]).max() > 2**15
     for shape in ({"facet_cap": 400}, {"facet_cap": 9}, {"kdop": 26}):
-        cover = cover_of(voxels, hulls=1, block=0, **shape)
+        cover = cover_of(voxels, hulls=1, cluster_radius=0, **shape)
         assert_outer(cover)
         assert verify(cover, voxels=voxels).covered
         assert len(Hulls.from_cover(cover).vertices_world) >= 8
