@@ -5,8 +5,16 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from alula.schemas.errors import LinkError, UsageError
@@ -18,6 +26,7 @@ Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
 _ADDRESS = re.compile(r"(?:tcp|tls|ucx|ws|wss)://(\S+):\d{1,5}")
 TIMEOUT_S = 10.0  # maximum time for a scheduler to answer and to have a worker
+MOST_LOSSES = 3  # of processes, one after the other without a result in between
 
 
 class _Future(Protocol):
@@ -47,8 +56,8 @@ def distribute(
 
     Results do not depend on the kind and number of workers, as long as `function` depends on its chunk alone.
     Chunks are taken from the iterable when a worker is about to be free, so neither all chunks nor all
-    results are in memory at once. Another worker repeats the chunk of a worker that is lost. When the caller
-    stops early, or is interrupted, chunks that have not begun are dropped.
+    results are in memory at once. Another worker repeats the chunk of a worker that is lost, as of a process
+    that is killed. When the caller stops early, or is interrupted, chunks that have not begun are dropped.
 
     Args:
         function: for processes and a scheduler one that is found by its name in a module of `alula`, or
@@ -61,22 +70,53 @@ def distribute(
 
     Raises:
         UsageError: the address is malformed, or `distributed` is not installed.
-        LinkError: the scheduler does not answer, has no worker, or its workers run another version.
+        LinkError: the scheduler does not answer, has no worker, or its workers run another version; or
+            workers are lost with the same chunk again and again.
         Exception: raised by `function`, for the first chunk in order.
     """
     pool = _local(jobs, processes) if scheduler is None else _cluster(scheduler, timeout_s)
     with pool as workers:
-        waiting: deque[_Future] = deque()
+        waiting: deque[_Task] = deque()
         try:
             for chunk in chunks:
-                waiting.append(workers.submit(function, chunk))
+                waiting.append(_Task(chunk, workers.submit(function, chunk)))
                 while len(waiting) >= workers.under_way():
-                    yield waiting.popleft().result()
+                    yield _first_result(workers, function, waiting)
             while waiting:
-                yield waiting.popleft().result()
+                yield _first_result(workers, function, waiting)
         finally:
-            for future in waiting:
-                future.cancel()
+            for task in waiting:
+                task.future.cancel()
+
+
+@dataclass(slots=True)
+class _Task:
+    """A chunk that a worker has; the chunk is kept to send it again."""
+
+    chunk: Any
+    future: _Future
+
+
+def _first_result(workers: _Workers, function: Callable[[Any], Any], waiting: deque[_Task]) -> Any:
+    """Remove the first task and return its result; chunks of lost processes are sent again."""
+    for _ in range(MOST_LOSSES):
+        try:
+            result = waiting[0].future.result()
+        except BrokenExecutor:
+            for task in waiting:
+                if isinstance(task.future, Future) and task.future.done() and _is_lost(task.future):
+                    task.future = workers.submit(function, task.chunk)
+        else:
+            waiting.popleft()
+            return result
+    raise LinkError(
+        f"processes were lost {MOST_LOSSES} times with the same work, perhaps for lack of memory;"
+        " try fewer --jobs"
+    )
+
+
+def _is_lost(future: Future[Any]) -> bool:
+    return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 
 def check_scheduler(address: str, *, allow_remote: bool) -> None:
@@ -97,14 +137,23 @@ def check_scheduler(address: str, *, allow_remote: bool) -> None:
 
 
 class _Pool:
-    def __init__(self, executor: Executor, jobs: int) -> None:
-        self._executor, self._jobs = executor, jobs
+    def __init__(self, make: Callable[[], Executor], jobs: int) -> None:
+        self._make, self._jobs = make, jobs
+        self._executor = make()
 
     def submit(self, function: Callable[[Any], Any], chunk: Any) -> _Future:
-        return self._executor.submit(function, chunk)
+        try:
+            return self._executor.submit(function, chunk)
+        except BrokenExecutor:  # a process was killed, and with it all others end
+            self.close()
+            self._executor = self._make()
+            return self._executor.submit(function, chunk)
 
     def under_way(self) -> int:
         return self._jobs + 1
+
+    def close(self) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
@@ -115,11 +164,13 @@ def _local(jobs: int, processes: bool) -> Iterator[_Workers]:
     jobs = jobs or os.cpu_count() or 1
     # Spawned, not forked: a forked process with threads may hang.
     context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(jobs, mp_context=context) if processes else ThreadPoolExecutor(jobs)
+    pool = _Pool(
+        lambda: ProcessPoolExecutor(jobs, mp_context=context) if processes else ThreadPoolExecutor(jobs), jobs
+    )
     try:
-        yield _Pool(executor, jobs)
+        yield pool
     finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+        pool.close()
 
 
 class _Cluster:

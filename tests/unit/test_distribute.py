@@ -1,7 +1,10 @@
 """Distributed chunks: the same results in the same order on all workers, and clear messages on failure."""
 
+import os
+import signal
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,6 +49,33 @@ def test_results_come_in_order_and_chunks_are_taken_one_by_one():
 
 def test_processes_give_the_same():
     assert list(distribute(abs, range(-5, 5), jobs=2, processes=True)) == [abs(i) for i in range(-5, 5)]
+
+
+def kill_once(task):
+    """Double the number, in a process that kills itself the first time that it gets 2."""
+    folder, number = task
+    mark = Path(folder) / f"{number}"
+    if number == 2 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def kill(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_another_process_repeats_the_chunk_of_a_killed_one(tmp_path):
+    tasks = [(str(tmp_path), i) for i in range(1, 5)]
+    assert list(distribute(kill_once, tasks, jobs=1, processes=True)) == [2, 4, 6, 8]
+    assert (tmp_path / "2").exists()
+
+
+@pytest.mark.slow
+def test_a_chunk_that_kills_every_process_is_given_up(monkeypatch):
+    monkeypatch.setattr(module, "MOST_LOSSES", 2)
+    with pytest.raises(LinkError, match="lost 2 times with the same work, perhaps for lack of memory"):
+        list(distribute(kill, [1], jobs=1, processes=True))
 
 
 def test_what_a_chunk_raises_is_raised_and_the_rest_is_dropped():
