@@ -11,6 +11,7 @@ from alula.schemas.errors import UsageError
 DEFAULT_HULLS = 300
 KDOPS = (6, 14, 18, 26)
 _BOX_PLANES, _MAX_PLANES = 6, 10**6
+_LONGEST_BLOCK_M = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +58,18 @@ class MergeConfig:
     cluster_radius: int = field(
         default=1, metadata={"help": "Start from clusters of voxels up to this many voxels apart."}
     )
+    block_m: float | None = field(
+        default=None,
+        metadata={
+            "option": "--block",
+            "help": "Cover blocks of this edge on their own, then join their hulls [m]. Without it, more "
+            "than 16,777,216 voxels get blocks of at most 1,048,576 voxels.",
+        },
+    )
+    per_block: bool = field(
+        default=False,
+        metadata={"help": "The limits hold for each block, and blocks are not joined; needs --block."},
+    )
     method: Literal["default", "paper"] = field(
         default="default",
         metadata={
@@ -81,6 +94,10 @@ class MergeConfig:
             raise UsageError(f"--max-growth must be at least 1, not {self.max_growth}")
         if not (0 <= self.cluster_radius <= 8):
             raise UsageError(f"--cluster-radius must be between 0 and 8, not {self.cluster_radius}")
+        if self.block_m is not None and not (0 < self.block_m <= _LONGEST_BLOCK_M):
+            raise UsageError(f"--block must be more than 0 and at most 1e6 m, not {self.block_m}")
+        if self.per_block and self.block_m is None:
+            raise UsageError("--per-block needs --block, the edge of the blocks")
         object.__setattr__(self, "facet_cap", self._resolved_cap(is_free))
         if self.kdop is not None and self.kdop not in KDOPS:
             raise UsageError(f"--kdop must be 6, 14, 18 or 26, not {self.kdop}")

@@ -17,12 +17,9 @@ from alula.schemas.kinds import COVER
 from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
-from alula.stages.compression.limits import MERGE_VOXELS, require_at_most
+from alula.stages.compression.limits import LATTICE_LIMIT, MERGE_VOXELS, require_at_most, require_near
 from alula.stages.progress import WHOLE, share
 
-LATTICE_LIMIT = (
-    2**20
-)  # maximum coordinate of a voxel corner, for which integer predicates are exact in 64 bits
 _MIN_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
 _MIN_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
 _CURVE_POINTS = 60
@@ -261,15 +258,7 @@ def _voxels_and_sets(
     if len(index) == 0:
         raise InputError("there is no occupied voxel to cover")
     require_at_most(MERGE_VOXELS, len(index), f"{source.manifest.schema} lists")
-    if (
-        index.min() < -LATTICE_LIMIT
-        or index.max() >= LATTICE_LIMIT
-        or np.ptp(index.astype(np.int64), axis=0).max() >= LATTICE_LIMIT
-    ):
-        raise InputError(
-            f"voxels lie more than {LATTICE_LIMIT} voxels from the origin or from each other;"
-            " crop the scene or take larger voxels"
-        )
+    require_near(index)
     if not is_cover:
         return index, np.empty(0, np.uint32), np.empty(0, np.int64)
     start = np.ascontiguousarray(source["member_start"], np.int64)
