@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options
+from alula.cli import options, parted
 from alula.schemas.configs.merge import MergeConfig
+
+if TYPE_CHECKING:
+    from alula.schemas.artifact import Artifact
+    from alula.stages.compression.block_tree import VoxelParts
 
 EXAMPLES = """\b
 Examples:
   alula merge room.voxels.npz -o room.cover.npz --hulls 300
   alula merge room.cover.npz -o small.cover.npz --max-planes 1500
+  alula merge city.voxels -o city.cover --hulls 20000 --block 50
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path(), metavar="VOXELS|COVER")
 @options.from_config(MergeConfig)
-@options.output(".cover.npz")
-def command(source: Path, config: MergeConfig, common: options.Common) -> None:
+@options.scheduler("Send blocks")
+@options.output(".cover.npz, or a folder .cover")
+def command(source: Path, config: MergeConfig, scheduler: str | None, common: options.Common) -> None:
     """Cover voxels with a limited number of convex polytopes.
 
     Every occupied voxel lies inside a hull, in exact integers. Hulls are merged greedily: the pair that
@@ -37,29 +44,37 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     follow one another; there the threads only measure pairs ahead that may be next. So two processors take
     0.7 to 0.9 of the time of one if both are idle (540,000 voxels); busy ones gain little.
 
-    An interrupted merge leaves OUTPUT.journal. The same command then continues from it and writes the
-    same bytes.
+    With --block the voxels are covered block by block, by --jobs processes or the workers of --scheduler,
+    and the hulls of neighbouring blocks are then joined, level by level. The result depends on the block, not
+    on the workers. Cubes of blocks with more than 8,388,608 voxels are not joined; the output is then a
+    folder NAME.cover with a part for each, and the limits hold for all of them together.
+
+    An interrupted merge leaves OUTPUT.journal, or with blocks a folder OUTPUT.KEY.partial. The same command
+    then continues from it and writes the same bytes.
 
     Memory: about 600 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered or
-    --cluster-radius is 0. More than 16,777,216 voxels are refused.
+    --cluster-radius is 0. With blocks these are the voxels of one block per job, and 250 bytes per voxel of a
+    cube of blocks that is joined. A block of more than 8,388,608 voxels, or a cover of more than 16,777,216,
+    is refused.
     """
-    from alula import _core
-    from alula.cli.journal import JournalFile
-    from alula.cli.runner import run_stage
+    from alula.cli.merge_blocks import merge_to_file, merge_to_parts
     from alula.schemas.artifact import Artifact, read_artifact
-    from alula.schemas.errors import WrongKindError
-    from alula.schemas.journal import MERGE
+    from alula.schemas.errors import UsageError, WrongKindError
     from alula.schemas.kinds import COVER, VOXELS
-    from alula.schemas.progress import Progress
-    from alula.stages.compression.merge import merge
+    from alula.schemas.parts import open_parts
+    from alula.schemas.parts_join import joined
+    from alula.stages.compression.block_tree import OnePart
 
-    def build(progress: Progress) -> Artifact:
-        artifact = read_artifact(source)
-        if artifact.kind not in (VOXELS, COVER):
-            raise WrongKindError(f"{source}: is {artifact.manifest.schema}, but voxels or a cover are needed")
-        with journal.kept(progress) as (measured, watched):
-            return merge(config, artifact, jobs=common.jobs, progress=watched, journal=measured)
+    def read() -> Artifact | VoxelParts:
+        """A cover, or voxels in parts."""
+        found = open_parts(source) if source.is_dir() else read_artifact(source)
+        if found.kind not in (VOXELS, COVER):
+            raise WrongKindError(f"{source}: is {found.manifest.schema}, but voxels or a cover are needed")
+        if found.kind is COVER and (config.block_m is not None or scheduler is not None):
+            raise UsageError(f"{source}: is a cover; --block and --scheduler are for voxels")
+        if isinstance(found, Artifact):
+            return found if found.kind is COVER else OnePart(found)
+        return joined(found) if found.kind is COVER else found
 
-    journal = JournalFile(common, MERGE, _core.MergeJournal)
-    run_stage(common, COVER, config, {"source": source}, build, begin=journal.begin)
-    journal.remove()
+    is_parted = parted.is_parted(common.output, COVER.folder_suffix)
+    (merge_to_parts if is_parted else merge_to_file)(config, scheduler, common, source, read)

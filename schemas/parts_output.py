@@ -20,7 +20,7 @@ import msgspec
 
 from alula.schemas.artifact import Artifact, file_hash, read_artifact, write_artifact
 from alula.schemas.atomic import atomic_output, replace_folder, sync_folder
-from alula.schemas.errors import InputError, OutputError
+from alula.schemas.errors import InputError, LinkError, OutputError
 from alula.schemas.kinds import Kind
 from alula.schemas.manifest import Manifest, producer
 from alula.schemas.parts import INDEX, PartRef, count_of, described, encode_index, whole_arrays
@@ -183,8 +183,8 @@ def parts_output(
 ) -> Iterator[PartsWriter]:
     """Context with a writer of an artifact in parts, whose `finish` makes the folder appear.
 
-    After an interruption the finished parts stay, unless there are none; after any other exception all that
-    the run has written is removed.
+    After an interruption, or the loss of all workers, the finished parts stay, unless there are none; after
+    any other exception all that the run has written is removed.
 
     Args:
         path: the folder to write; an earlier one is replaced.
@@ -205,6 +205,8 @@ def parts_output(
         raise OutputError(f"{folder}: cannot write: {error.strerror or error}") from error
     try:
         yield PartsWriter(path, kind, folder)
+    except LinkError:  # workers were lost, but their finished work was not
+        raise
     except Exception:
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -38,6 +38,24 @@ class VoxelParts(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class OnePart:
+    """Voxels in one part."""
+
+    artifact: Artifact
+
+    @property
+    def manifest(self) -> Manifest:
+        """See `VoxelParts`."""
+        return self.artifact.manifest
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, number: int) -> Artifact:
+        return (self.artifact,)[number]
+
+
+@dataclass(frozen=True, slots=True)
 class Block:
     """A block: its place in the grid, and its number of voxels."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Protocol
 
 import msgspec
@@ -16,7 +15,6 @@ from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.block_budgets import (
-    FINER,
     Curve,
     divided,
     finer_than_last,
@@ -107,6 +105,17 @@ class BlockPlan:
         """Number of voxels."""
         return sum(region.voxels for region in self.regions)
 
+    def domain(self, number: int) -> list[list[int]]:
+        """Lowest and highest voxel of a region's cube.
+
+        Args:
+            number: of the region.
+        """
+        region = self.regions[number]
+        edge = self.edge * 2**region.level
+        low = [(a + p * 2**region.level) * self.edge for a, p in zip(self.lowest, region.place, strict=True)]
+        return [low, [min(c + edge - 1, 2**31 - 1) for c in low]]
+
     def summary(self) -> dict[str, Any]:
         """Figures of the division for a manifest."""
         size = float(self.parts.manifest.voxel_size_m)  # type: ignore[attr-defined]
@@ -180,27 +189,20 @@ def merge_blocks(
     """
     store = MemoryStore() if store is None else store
     work = _Work(config, plan, jobs, scheduler, store, progress)
-    regions, is_alone = plan.regions, len(plan.regions) == 1
-    if config.per_block:
-        rows = block_rows(plan.parts, plan.edge, _places(plan, regions))
-        tasks = (work.of_voxels(config, index) for _, index in rows)
-        yield from map(partial(_finished, config, plan), work.run(tasks, regions))
-        return
-    for height in range(1 + max(region.height for region in regions)):
-        work.cover([node for node in work.missing() if node.height == height])
-    if is_alone:
-        limits = [config]
-    else:
-        shown = [to_curve(config, region.voxels / plan.voxels) for region in regions]
-        curves = work.run(map(work.of_covers, shown, regions), regions)
-        voxels = [region.voxels for region in regions]
-        limits = divided(config, [Curve.of(cover) for cover in curves], voxels)
-    covers = []
-    for cover in work.run(map(work.of_covers, limits, regions), regions):
-        covers.append(cover.manifest)
-        yield _finished(config, plan, cover)
-    if not is_alone:
-        _check_growth(config, covers)
+    missing = [number for number in range(len(plan.regions)) if not store.has((number,))]
+    regions = [plan.regions[number] for number in missing]
+    if missing:
+        if not config.per_block:
+            for height in range(1 + max(region.height for region in plan.regions)):
+                work.cover([node for node in work.missing() if node.height == height])
+        limits = work.limits()
+        tasks = work.last(regions, [limits[number] for number in missing])
+        for number, cover in zip(missing, work.run(tasks, regions), strict=True):
+            summary = {**cover.manifest.summary, **plan.summary()}
+            manifest = msgspec.structs.replace(cover.manifest, summary=summary)
+            store.put((number,), Artifact(manifest, cover.arrays))
+    _check_growth(config, [store.get((number,)).manifest for number in range(len(plan.regions))])
+    yield from (store.get((number,)) for number in range(len(plan.regions)))
 
 
 def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]) -> dict[str, Any]:
@@ -327,6 +329,22 @@ class _Work:
         finer = finer_than_last(node.height, self._top[node])
         return intermediate(self._config, node.voxels / self._plan.voxels, finer)
 
+    def limits(self) -> list[MergeConfig]:
+        """Configurations of the last merges of all regions."""
+        regions, whole = self._plan.regions, self._plan.voxels
+        if len(regions) == 1 or self._config.per_block:
+            return [self._config] * len(regions)
+        shown = [to_curve(self._config, region.voxels / whole) for region in regions]
+        curves = [Curve.of(cover) for cover in self.run(map(self.of_covers, shown, regions), regions)]
+        return divided(self._config, curves, [region.voxels for region in regions])
+
+    def last(self, regions: Sequence[Node], limits: Sequence[MergeConfig]) -> Iterator[_Task]:
+        """Last merges of regions."""
+        if all(region.height == 0 and not self._store.has(_key(region)) for region in regions):
+            rows = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, regions))
+            return (self.of_voxels(config, index) for config, (_, index) in zip(limits, rows, strict=True))
+        return map(self.of_covers, limits, regions)
+
     def of_voxels(self, config: MergeConfig, index: Any) -> _Task:
         """Merge of the voxels of a block."""
         return _Task(config, msgspec.structs.replace(self._plan.parts.manifest, arrays={}), (index,))
@@ -334,9 +352,6 @@ class _Work:
     def of_covers(self, config: MergeConfig, node: Node) -> _Task:
         """Merge of the covers of the children of a cube, or of its own cover where it has one."""
         own = self._store.has(_key(node))
-        if not own and node.height == 0:
-            ((_, index),) = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, [node]))
-            return self.of_voxels(config, index)
         covers = [self._store.get(_key(each)) for each in ([node] if own else node.children)]
         index, start = ([cover[name] for cover in covers] for name in ("member_index", "member_start"))
         manifest = msgspec.structs.replace(covers[0].manifest, arrays={})
@@ -370,12 +385,6 @@ def _places(plan: BlockPlan, nodes: Iterable[Node]) -> dict[Place, int]:
     """Places of blocks in the grid of all blocks, from their nodes."""
     x, y, z = plan.lowest
     return {(n.place[0] + x, n.place[1] + y, n.place[2] + z): n.voxels for n in nodes}
-
-
-def _finished(config: MergeConfig, plan: BlockPlan, cover: Artifact) -> Artifact:
-    """The cover of a region with the figures of the division."""
-    summary = {**cover.manifest.summary, **plan.summary()}
-    return Artifact(msgspec.structs.replace(cover.manifest, summary=summary), cover.arrays)
 
 
 def _growth(parts: Sequence[CoverManifest]) -> float:
