@@ -1,4 +1,4 @@
-"""Budgets of blocks and regions: how many hulls each may keep before the last join and at the end."""
+"""Budgets of blocks: how far each is merged before the last join, and how regions divide the limits."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError
 
-FINER = 6.0  # hulls of a block over its part of the final number
+_FINER = 6.0  # hulls of all blocks over the final number
 _FINER_AT_LAST = 2.5  # the same before the last join
+_MARGIN = 4.0  # curves begin and end at this factor from the number of hulls by voxels
+_FEW_HULLS = 64  # so many hulls of a block are always kept before its curve begins
 _PLANES_PER_HULL, _BYTES_PER_HULL = 7, 20  # fewer than covers within such budgets have
-_BEYOND = 4.0  # the curve of a region ends at this fraction of its part of the hulls, or of the growth
 
 
 def wanted_hulls(config: MergeConfig) -> int | None:
@@ -33,27 +33,41 @@ def wanted_hulls(config: MergeConfig) -> int | None:
     return min(limits, default=None)
 
 
-def finer_than_last(height: int, top: int) -> float:
-    """Number of hulls after a join over the part of the final number: from `FINER` down, by equal factors.
+def finer_than_last(level: int, last: int) -> float:
+    """Number of hulls of all cubes of a level over the final number; it falls by equal factors.
 
     Args:
-        height: 0 for blocks.
-        top: height of the last join, larger than `height`.
+        level: 0 for blocks.
+        last: level of the last join, larger than `level`.
     """
-    return FINER * (_FINER_AT_LAST / FINER) ** (height / max(1, top - 1))
+    return _FINER * (_FINER_AT_LAST / _FINER) ** (level / max(1, last - 1))
 
 
-def intermediate(config: MergeConfig, fraction: float, finer: float) -> MergeConfig:
-    """Configuration of a merge before the last one: hulls as they are, `finer` times as many as in the end.
+def to_begin(config: MergeConfig, fraction: float) -> MergeConfig:
+    """Configuration of the merge of a block up to where its curve begins.
 
     Args:
         config: of the whole.
-        fraction: of the voxels that it covers.
-        finer: factor of the number of hulls, and divisor of the growth; at least 1.
+        fraction: of the voxels that are in the block.
     """
+    return _plain(config, fraction, _MARGIN * _FINER, _FEW_HULLS)
+
+
+def to_end(config: MergeConfig, fraction: float, finer: float) -> MergeConfig:
+    """Configuration of the merge that shows the curve of a block or a cube.
+
+    Args:
+        config: of the whole.
+        fraction: of the voxels that it has.
+        finer: see `finer_than_last`.
+    """
+    return _plain(config, fraction, finer / _MARGIN, 1)
+
+
+def _plain(config: MergeConfig, fraction: float, finer: float, least: int) -> MergeConfig:
     hulls, growth = wanted_hulls(config), None
     if hulls is not None:
-        hulls = max(1, math.ceil(finer * fraction * hulls))
+        hulls = max(least, math.ceil(finer * fraction * hulls))
     else:
         assert config.max_growth is not None
         growth = 1 + (config.max_growth - 1) / finer
@@ -68,57 +82,50 @@ def intermediate(config: MergeConfig, fraction: float, finer: float) -> MergeCon
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Merge curve of a region: sum of W against the number of hulls, which decreases."""
+    """Merge curve: the sum of W after each merge.
 
-    hulls: NDArray[np.float64]
+    Attributes:
+        hulls: number before the first merge.
+        excess: sum of W [voxels], before the first merge and after each, shape (H + 1,).
+    """
+
+    hulls: int
     excess: NDArray[np.float64]
 
-    @classmethod
-    def of(cls, cover: Artifact) -> Curve:
-        """Curve that a cover records.
+    def merges(self, slope: float) -> int:
+        """Number of merges after which the next ones add more than `slope` on average.
 
         Args:
-            cover: an `alula/cover` that `merge` made.
+            slope: increase of the sum of W per merge [voxels].
         """
-        curve = cover.manifest.certificate["curve"]  # type: ignore[attr-defined]
-        excess = np.maximum.accumulate(np.array(curve["excess_sum_voxels"], np.float64))
-        return cls(np.array(curve["hulls"], np.float64), excess)
-
-    def at(self, slope: float) -> tuple[float, float]:
-        """Hulls and excess where the next merge adds more than `slope` voxels on average.
-
-        Args:
-            slope: excess per merge [voxels].
-        """
-        cost = self.excess + slope * self.hulls
-        best = len(cost) - 1 - int(np.argmin(cost[::-1]))
-        return float(self.hulls[best]), float(self.excess[best])
+        cost = self.excess - slope * np.arange(len(self.excess))
+        return len(cost) - 1 - int(np.argmin(cost[::-1]))
 
 
-def to_curve(config: MergeConfig, fraction: float) -> MergeConfig:
-    """Configuration of the merge that shows the curve of a region beyond its part of the budget.
+def slope_for(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: float) -> float:
+    """Slope at which all cubes have `finer` times the hulls of the limits, or that part of the growth.
+
+    Every cube stops where the next merge adds the same volume, which is the greedy rule over all of them.
 
     Args:
         config: of the whole.
-        fraction: of the voxels in the region.
+        curves: of all cubes.
+        voxels: number of all voxels.
+        finer: see `finer_than_last`; 1 for the limits themselves.
     """
     hulls = wanted_hulls(config)
     if hulls is not None:
-        return intermediate(config, fraction, 1 / _BEYOND)
+        most = finer * hulls
+        return _largest(lambda s: sum(c.hulls - c.merges(s) for c in curves) >= most)
     assert config.max_growth is not None
-    return MergeConfig(
-        max_growth=1 + _BEYOND * (config.max_growth - 1),
-        facet_cap="none",
-        method=config.method,
-        cluster_radius=config.cluster_radius,
-    )
+    room = (config.max_growth - 1) / finer * voxels
+    return _largest(lambda s: sum(c.excess[c.merges(s)] for c in curves) <= room)
 
 
 def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int]) -> list[MergeConfig]:
     """Configurations of the last merges of all regions, whose limits add up to those of the whole.
 
-    Every region stops where the next merge adds the same volume, which minimises the sum of W: the greedy
-    rule over all regions. Numbers of planes and bytes are divided like the hulls.
+    Numbers of planes and bytes are divided like the hulls.
 
     Args:
         config: of the whole.
@@ -126,24 +133,21 @@ def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int])
         voxels: numbers of voxels of the regions.
 
     Raises:
-        InfeasibleError: there are more regions than hulls, or a region would get less than one hull needs.
+        InfeasibleError: there are more regions than hulls.
     """
     hulls = wanted_hulls(config)
+    slope = slope_for(config, curves, sum(voxels), 1.0)
     if hulls is None:
-        assert config.max_growth is not None
-        room = (config.max_growth - 1) * sum(voxels)
-        slope = _largest(lambda s: sum(curve.at(s)[1] for curve in curves) <= room)
         return [
-            replace(config, block_m=None, max_growth=1 + curve.at(slope)[1] / count)
+            replace(config, block_m=None, max_growth=1 + float(curve.excess[curve.merges(slope)]) / count)
             for curve, count in zip(curves, voxels, strict=True)
         ]
     if hulls < len(curves):
         raise InfeasibleError(
-            f"no cover with {hulls} hulls: {len(curves)} regions are merged on their own and need one each;"
-            " relax the limit"
+            f"no cover within the limits: they allow about {hulls} hulls, but each of the {len(curves)} parts"
+            " that are not joined needs one; relax a limit"
         )
-    slope = _largest(lambda s: sum(curve.at(s)[0] for curve in curves) >= hulls)
-    parts = _rounded([curve.at(slope)[0] for curve in curves], hulls)
+    parts = _rounded([curve.hulls - curve.merges(slope) for curve in curves], hulls)
     return [
         replace(
             config,
@@ -158,19 +162,19 @@ def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int])
 
 
 def _largest(holds: Callable[[float], bool]) -> float:
-    """Largest slope for which a monotonous condition holds, within a thousandth; 0 where none does."""
+    """Largest slope for which a monotonous condition holds; 0 where none does."""
     low, high = 0.0, 1e-6
     while holds(high) and high < 1e18:
         low, high = high, 4 * high
-    for _ in range(60):
+    for _ in range(50):
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
     return low
 
 
-def _rounded(parts: Sequence[float], total: int) -> list[int]:
+def _rounded(parts: Sequence[int], total: int) -> list[int]:
     """Whole numbers of at least 1 in proportion to `parts` whose sum is `total`."""
-    exact = np.array(parts) * total / sum(parts)
+    exact = np.array(parts, np.float64) * total / sum(parts)
     whole = np.maximum(np.floor(exact).astype(np.int64), 1)
     while whole.sum() != total:
         gap = exact - whole

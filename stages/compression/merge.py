@@ -157,6 +157,24 @@ def merge(
     )
 
 
+def merge_sets(config: MergeConfig, source: Artifact, *, jobs: int = 0) -> dict[str, Any]:
+    """Merge like `merge` with the limits of hulls and growth; also where these contradict each other.
+
+    Args:
+        config: see `MergeConfig`.
+        source: an `alula/voxels`, or an `alula/cover`, of which only the members are used.
+        jobs: threads, 0 for all processors.
+
+    Returns:
+        The arrays of a cover, and its full `curve`; see `_core.merge_cover`.
+
+    Raises:
+        InputError: see `merge`.
+    """
+    sets = _voxels_and_sets(source)
+    return _cover(config, *sets, jobs, journal=None, progress=None, max_growth=config.max_growth or 0.0)
+
+
 def _cover(
     config: MergeConfig,
     voxels: NDArray[np.int32],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -18,9 +18,11 @@ from alula.stages.compression.block_budgets import (
     Curve,
     divided,
     finer_than_last,
-    intermediate,
-    to_curve,
+    slope_for,
+    to_begin,
+    to_end,
 )
+from alula.stages.compression.block_sets import LEVEL, BlockTask, last_cover, sets_of
 from alula.stages.compression.block_tree import (
     Node,
     Place,
@@ -32,7 +34,6 @@ from alula.stages.compression.block_tree import (
     regions_of,
 )
 from alula.stages.compression.limits import MERGE_VOXELS
-from alula.stages.compression.merge import merge
 from alula.stages.distribute import distribute
 from alula.stages.progress import WHOLE
 
@@ -167,12 +168,14 @@ def merge_blocks(
     Guarantee: as of `merge`. Every voxel belongs to exactly one block, floor(index / edge), and every hull to
     one region, whose cube contains it.
 
-    Each block is covered by `merge` down to `FINER` times its part of the final number of hulls, by voxels.
-    Then the hulls of up to 2 x 2 x 2 cubes are merged together, level by level, to fewer and fewer, and the
-    hulls of a region to its limits. As a block is convex, its hulls do not leave it: their W does not depend
-    on the voxels of other blocks. A single block is merged as without blocks, to the bit. Several regions
-    divide the limits so that the next merge of each adds the same volume; with `per_block` every block is a
-    region with the limits of the whole.
+    Each block is merged on its own, further than needed, and its merges are recorded. All blocks then stop
+    where the next merge adds the same volume, such that all together have some times the final number of
+    hulls: what the greedy rule would do without borders. The sets of 2 x 2 x 2 cubes are merged further
+    together, level by level, stopping in the same way at fewer and fewer hulls, and those of a region to its
+    limits. As a block is convex, its hulls do not leave it: their W does not depend on the voxels of other
+    blocks. A single block is merged as without blocks, to the bit. Several regions divide the limits where
+    the next merge of each adds the same volume; with `per_block` every block is a region with the limits of
+    the whole.
 
     Args:
         config: see `MergeConfig`.
@@ -193,11 +196,8 @@ def merge_blocks(
     regions = [plan.regions[number] for number in missing]
     if missing:
         if not config.per_block:
-            for height in range(1 + max(region.height for region in plan.regions)):
-                work.cover([node for node in work.missing() if node.height == height])
-        limits = work.limits()
-        tasks = work.last(regions, [limits[number] for number in missing])
-        for number, cover in zip(missing, work.run(tasks, regions), strict=True):
+            work.rise()
+        for number, cover in zip(missing, work.run(last_cover, work.last(missing), regions), strict=True):
             summary = {**cover.manifest.summary, **plan.summary()}
             manifest = msgspec.structs.replace(cover.manifest, summary=summary)
             store.put((number,), Artifact(manifest, cover.arrays))
@@ -224,7 +224,7 @@ def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]
     summary: dict[str, Any] = {name: sum(each.summary[name] for each in manifests) for name in sums}
     most = "most_half_planes_of_a_hull"
     summary |= {most: max(each.summary[most] for each in manifests), "conservativeness": growth}
-    level = {name: getattr(first, name) for name in VoxelsManifest.__struct_fields__ if name in _LEVEL}
+    level = {name: getattr(first, name) for name in LEVEL}
     statement = f"Each of the {plan.voxels} occupied voxels lies in {kind} that lists it as a member, {mark}"
     return level | {
         "frame": first.frame,
@@ -238,44 +238,8 @@ def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]
     }
 
 
-_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity", "ignore_loss")
-
-
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """A merge for a worker: of voxels, or of the hulls of several covers together."""
-
-    config: MergeConfig
-    manifest: Manifest
-    index: tuple[Any, ...]  # of the voxels, or members of each cover
-    start: tuple[Any, ...] = ()  # of the members
-    jobs: int = 1
-
-
-def _cover(task: _Task) -> Artifact:
-    """Merge in a worker."""
-    arrays: Mapping[str, Any] = {"index": task.index[0]}
-    if task.start:
-        ends = np.cumsum([0, *(start[-1] for start in task.start)])
-        starts = [start[:-1] + end for start, end in zip(task.start, ends, strict=False)]
-        arrays = {
-            "member_index": np.concatenate(task.index),
-            "member_start": np.concatenate([*starts, ends[-1:]]).astype(np.int64),
-        }
-    return merge(task.config, Artifact(task.manifest, arrays), jobs=task.jobs)
-
-
-def _cover_before_last(task: _Task) -> Artifact:
-    """Merge in a worker; where already the start grows more than allowed, without merging."""
-    try:
-        return _cover(task)
-    except InfeasibleError:
-        most = sum(len(index) for index in task.index)
-        return _cover(replace(task, config=replace(task.config, hulls=most, max_growth=None)))
-
-
 class _Work:
-    """Merges on workers, and the covers that are finished."""
+    """Merges on workers, and the sets that are finished."""
 
     def __init__(
         self,
@@ -288,93 +252,107 @@ class _Work:
     ) -> None:
         self._config, self._plan, self._store = config, plan, store
         self._jobs, self._scheduler, self._progress = jobs, scheduler, progress
-        self._top = {
-            node: region.height + (len(plan.regions) > 1)
-            for region in plan.regions
-            for node in region.nodes()
-        }
-        joins = 2 + max(region.height for region in plan.regions)
-        self._done, self._total = 0.0, plan.voxels * (1 + _JOIN_SHARE * joins)
+        self._last = max(region.level for region in plan.regions) + (len(plan.regions) > 1)
+        self._slope = 0.0  # up to which the cubes of the level before are merged first
+        self._curves: dict[tuple[int, ...], Curve] = {}
+        self._done, self._total = 0.0, plan.voxels * (1 + _JOIN_SHARE * (1 + self._last))
 
-    def missing(self) -> list[Node]:
-        """Cubes that must be covered before the last merges, in their order."""
-
-        def below(node: Node) -> Iterator[Node]:
-            if self._top[node] == node.height or not self._store.has(_key(node)):
+    def rise(self) -> None:
+        """Make the sets of all cubes below the last merges, level by level."""
+        for level in range(self._last):
+            here = [node for node in self._active(level) if node.level == level]
+            finer = finer_than_last(level, self._last)
+            missing = [node for node in here if not self._store.has(_key(node))]
+            for node, sets in zip(
+                missing, self.run(sets_of, self._tasks(missing, finer), missing), strict=True
+            ):
+                self._store.put(_key(node), sets)
+                # Their parent is there, so children are of no use.
                 for child in node.children:
-                    yield from below(child)
-                if self._top[node] > node.height:
-                    yield node
+                    self._store.drop(_key(child))
+            curves = [self._curve(node) for node in self._active(level)]
+            self._slope = slope_for(self._config, curves, self._plan.voxels, finer)
 
-        return [node for region in self._plan.regions for node in below(region)]
+    def _active(self, level: int) -> list[Node]:
+        """The largest cubes up to a level; together they have all voxels."""
 
-    def cover(self, nodes: Sequence[Node]) -> None:
-        """Cover cubes of one height, whose children are covered, and keep the covers."""
-        tasks: Iterable[_Task]
-        if nodes and nodes[0].height == 0:
-            nodes = sorted(nodes, key=lambda node: node.place)
-            rows = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, nodes))
-            tasks = (
-                self.of_voxels(self._before_last(node), index)
-                for node, (_, index) in zip(nodes, rows, strict=True)
-            )
+        def largest(node: Node) -> Iterator[Node]:
+            if node.level <= level:
+                yield node
+            else:
+                for child in node.children:
+                    yield from largest(child)
+
+        return [node for region in self._plan.regions for node in largest(region)]
+
+    def _curve(self, node: Node) -> Curve:
+        if (key := _key(node)) not in self._curves:
+            sets = self._store.get(key)
+            first = float(sets.manifest.summary["excess_voxels"])
+            excess = first + np.concatenate([[0.0], np.cumsum(sets["history"][:, 2])])
+            self._curves[key] = Curve(len(sets["member_start"]) - 1, excess)
+        return self._curves[key]
+
+    def _tasks(self, nodes: Sequence[Node], finer: float) -> Iterator[BlockTask]:
+        fraction = {node: node.voxels / self._plan.voxels for node in nodes}
+        blocks = [node for node in nodes if not node.children]
+        rows = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, blocks))
+        for node in nodes:
+            end = to_end(self._config, fraction[node], finer)
+            if node.children:
+                yield self._joined(end, node.children)
+            else:
+                yield replace(
+                    self._of_voxels(end, next(rows)[1]), begin=to_begin(self._config, fraction[node])
+                )
+
+    def last(self, numbers: Sequence[int]) -> Iterator[BlockTask]:
+        """Last merges of regions.
+
+        Args:
+            numbers: of the regions.
+        """
+        regions = self._plan.regions
+        if self._last == 0 or self._config.per_block:
+            wanted = _places(self._plan, [regions[number] for number in numbers])
+            for _, index in block_rows(self._plan.parts, self._plan.edge, wanted):
+                yield self._of_voxels(self._config, index)
+        elif len(regions) == 1:
+            yield self._joined(self._config, regions[0].children)
         else:
-            tasks = (self.of_covers(self._before_last(node), node) for node in nodes)
-        for node, cover in zip(nodes, self.run(tasks, nodes, _cover_before_last), strict=True):
-            self._store.put(_key(node), cover)
-            for child in node.children:
-                self._store.drop(_key(child))
+            voxels = [region.voxels for region in regions]
+            limits = divided(self._config, [self._curve(region) for region in regions], voxels)
+            for number in numbers:
+                yield self._joined(limits[number], [regions[number]], is_last=True)
 
-    def _before_last(self, node: Node) -> MergeConfig:
-        finer = finer_than_last(node.height, self._top[node])
-        return intermediate(self._config, node.voxels / self._plan.voxels, finer)
+    def _of_voxels(self, config: MergeConfig, index: Any) -> BlockTask:
+        return BlockTask(config, msgspec.structs.replace(self._plan.parts.manifest, arrays={}), index=index)
 
-    def limits(self) -> list[MergeConfig]:
-        """Configurations of the last merges of all regions."""
-        regions, whole = self._plan.regions, self._plan.voxels
-        if len(regions) == 1 or self._config.per_block:
-            return [self._config] * len(regions)
-        shown = [to_curve(self._config, region.voxels / whole) for region in regions]
-        curves = [Curve.of(cover) for cover in self.run(map(self.of_covers, shown, regions), regions)]
-        return divided(self._config, curves, [region.voxels for region in regions])
-
-    def last(self, regions: Sequence[Node], limits: Sequence[MergeConfig]) -> Iterator[_Task]:
-        """Last merges of regions."""
-        if all(region.height == 0 and not self._store.has(_key(region)) for region in regions):
-            rows = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, regions))
-            return (self.of_voxels(config, index) for config, (_, index) in zip(limits, rows, strict=True))
-        return map(self.of_covers, limits, regions)
-
-    def of_voxels(self, config: MergeConfig, index: Any) -> _Task:
-        """Merge of the voxels of a block."""
-        return _Task(config, msgspec.structs.replace(self._plan.parts.manifest, arrays={}), (index,))
-
-    def of_covers(self, config: MergeConfig, node: Node) -> _Task:
-        """Merge of the covers of the children of a cube, or of its own cover where it has one."""
-        own = self._store.has(_key(node))
-        covers = [self._store.get(_key(each)) for each in ([node] if own else node.children)]
-        index, start = ([cover[name] for cover in covers] for name in ("member_index", "member_start"))
-        manifest = msgspec.structs.replace(covers[0].manifest, arrays={})
-        return _Task(config, manifest, tuple(index), tuple(start))
+    def _joined(self, config: MergeConfig, nodes: Sequence[Node], *, is_last: bool = False) -> BlockTask:
+        """Merge of the sets of cubes together, after their merges up to the slope."""
+        sets, manifest = [], self._plan.parts.manifest
+        for node in nodes:
+            one = self._store.get(_key(node))
+            merges = 0 if is_last else self._curve(node).merges(self._slope)
+            sets.append((one["member_index"], one["member_start"], one["history"][:merges]))
+            manifest = one.manifest
+        return BlockTask(config, msgspec.structs.replace(manifest, arrays={}), sets=tuple(sets))
 
     def run(
-        self,
-        tasks: Iterable[_Task],
-        nodes: Sequence[Node],
-        function: Callable[[_Task], Artifact] = _cover,
+        self, function: Callable[[BlockTask], Artifact], tasks: Iterable[BlockTask], nodes: Sequence[Node]
     ) -> Iterator[Artifact]:
-        """Covers of tasks, one for each node, in order."""
+        """Results of tasks, one for each node, in order."""
         results: Iterator[Artifact]
         if self._scheduler is None and (len(nodes) == 1 or self._jobs == 1):
             threads = self._jobs if len(nodes) == 1 else 1
             results = (function(replace(task, jobs=threads)) for task in tasks)
         else:
             results = distribute(function, tasks, jobs=self._jobs, processes=True, scheduler=self._scheduler)
-        for node, cover in zip(nodes, results, strict=True):
-            self._done += node.voxels * (1 if node.height == 0 else _JOIN_SHARE)
+        for node, result in zip(nodes, results, strict=True):
+            self._done += node.voxels * (_JOIN_SHARE if node.children else 1)
             if self._progress is not None:
                 self._progress(int(WHOLE * min(self._done / self._total, 1)), WHOLE)
-            yield cover
+            yield result
 
 
 def _key(node: Node) -> tuple[int, ...]:
