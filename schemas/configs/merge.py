@@ -10,7 +10,8 @@ from alula.schemas.errors import UsageError
 
 DEFAULT_HULLS = 300
 KDOPS = (6, 14, 18, 26)
-_BOX_PLANES, _MAX_PLANES = 6, 10**6
+BOX_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
+_MAX_PLANES = 10**6
 _LONGEST_BLOCK_M = 1e6
 
 
@@ -117,8 +118,8 @@ class MergeConfig:
             cap = int(cap)
         if isinstance(cap, str) and cap not in ("auto", "none"):
             raise UsageError(f"--facet-cap must be a number, auto or none, not {cap!r}")
-        if isinstance(cap, int) and not (_BOX_PLANES <= cap <= _MAX_PLANES):
-            raise UsageError(f"--facet-cap must be between {_BOX_PLANES} and {_MAX_PLANES}, not {cap}")
+        if isinstance(cap, int) and not (BOX_PLANES <= cap <= _MAX_PLANES):
+            raise UsageError(f"--facet-cap must be between {BOX_PLANES} and {_MAX_PLANES}, not {cap}")
         if cap == "auto" and not has_budget and (self.hulls is None or self.max_growth is not None):
             raise UsageError(
                 "--facet-cap auto distributes a budget; give --max-planes, --max-bytes or --hulls alone"

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.configs.merge import BOX_PLANES, MergeConfig
 from alula.schemas.errors import InfeasibleError
 
 _FINER = 6.0  # hulls of all blocks over the final number
 _FINER_AT_LAST = 2.5  # the same before the last join
 _MARGIN = 4.0  # curves begin and end at this factor from the number of hulls by voxels
 _FEW_HULLS = 64  # so many hulls of a block are always kept before its curve begins
+HEADER_BYTES, HULL_BYTES = 64, 14  # see native/core/include/alula/cover/budget.hpp
 _PLANES_PER_HULL, _BYTES_PER_HULL = 7, 20  # fewer than covers within such budgets have
 
 
@@ -92,20 +94,12 @@ class Curve:
     hulls: int
     excess: NDArray[np.float64]
 
-    def merges(self, slope: float) -> int:
-        """Number of merges after which the next ones add more than `slope` on average.
 
-        Args:
-            slope: increase of the sum of W per merge [voxels].
-        """
-        cost = self.excess - slope * np.arange(len(self.excess))
-        return len(cost) - 1 - int(np.argmin(cost[::-1]))
+def merges_of(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: float) -> list[int]:
+    """Numbers of merges of cubes that leave `finer` times the final hulls, or that part of the growth.
 
-
-def slope_for(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: float) -> float:
-    """Slope at which all cubes have `finer` times the hulls of the limits, or that part of the growth.
-
-    Every cube stops where the next merge adds the same volume, which is the greedy rule over all of them.
+    The merges that add least volume come first, those of a cube in their order: the greedy rule over all
+    cubes. Cubes have more hulls where their curves end before.
 
     Args:
         config: of the whole.
@@ -113,19 +107,30 @@ def slope_for(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: 
         voxels: number of all voxels.
         finer: see `finer_than_last`; 1 for the limits themselves.
     """
+    owner = np.repeat(np.arange(len(curves)), [len(curve.excess) - 1 for curve in curves])
+    increase = np.concatenate([np.maximum.accumulate(np.diff(curve.excess)) for curve in curves])
+    order = np.argsort(increase, kind="stable")
+
+    def first(count: int) -> list[int]:
+        return [int(n) for n in np.bincount(owner[order[:count]], minlength=len(curves))]
+
     hulls = wanted_hulls(config)
     if hulls is not None:
-        most = finer * hulls
-        return _largest(lambda s: sum(c.hulls - c.merges(s) for c in curves) >= most)
+        return first(max(0, sum(curve.hulls for curve in curves) - math.ceil(finer * hulls)))
     assert config.max_growth is not None
     room = (config.max_growth - 1) / finer * voxels
-    return _largest(lambda s: sum(c.excess[c.merges(s)] for c in curves) <= room)
+
+    def exceeds(count: int) -> bool:
+        parts = zip(curves, first(count), strict=True)
+        return sum(float(curve.excess[merges]) for curve, merges in parts) > room
+
+    return first(max(0, bisect_left(range(len(order) + 1), True, key=exceeds) - 1))
 
 
 def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int]) -> list[MergeConfig]:
     """Configurations of the last merges of all regions, whose limits add up to those of the whole.
 
-    Numbers of planes and bytes are divided like the hulls.
+    Planes and bytes beyond those that all hulls have are divided like the hulls.
 
     Args:
         config: of the whole.
@@ -136,51 +141,39 @@ def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int])
         InfeasibleError: there are more regions than hulls.
     """
     hulls = wanted_hulls(config)
-    slope = slope_for(config, curves, sum(voxels), 1.0)
-    if hulls is None:
-        return [
-            replace(config, block_m=None, max_growth=1 + float(curve.excess[curve.merges(slope)]) / count)
-            for curve, count in zip(curves, voxels, strict=True)
-        ]
-    if hulls < len(curves):
+    if hulls is not None and hulls < len(curves):
         raise InfeasibleError(
             f"no cover within the limits: they allow about {hulls} hulls, but each of the {len(curves)} parts"
             " that are not joined needs one; relax a limit"
         )
-    parts = _rounded([curve.hulls - curve.merges(slope) for curve in curves], hulls)
+    merges = merges_of(config, curves, sum(voxels), 1.0)
+    if hulls is None:
+        return [
+            replace(config, block_m=None, max_growth=1 + max(0.0, float(curve.excess[done])) / count)
+            for curve, done, count in zip(curves, merges, voxels, strict=True)
+        ]
+    parts = [curve.hulls - done for curve, done in zip(curves, merges, strict=True)]
     return [
         replace(
             config,
             block_m=None,
             max_growth=None,
             hulls=None if config.hulls is None else part,
-            max_planes=None if config.max_planes is None else config.max_planes * part // hulls,
-            max_bytes=None if config.max_bytes is None else config.max_bytes * part // hulls,
+            max_planes=_divided(config.max_planes, part, parts, 0, BOX_PLANES),
+            max_bytes=_divided(config.max_bytes, part, parts, HEADER_BYTES, HULL_BYTES),
         )
         for part in parts
     ]
 
 
-def _largest(holds: Callable[[float], bool]) -> float:
-    """Largest slope for which a monotonous condition holds; 0 where none does."""
-    low, high = 0.0, 1e-6
-    while holds(high) and high < 1e18:
-        low, high = high, 4 * high
-    for _ in range(50):
-        middle = (low + high) / 2
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
-
-
-def _rounded(parts: Sequence[int], total: int) -> list[int]:
-    """Whole numbers of at least 1 in proportion to `parts` whose sum is `total`."""
-    exact = np.array(parts, np.float64) * total / sum(parts)
-    whole = np.maximum(np.floor(exact).astype(np.int64), 1)
-    while whole.sum() != total:
-        gap = exact - whole
-        if whole.sum() < total:
-            whole[int(np.argmax(gap))] += 1
-        else:
-            gap[whole == 1] = np.inf
-            whole[int(np.argmin(gap))] -= 1
-    return [int(n) for n in whole]
+def _divided(limit: int | None, hulls: int, all_hulls: Sequence[int], fixed: int, each: int) -> int | None:
+    """Part of a limit: what the part and its hulls need at least, and of the rest a share by hulls."""
+    if limit is None:
+        return None
+    rest = limit - fixed * len(all_hulls) - each * sum(all_hulls)
+    if rest < 0:
+        raise InfeasibleError(
+            f"no cover within the limits: {len(all_hulls)} parts with {sum(all_hulls)} hulls need"
+            f" {limit - rest}, more than {limit}; relax a limit"
+        )
+    return fixed + each * hulls + rest * hulls // sum(all_hulls)

@@ -192,6 +192,7 @@ def block_rows(
     Raises:
         InputError: two parts have the same voxel.
     """
+    assert list(wanted) == sorted(wanted)
     layers: dict[int, list[Place]] = {}
     for place in wanted:
         layers.setdefault(place[0], []).append(place)

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.configs.merge import BOX_PLANES, MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
+from alula.stages.compression.block_budgets import HEADER_BYTES, HULL_BYTES
 from alula.stages.compression.limits import LATTICE_LIMIT, MERGE_VOXELS, require_at_most, require_near
 from alula.stages.progress import WHOLE, share
 
-_MIN_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
-_MIN_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
 _CURVE_POINTS = 60
 _GROWTH_ATTEMPTS = 4
 _SAVED_SHARES = (0.4, 0.55, 0.75)  # of the hulls' bytes, by bisection: two more merges
@@ -84,10 +83,7 @@ def merge(
 
     Source: Hong et al. 2026, PolyMerge (arXiv 2606.16232), eqs. 10-15.
     """
-    if config.max_planes is not None and config.max_planes < _MIN_PLANES:
-        raise InfeasibleError(f"no cover has {config.max_planes} half-planes: one hull needs {_MIN_PLANES}")
-    if config.max_bytes is not None and config.max_bytes < _MIN_BYTES:
-        raise InfeasibleError(f"no cover has {config.max_bytes} bytes: one hull needs {_MIN_BYTES}")
+    require_possible(config)
     manifest = source.manifest
     assert isinstance(manifest, VoxelsManifest | CoverManifest)
     voxels, member, member_start = _voxels_and_sets(source)
@@ -155,6 +151,23 @@ def merge(
             "curve": _curve(found["curve"], found["measured"], len(voxels)),
         },
     )
+
+
+def require_possible(config: MergeConfig) -> None:
+    """Refuse limits that no cover keeps.
+
+    Args:
+        config: see `MergeConfig`.
+
+    Raises:
+        InfeasibleError: one hull needs more planes or bytes.
+    """
+    if config.max_planes is not None and config.max_planes < BOX_PLANES:
+        raise InfeasibleError(f"no cover has {config.max_planes} half-planes: one hull needs {BOX_PLANES}")
+    if config.max_bytes is not None and config.max_bytes < HEADER_BYTES + HULL_BYTES:
+        raise InfeasibleError(
+            f"no cover has {config.max_bytes} bytes: one hull needs {HEADER_BYTES + HULL_BYTES}"
+        )
 
 
 def merge_sets(config: MergeConfig, source: Artifact, *, jobs: int = 0) -> dict[str, Any]:

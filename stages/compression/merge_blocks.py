@@ -18,7 +18,7 @@ from alula.stages.compression.block_budgets import (
     Curve,
     divided,
     finer_than_last,
-    slope_for,
+    merges_of,
     to_begin,
     to_end,
 )
@@ -34,6 +34,7 @@ from alula.stages.compression.block_tree import (
     regions_of,
 )
 from alula.stages.compression.limits import MERGE_VOXELS
+from alula.stages.compression.merge import require_possible
 from alula.stages.distribute import distribute
 from alula.stages.progress import WHOLE
 
@@ -190,6 +191,7 @@ def merge_blocks(
         InfeasibleError: the limits contradict each other.
         UsageError, LinkError: see `distribute`.
     """
+    require_possible(config)
     store = MemoryStore() if store is None else store
     work = _Work(config, plan, jobs, scheduler, store, progress)
     missing = [number for number in range(len(plan.regions)) if not store.has((number,))]
@@ -253,25 +255,32 @@ class _Work:
         self._config, self._plan, self._store = config, plan, store
         self._jobs, self._scheduler, self._progress = jobs, scheduler, progress
         self._last = max(region.level for region in plan.regions) + (len(plan.regions) > 1)
-        self._slope = 0.0  # up to which the cubes of the level before are merged first
+        self._merges: dict[tuple[int, ...], int] = {}  # of the cubes below, which are joined after them
         self._curves: dict[tuple[int, ...], Curve] = {}
         self._done, self._total = 0.0, plan.voxels * (1 + _JOIN_SHARE * (1 + self._last))
 
     def rise(self) -> None:
         """Make the sets of all cubes below the last merges, level by level."""
-        for level in range(self._last):
-            here = [node for node in self._active(level) if node.level == level]
+        levels = range(self._last)
+        finished = [level for level in levels if all(map(self._has, self._active(level)))]
+        for level in levels[max(finished, default=0) :]:
             finer = finer_than_last(level, self._last)
-            missing = [node for node in here if not self._store.has(_key(node))]
-            for node, sets in zip(
-                missing, self.run(sets_of, self._tasks(missing, finer), missing), strict=True
-            ):
+            missing = [node for node in self._active(level) if not self._has(node)]
+            if level == 0:
+                missing.sort(key=lambda node: node.place)  # the order of the voxels
+            results = self.run(sets_of, self._tasks(missing, finer), missing)
+            for node, sets in zip(missing, results, strict=True):
                 self._store.put(_key(node), sets)
-                # Their parent is there, so children are of no use.
+            cubes = self._active(level)
+            curves = [self._curve(node) for node in cubes]
+            merges = merges_of(self._config, curves, self._plan.voxels, finer)
+            self._merges = dict(zip(map(_key, cubes), merges, strict=True))
+            for node in self._active(level):  # not before all are there, because all share the limits
                 for child in node.children:
                     self._store.drop(_key(child))
-            curves = [self._curve(node) for node in self._active(level)]
-            self._slope = slope_for(self._config, curves, self._plan.voxels, finer)
+
+    def _has(self, node: Node) -> bool:
+        return self._store.has(_key(node))
 
     def _active(self, level: int) -> list[Node]:
         """The largest cubes up to a level; together they have all voxels."""
@@ -294,11 +303,11 @@ class _Work:
         return self._curves[key]
 
     def _tasks(self, nodes: Sequence[Node], finer: float) -> Iterator[BlockTask]:
-        fraction = {node: node.voxels / self._plan.voxels for node in nodes}
+        fraction, regions = {n: n.voxels / self._plan.voxels for n in nodes}, {*self._plan.regions}
         blocks = [node for node in nodes if not node.children]
         rows = block_rows(self._plan.parts, self._plan.edge, _places(self._plan, blocks))
         for node in nodes:
-            end = to_end(self._config, fraction[node], finer)
+            end = to_end(self._config, fraction[node], 1.0 if node in regions else finer)
             if node.children:
                 yield self._joined(end, node.children)
             else:
@@ -329,11 +338,11 @@ class _Work:
         return BlockTask(config, msgspec.structs.replace(self._plan.parts.manifest, arrays={}), index=index)
 
     def _joined(self, config: MergeConfig, nodes: Sequence[Node], *, is_last: bool = False) -> BlockTask:
-        """Merge of the sets of cubes together, after their merges up to the slope."""
+        """Merge of the sets of cubes together, after their own merges."""
         sets, manifest = [], self._plan.parts.manifest
         for node in nodes:
             one = self._store.get(_key(node))
-            merges = 0 if is_last else self._curve(node).merges(self._slope)
+            merges = 0 if is_last else self._merges[_key(node)]
             sets.append((one["member_index"], one["member_start"], one["history"][:merges]))
             manifest = one.manifest
         return BlockTask(config, msgspec.structs.replace(manifest, arrays={}), sets=tuple(sets))
