@@ -107,9 +107,7 @@ def merge_to_parts(
     def build(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
         plan = _plan(config, read(), scheduler)
         if plan is None:
-            raise UsageError(
-                f"{common.output}: a cover in parts is made by blocks; give --block, or a file .npz"
-            )
+            raise UsageError(f"{common.output}: a cover in parts needs --block; else give a file .npz")
         with _kept(writer.folder, recorded.inputs) as store:
             covers = merge_blocks(
                 config, plan, jobs=common.jobs, scheduler=scheduler, store=store, progress=progress

@@ -164,13 +164,33 @@ def _local(jobs: int, processes: bool) -> Iterator[_Workers]:
     jobs = jobs or os.cpu_count() or 1
     # Spawned, not forked: a forked process with threads may hang.
     context = multiprocessing.get_context("spawn")
-    pool = _Pool(
-        lambda: ProcessPoolExecutor(jobs, mp_context=context) if processes else ThreadPoolExecutor(jobs), jobs
-    )
+
+    def make() -> Executor:
+        if processes:
+            return ProcessPoolExecutor(jobs, mp_context=context, initializer=_end_with_parent)
+        return ThreadPoolExecutor(jobs)
+
+    pool = _Pool(make, jobs)
     try:
         yield pool
     finally:
         pool.close()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is killed, which would otherwise leave it waiting for work."""
+    import multiprocessing
+    import os
+    from threading import Thread
+
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=wait, daemon=True).start()
 
 
 class _Cluster:
