@@ -22,6 +22,8 @@ Examples:
   alula verify room.plan.npz --map room.cover.npz --scene room.metric.scene.npz
   alula verify among.plan.npz --map room.scene.npz
   alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
+  alula verify city.cover --voxels city.voxels --scene city.metric.scene -o city.certificate.json
+  alula verify city.cover/part-00003.cover.npz --certificate city.certificate.json --voxels city.voxels
 """
 
 
@@ -38,11 +40,24 @@ Examples:
     "--key", "key_path", type=options.input_path(), help="Key that must have signed the index of tiles."
 )
 @click.option(
+    "--certificate",
+    "listed",
+    type=options.input_path(),
+    help="Certificate of a cover in parts: prove one of its parts again, and that it is the listed one.",
+)
+@options.scheduler("Send the parts of a cover")
+@click.option(
     "-o", "--output", type=options.PATH, help="Certificate to write when every check holds (.json)."
 )
 @click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
 @click.option("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
-@click.option("--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True)
+@click.option(
+    "--jobs",
+    type=options.JOBS,
+    default=0,
+    help="Threads, of a cover in parts processes; 0 is all processors.",
+    show_default=True,
+)
 @click.option("--depfile", type=options.PATH, help="Also write Make dependencies to this file.")
 @options.reporting
 def command(
@@ -53,6 +68,8 @@ def command(
     voxels: Path | None,
     scene: Path | None,
     key_path: Path | None,
+    listed: Path | None,
+    scheduler: str | None,
     output: Path | None,
     force: bool,
     dry_run: bool,
@@ -78,8 +95,14 @@ def command(
     clearance, corridor, limits of the motion, continuity; with --scene beside a cover, against its
     ellipsoids, too; with --within against the space that was not seen.
 
+    The parts of a cover that merge --block made are proven one by one, each with the voxels and ellipsoids of
+    its cube; --jobs processes or the workers of --scheduler share them. The certificate lists the hashes of
+    their proofs under one root (a Merkle tree). With --certificate one part is proven again, against this
+    list.
+
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
-    hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
+    hulls share voxels, and 4,000 per hull; of a cover in parts those of one part per job. More than
+    67,108,864 voxels are refused.
     """
     import os
 
@@ -87,6 +110,7 @@ def command(
 
     from alula.cli import runner
     from alula.cli.sources import map_role
+    from alula.cli.verify_parts import has_domains, verified, verified_part
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
@@ -98,6 +122,7 @@ def command(
     from alula.stages.compression.onboard.verify import verify_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
     from alula.stages.compression.verify import SCHEMA, VERSION, verify
+    from alula.stages.compression.verify_parts import VERSION as VERSION_OF_PARTS
     from alula.stages.planning.verify import verify_plan
     from alula.stages.planning.verify_seen import verify_seen
 
@@ -121,6 +146,16 @@ def command(
         raise UsageError(
             "a plan is proven against the map of --map, --scene and --within; leave out other files"
         )
+    if listed is not None:
+        if is_plan or is_map or is_seen or proven.is_dir():
+            raise UsageError(f"{proven}: --certificate is for one part of a cover, a file")
+        if output is not None:
+            raise UsageError("--certificate compares with a certificate and writes none; leave out -o")
+        _show(common, "checked", verified_part(proven, listed, voxels, scene))
+        return
+    is_parted = not (is_plan or is_map or is_seen) and has_domains(proven)
+    if scheduler is not None and not is_parted:
+        raise UsageError("--scheduler is for covers in parts, as merge --block makes them")
     if within is not None and not is_plan:
         raise UsageError("--within is for plans")
     if map_path is not None and map_role(map_path) == "scene":
@@ -136,17 +171,21 @@ def command(
     inputs |= {"scene": scene} if scene is not None else {}
     if output is not None:
         runner.check_output(output, inputs)
+    version = VERSION_OF_PARTS if is_parted else VERSION
     provenance = Provenance.now(
-        SCHEMA, VERSION, {}, None, [runner.input_ref(role, path) for role, path in inputs.items()]
+        SCHEMA, version, {}, None, [runner.input_ref(role, path) for role, path in inputs.items()]
     )
     known = output is not None and runner.current(output, provenance, force=force) is not None
     with runner.progress_bar(common) as progress:
         sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
         others = {
-            "voxels": None if voxels is None else read_whole(voxels, VOXELS),
-            "scene": None if scene is None else read_whole(scene, SCENE),
+            "voxels": None if voxels is None or is_parted else read_whole(voxels, VOXELS),
+            "scene": None if scene is None or is_parted else read_whole(scene, SCENE),
         }
-        if is_plan:
+        certificate: Certificate
+        if is_parted:
+            certificate = verified(proven, voxels, scene, sha256, jobs, scheduler, progress)
+        elif is_plan:
             certificate = verify_plan(
                 read_whole(proven, PLAN),
                 cover=None if map_path is None else read_whole(map_path, COVER),
@@ -184,7 +223,7 @@ def command(
         raise CheckError(f"{proven}: {certificate.complaint()}")
     status = "checked"
     if output is not None:
-        record = {"schema": SCHEMA, "version": VERSION, **msgspec.to_builtins(certificate)}
+        record = {"schema": SCHEMA, "version": version, **msgspec.to_builtins(certificate)}
         record["provenance"] = provenance
         text = msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
         # An existing certificate is never trusted: it is compared with the new one.

@@ -7,7 +7,7 @@ certificate with their results belong together.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError, InputError
-from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
+from alula.schemas.manifest import CoverManifest, LevelManifest, Manifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import excluded_errors, recorded_lacks, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
@@ -44,6 +44,15 @@ _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
 )
+
+
+class Described(Protocol):
+    """An artifact, or one in parts."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Manifest of the whole."""
+        ...
 
 
 class Offence(msgspec.Struct, frozen=True, kw_only=True):
@@ -179,7 +188,7 @@ def verify(
         {"cover": cover, "voxels": voxels, "scene": scene},
         checks,
         "members in hulls" if voxels is None else "every voxel in a hull",
-        _notes(cover, voxels, scene, sha256 or {}),
+        notes_of(cover, voxels, scene, sha256 or {}),
     )
 
 
@@ -255,11 +264,11 @@ def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | Non
     """Check that lattice, level, frame and unit of the cover equal those of its claims and other files."""
     mine = cover.manifest
     assert isinstance(mine, CoverManifest)
-    offences = _unclaimed(mine, "cover")
+    offences = unclaimed(mine, "cover")
     names = ["frame", "unit"]
     if voxels is not None:
         assert isinstance(voxels.manifest, VoxelsManifest)
-        offences += _unclaimed(voxels.manifest, "voxels")
+        offences += unclaimed(voxels.manifest, "voxels")
         names += LEVEL
         offences += [
             Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
@@ -275,8 +284,13 @@ def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | Non
     return _check("files agree", len(names), offences, len(offences), "size, level, frame and unit")
 
 
-def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
-    """Differences between the level that a manifest's guarantee claims and its fields, which checks use."""
+def unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
+    """Differences between the level that a manifest's guarantee claims and its fields, which checks use.
+
+    Args:
+        manifest: with the claims.
+        what: kind of the artifact, for the message.
+    """
     claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
     return [
         Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")
@@ -481,10 +495,17 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
     return "; ".join(parts)
 
 
-def _notes(
-    cover: Artifact, voxels: Artifact | None, scene: Artifact | None, sha256: Mapping[str, str]
+def notes_of(
+    cover: Described, voxels: Described | None, scene: Described | None, sha256: Mapping[str, str]
 ) -> list[str]:
-    """Notes about files that are not the inputs that the manifests record."""
+    """Notes about files that are not the inputs that the manifests record.
+
+    Args:
+        cover: an `alula/cover`.
+        voxels: the voxels, if given.
+        scene: the scene, if given.
+        sha256: hashes of the files "voxels" and "scene".
+    """
     notes = []
     for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
         if maker is None or given is None or role not in sha256:

@@ -26,8 +26,8 @@ from alula.stages.compression.verify import (
     _check,
     _position_m,
     _scene_check,
-    _unclaimed,
     certificate_of,
+    unclaimed,
 )
 from alula.stages.progress import share
 
@@ -116,7 +116,7 @@ def files_agree(
     ]
     for name, manifest in given.items():
         if isinstance(manifest, CoverManifest | VoxelsManifest):
-            offences += _unclaimed(manifest, name)
+            offences += unclaimed(manifest, name)
     (first, mine), *others = given.items()
     offences += [
         Offence(fault=f"{key} of the {first} is {getattr(mine, key)}, of the {name} {getattr(theirs, key)}")
