@@ -175,9 +175,8 @@ def prove_part(
     own = _Alone(part)
     proof = proof_of(task_of(level, domain, part, voxels or own, voxels, scene))
     if leaf_of(proof) != entry.certificate:
-        raise CheckError(
-            f"not proven: {entry.name}: {proof.complaint() or 'its proof is not the one that is listed'}"
-        )
+        why = proof.complaint().removeprefix("not proven: ") or "its proof is not the listed one"
+        raise CheckError(f"not proven: {entry.name}: {why}")
     return proof
 
 
