@@ -42,7 +42,7 @@ def finer_than_last(level: int, last: int) -> float:
         level: 0 for blocks.
         last: level of the last join, larger than `level`.
     """
-    return _FINER * (_FINER_AT_LAST / _FINER) ** (level / max(1, last - 1))
+    return float(_FINER * (_FINER_AT_LAST / _FINER) ** (level / max(1, last - 1)))
 
 
 def to_begin(config: MergeConfig, fraction: float) -> MergeConfig:

@@ -12,6 +12,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
 from alula.schemas.manifest import CoverManifest
+from alula.schemas.parts import PartRef
 from alula.schemas.progress import Progress
 from alula.stages.compression.verify import (
     LEVEL,
@@ -184,7 +185,8 @@ class _Alone:
     """A part without the others, as a source of voxels."""
 
     def __init__(self, part: Artifact) -> None:
-        self.manifest, self.refs, self._part = part.manifest, (), part
+        self.manifest, self._part = part.manifest, part
+        self.refs: tuple[PartRef, ...] = ()
 
     def __len__(self) -> int:
         return 1
