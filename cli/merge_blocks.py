@@ -26,7 +26,6 @@ from alula.schemas.parts_output import PartsWriter, kept_part, part_name, partia
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, parameters_of
 from alula.stages.compression.block_tree import OnePart, VoxelParts
-from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import (
     BlockPlan,
     CoverStore,
@@ -63,6 +62,8 @@ def merge_to_file(
         wanted.append(provenance)
 
     def build(progress: Progress) -> Artifact:
+        from alula.stages.compression.merge import merge
+
         found = read()
         plan = _plan(config, found, scheduler)
         if plan is None:

@@ -49,7 +49,8 @@ class PartRef(msgspec.Struct, frozen=True, kw_only=True):
         reach: of a scene, the maximum one-sigma semi-axis, grown by the loss of scale and rotation; else 0.
             The k-sigma ellipsoids, grown by r, lie in the box grown by k reach + r.
         domain: of voxels, the lowest and the highest voxel of a region: the part has all of the whole's
-            voxels there, and no other. None where there is no such region.
+            voxels there, and no other; of a cover, the hulls have these voxels as members and lie there.
+            None where there is no such region.
     """
 
     file: Annotated[str, msgspec.Meta(pattern=r"^part-[0-9][0-9-]{0,79}\.(scene|voxels|cover)\.npz$")]
