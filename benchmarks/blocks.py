@@ -37,7 +37,7 @@ def inputs() -> Iterator[tuple[str, Artifact]]:
 
 
 def measure(name: str, voxels: Artifact) -> bool:
-    """Print one line per number of hulls and of blocks; whether no excess is above `ALLOWED` times the whole."""
+    """Print one line per number of hulls and of blocks; whether no ratio is above `ALLOWED`."""
     extent = int(np.ptp(voxels["index"], axis=0).max()) + 1
     size = float(voxels.manifest.voxel_size_m)  # type: ignore[attr-defined]
     holds = True

@@ -15,7 +15,8 @@ from alula.schemas.errors import InfeasibleError
 
 _FINER = 6.0  # hulls of all blocks over the final number
 _FINER_AT_LAST = 2.5  # the same before the last join
-_MARGIN = 4.0  # curves begin and end at this factor from the number of hulls by voxels
+_BEGIN = 12.0  # curves begin at so many times the final number of hulls, by voxels
+_END = 4.0  # and end at this factor below the number of hulls after a level, by voxels
 _FEW_HULLS = 64  # so many hulls of a block are always kept before its curve begins
 HEADER_BYTES, HULL_BYTES = 64, 14  # see native/core/include/alula/cover/budget.hpp
 _PLANES_PER_HULL, _BYTES_PER_HULL = 7, 20  # fewer than covers within such budgets have
@@ -52,7 +53,7 @@ def to_begin(config: MergeConfig, fraction: float) -> MergeConfig:
         config: of the whole.
         fraction: of the voxels that are in the block.
     """
-    return _plain(config, fraction, _MARGIN * _FINER, _FEW_HULLS)
+    return _plain(config, fraction, _BEGIN, _FEW_HULLS)
 
 
 def to_end(config: MergeConfig, fraction: float, finer: float) -> MergeConfig:
@@ -63,7 +64,7 @@ def to_end(config: MergeConfig, fraction: float, finer: float) -> MergeConfig:
         fraction: of the voxels that it has.
         finer: see `finer_than_last`.
     """
-    return _plain(config, fraction, finer / _MARGIN, 1)
+    return _plain(config, fraction, finer / _END, 1)
 
 
 def _plain(config: MergeConfig, fraction: float, finer: float, least: int) -> MergeConfig:

@@ -23,6 +23,8 @@ _SLACK = 1e-6  # relative; more than all roundings of a box around an ellipsoid
 
 Index = NDArray[np.int64]
 Place = tuple[int, ...]
+_AT_ONCE = 2**20  # rows of a scene that are looked at together
+_FAR, _KEY = 2**20, np.array([2**42, 2**21, 1])  # one number for each cell that is nearer
 _RING = np.array([[-1, -1, -1], [1, 1, 1]])
 
 
@@ -121,23 +123,29 @@ def _rows(level: LevelManifest, cube: Index, scene: Parted | None) -> tuple[Inde
     if scene is None:
         return np.empty(0, np.int64), None
     lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
-    numbers, kept = [], []
     first = np.cumsum([0, *(ref.count for ref in scene.refs)])
     near = scene.touching(lower.tolist(), upper.tolist(), sigma=level.sigma, inflation=level.inflation_m)
+    numbers, kept = [np.empty(0, np.int64)], []
     for number in near or [0]:
-        part = scene[number]
-        low, high = boxes(level, part)
-        rows = np.flatnonzero(((low <= upper) & (high >= lower)).all(axis=1))
-        kept.append((part, rows))
-        numbers.append(first[number] + rows)
-    names = {name for part, _ in kept for name in part.arrays}
+        for begin, some in _slices(scene[number]):
+            low, high = boxes(level, some)
+            rows = np.flatnonzero(((low <= upper) & (high >= lower)).all(axis=1))
+            kept.append({name: array[rows] for name, array in some.arrays.items()})
+            numbers.append(first[number] + begin + rows)
     arrays = {}
-    for name in sorted(names):
-        shape = next(part[name].shape[1:] for part, _ in kept if name in part.arrays)
-        arrays[name] = np.concatenate(
-            [p[name][r] if name in p.arrays else np.zeros((len(r), *shape), np.float32) for p, r in kept]
-        )
+    for name in sorted({name for part in kept for name in part}):
+        like = next(part[name] for part in kept if name in part)
+        none = [np.zeros((len(part["mean"]), *like.shape[1:]), like.dtype) for part in kept]
+        arrays[name] = np.concatenate([part.get(name, zero) for part, zero in zip(kept, none, strict=True)])
     return np.concatenate(numbers), Artifact(msgspec.structs.replace(scene.manifest, arrays={}), arrays)
+
+
+def _slices(scene: Artifact) -> Iterator[tuple[int, Artifact]]:
+    """First row and arrays of a limited number of rows, until all rows were there."""
+    names = [name for name in scene.arrays if name != "color"]
+    for begin in range(0, len(scene["mean"]), _AT_ONCE):
+        some = {name: scene[name][begin : begin + _AT_ONCE] for name in names}
+        yield begin, Artifact(scene.manifest, some)
 
 
 def boxes(level: LevelManifest, scene: Artifact) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -215,16 +223,19 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
     edge = int(min((domain[1] - domain[0] + 1).min() for domain in domains))
     found: set[Place] = set()
     for number in range(len(scene)):
-        lower, upper = boxes(level, scene[number])
-        if level.crop is not None:
-            lower, upper = np.maximum(lower, level.crop[:3]), np.minimum(upper, level.crop[3:])
-        inside = (lower <= upper).all(axis=1)
-        length = edge * level.voxel_size_m
-        spans = np.column_stack(
-            [np.floor(c[inside] / length - s) for c, s in ((lower, _SLACK), (upper, -_SLACK))]
-        )
-        for a, b, c, d, e, f in np.unique(spans.astype(np.int64), axis=0).tolist():
-            found.update(product(range(a, d + 1), range(b, e + 1), range(c, f + 1)))
+        for _, some in _slices(scene[number]):
+            lower, upper = boxes(level, some)
+            if level.crop is not None:
+                lower, upper = np.maximum(lower, level.crop[:3]), np.minimum(upper, level.crop[3:])
+            inside, length = (lower <= upper).all(axis=1), edge * level.voxel_size_m
+            low = np.floor(lower[inside] / length - _SLACK).astype(np.int64)
+            high = np.floor(upper[inside] / length + _SLACK).astype(np.int64)
+            is_one = (low == high).all(axis=1) & (np.abs(low) < _FAR).all(axis=1)
+            _, at = np.unique((low[is_one] + _FAR) @ _KEY, return_index=True)
+            found.update(map(tuple, low[is_one][at].tolist()))
+            spans = np.column_stack([low[~is_one], high[~is_one]])
+            for a, b, c, d, e, f in np.unique(spans, axis=0).tolist():
+                found.update(product(range(a, d + 1), range(b, e + 1), range(c, f + 1)))
     lows, highs = (np.array([domain[k] for domain in domains]) for k in (0, 1))
     for place in sorted(found):
         corner = np.array(place, np.int64) * edge
