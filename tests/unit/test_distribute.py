@@ -53,10 +53,11 @@ def test_processes_give_the_same():
 
 def kill_once(task):
     """Double the number, in a process that kills itself the first time that it gets 2."""
-    folder, number = task
+    folder, number, _ = task
     mark = Path(folder) / f"{number}"
     if number == 2 and not mark.exists():
         mark.touch()
+        time.sleep(0.2)  # the next chunk fills the pipe meanwhile
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * number
 
@@ -66,7 +67,7 @@ def kill(_):
 
 
 def test_another_process_repeats_the_chunk_of_a_killed_one(tmp_path):
-    tasks = [(str(tmp_path), i) for i in range(1, 5)]
+    tasks = [(str(tmp_path), i, bytes(2**20)) for i in range(1, 5)]
     assert list(distribute(kill_once, tasks, jobs=1, processes=True)) == [2, 4, 6, 8]
     assert (tmp_path / "2").exists()
 
