@@ -25,6 +25,7 @@ Index = NDArray[np.int64]
 Place = tuple[int, ...]
 _AT_ONCE = 2**20  # rows of a scene that are looked at together
 _FAR, _KEY = 2**20, np.array([2**42, 2**21, 1])  # one number for each cell that is nearer
+_LEAST_EDGE = 16  # of a cell around the parts [voxels]
 _RING = np.array([[-1, -1, -1], [1, 1, 1]])
 
 
@@ -220,7 +221,9 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
         domains: cubes of all parts, each as `CubeTask.domain`.
         scene: in parts.
     """
-    edge = int(min((domain[1] - domain[0] + 1).min() for domain in domains))
+    # Cells that fit into the cubes; others are sound too, but would be checked although a cube has them.
+    corners = np.concatenate([np.stack([domain[0], domain[1] + 1]) for domain in domains])
+    edge = max(_LEAST_EDGE, int(np.gcd.reduce(corners.ravel())))
     found: set[Place] = set()
     for number in range(len(scene)):
         for _, some in _slices(scene[number]):
