@@ -34,7 +34,9 @@ def test_no_progress_stays_none():
 
 
 @pytest.mark.parametrize("tile_m", [None, 0.7])
-@pytest.mark.parametrize("limit", [{"hulls": 30}, {"max_planes": 400}, {"max_growth": 2.0}, {"cluster_radius": 4}])
+@pytest.mark.parametrize(
+    "limit", [{"hulls": 30}, {"max_planes": 400}, {"max_growth": 2.0}, {"cluster_radius": 4}]
+)
 def test_every_stage_reports_up_to_the_end(tile_m, limit):
     scene = make_scene(200)
     fractions: list[float] = []
