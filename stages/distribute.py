@@ -145,6 +145,9 @@ class _Pool:
         try:
             return self._executor.submit(function, chunk)
         except BrokenExecutor:  # a process was killed, and with it all others end
+            # But not one that was just being started: the pool would wait for its end for ever.
+            for process in list((getattr(self._executor, "_processes", None) or {}).values()):
+                process.kill()
             self.close()
             self._executor = self._make()
             return self._executor.submit(function, chunk)
