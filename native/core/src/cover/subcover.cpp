@@ -139,7 +139,7 @@ class Neighbourhoods {
 
 }  // namespace
 
-VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control) {
+VoxelSets subcover(const Occupancy& occupancy, int block, bool is_disjoint, unsigned jobs, Control& control) {
   Share weighing(control, 0, kWeighingShare), choosing(control, kWeighingShare, Share::kWhole);
   const std::vector<double> weight = cluster_weights(occupancy, block, jobs, weighing);
   std::vector<std::uint8_t> covered(occupancy.size(), 0);
@@ -169,7 +169,7 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
       continue;
     }
     around.each(now.voxel, [&](std::uint32_t u) {
-      result.member.push_back(u);
+      if (!is_disjoint || covered[u] == 0) result.member.push_back(u);
       covered[u] = 1;
     });
     result.close();
