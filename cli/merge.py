@@ -33,15 +33,15 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     40, 55 or 75 % of their bytes where that is possible. It takes about twice as long as --hulls 300, which
     keeps the hulls as they are.
 
-    Threads (--jobs) share the clusters of voxels, the volumes and the shapes of outer polytopes. The merges
-    follow one another; there the threads only measure pairs ahead that may be next. So two processors take
-    0.7 to 0.9 of the time of one if both are idle (540,000 voxels); busy ones gain little.
+    Threads (--jobs) share the tiles of a scene, in which clusters of voxels are chosen and merged down to an
+    eighth of them, the volumes, the division of voxels between hulls and the shapes of outer polytopes. The
+    last merges follow one another; there the threads only measure pairs ahead that may be next.
 
     An interrupted merge leaves OUTPUT.journal. The same command then continues from it and writes the
     same bytes.
 
-    Memory: about 600 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered or
-    --block is 0. More than 16,777,216 voxels are refused.
+    Memory: about 200 bytes per voxel where voxels form surfaces; at most 2,600 where they are
+    scattered, --block is 0 or the method is that of the paper. More than 16,777,216 voxels are refused.
     """
     from alula import _core
     from alula.cli.journal import JournalFile

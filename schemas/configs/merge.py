@@ -60,8 +60,9 @@ class MergeConfig:
     method: Literal["default", "paper"] = field(
         default="default",
         metadata={
-            "help": "default: merge where the excess volume grows least, then tighten; paper: the published "
-            "rule. At equal hulls default mostly has 10 to 30 % less excess than paper."
+            "help": "default: merge where the excess volume grows least, tighten, and divide voxels between "
+            "neighbours anew; paper: the published rule. At equal hulls default mostly has 12 to 30 % less "
+            "excess than paper, in 1.2 to 2 times the time."
         },
     )
 

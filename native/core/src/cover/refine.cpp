@@ -11,12 +11,18 @@ namespace alula {
 
 namespace {
 
-constexpr double kLeastGain = 0.005;   // fraction of W, below which an exchange is not worth its time
-constexpr std::size_t kBatch = 1024;   // exchanges that are measured between looks at the limit
-constexpr std::int32_t kMostCuts = 8;  // per axis of a hull
-constexpr double kMostCost = 2;        // of joining two hulls over their sum of W, to divide their voxels anew
-constexpr int kRoughLines = 16;        // per axis, to find cuts
-constexpr double kMargin = 0.1;        // fraction of an extent from its ends where no cut is tried
+constexpr std::size_t kBatch = 1024;  // exchanges that are measured between looks at the limit
+
+// How thoroughly cuts are searched.
+struct Effort {
+  std::int32_t most_cuts;  // per axis of a hull
+  int lines;               // per axis, to measure W while cuts are found
+  double margin;           // fraction of an extent from its ends where no cut is tried
+  double least_gain;       // fraction of W, below which an exchange is not worth its time
+  double most_cost;        // of joining two hulls over their sum of W, to divide their voxels anew
+  double evaluations;      // fraction of the limit
+};
+constexpr std::array kEfforts{Effort{6, 12, 0.2, 0.02, 2, 0.9}, Effort{10, 16, 0.1, 0.005, 4, 0.1}};
 
 using Numbers = std::vector<std::uint32_t>;
 using Points = std::vector<Lattice>;
@@ -58,8 +64,8 @@ struct Cut {
 // Measures hulls of voxels and finds cuts. One per thread.
 class Divider {
  public:
-  explicit Divider(const Occupancy& occupancy)
-      : occupancy_(occupancy), excess_(occupancy), rough_(occupancy, kRoughLines) {}
+  Divider(const Occupancy& occupancy, const Effort& effort)
+      : occupancy_(occupancy), effort_(effort), excess_(occupancy), rough_(occupancy, effort.lines) {}
 
   std::size_t evaluations = 0;
 
@@ -82,7 +88,7 @@ class Divider {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const std::int32_t lower = piece.box.lower[axis], upper = piece.box.upper[axis];
       piece.step[axis] = 1;
-      while ((upper - lower) / piece.step[axis] > kMostCuts) piece.step[axis] *= 2;
+      while ((upper - lower) / piece.step[axis] > effort_.most_cuts) piece.step[axis] *= 2;
       std::vector<std::int32_t> ends;
       for (std::int32_t plane = piece.first(axis); plane < upper; plane += piece.step[axis]) ends.push_back(plane);
       for (const bool is_below : {true, false}) {
@@ -122,7 +128,7 @@ class Divider {
       const std::int32_t lower = std::min(a.box.lower[axis], b.box.lower[axis]);
       const std::int32_t upper = std::max(a.box.upper[axis], b.box.upper[axis]);
       const std::int32_t step = std::max(a.step[axis], b.step[axis]);
-      const std::int32_t margin = static_cast<std::int32_t>(kMargin * (upper - lower));
+      const std::int32_t margin = static_cast<std::int32_t>(effort_.margin * (upper - lower));
       const auto sum = [&](std::int32_t plane) {
         const double below = weight(a.side(axis, plane, true), is_one ? none : b.side(axis, plane, true), true);
         if (below >= found.weight) return below;
@@ -178,6 +184,7 @@ class Divider {
   }
 
   const Occupancy& occupancy_;
+  const Effort& effort_;
   HullBuilder hull_;
   ExcessMeter excess_, rough_;
   Points all_, side_;
@@ -203,7 +210,7 @@ class Refiner {
     piece_.resize(cover.members.size());
     InterruptOnly quiet(control_);
     parallel_chunks(piece_.size(), 64, jobs_, quiet, [&](std::size_t begin, std::size_t end) {
-      Divider divider(occupancy_);
+      Divider divider(occupancy_, *effort_);
       for (std::size_t i = begin; i < end; ++i) {
         piece_[i].voxels.assign(cover.members[i].begin(), cover.members[i].end());
         divider.measure(piece_[i]);
@@ -213,7 +220,12 @@ class Refiner {
   }
 
   void run() {
-    while (round()) continue;
+    for (const Effort& effort : kEfforts) {
+      effort_ = &effort;
+      left_ = static_cast<std::size_t>(effort.evaluations * static_cast<double>(most_));
+      for (Piece& piece : piece_) piece.is_fresh = true;
+      while (round()) continue;
+    }
   }
 
   VoxelSets members() const {
@@ -251,12 +263,12 @@ class Refiner {
     }
     InterruptOnly quiet(control_);
     parallel_chunks(piece_.size(), 16, jobs_, quiet, [&](std::size_t from, std::size_t to) {
-      Divider divider(occupancy_);
+      Divider divider(occupancy_, *effort_);
       for (std::size_t i = from; i < to; ++i)
         if (piece_[i].is_fresh) divider.prepare(piece_[i]);
     });
     parallel_chunks(list.size(), 64, jobs_, quiet, [&](std::size_t from, std::size_t to) {
-      Divider divider(occupancy_);
+      Divider divider(occupancy_, *effort_);
       for (std::size_t i = from; i < to; ++i) {
         Exchange& e = list[i];
         if (e.left != e.right) e.union_weight = divider.weight(piece_[e.left].vertex, piece_[e.right].vertex, false);
@@ -269,7 +281,7 @@ class Refiner {
       return a.left != b.left ? a.left < b.left : a.right < b.right;
     });
     for (Piece& piece : piece_) piece.is_fresh = false;
-    std::erase_if(list, [&](const Exchange& e) { return cost(e) > kMostCost * sum(e); });
+    std::erase_if(list, [&](const Exchange& e) { return cost(e) > effort_->most_cost * sum(e); });
     return list;
   }
 
@@ -281,15 +293,15 @@ class Refiner {
       const std::size_t end = std::min(list.size(), done + kBatch), chunks = (end - done + 15) / 16;
       std::vector<std::size_t> spent(chunks, 0);
       parallel_chunks(end - done, 16, jobs_, quiet, [&](std::size_t from, std::size_t to) {
-        Divider divider(occupancy_);
+        Divider divider(occupancy_, *effort_);
         for (std::size_t i = done + from; i < done + to; ++i) {
           Exchange& e = list[i];
-          e.cut = divider.best(piece_[e.left], piece_[e.right], (1 - kLeastGain) * sum(e));
+          e.cut = divider.best(piece_[e.left], piece_[e.right], (1 - effort_->least_gain) * sum(e));
           if (e.cut.weight < sum(e)) {
             const auto& a = piece_[e.left].step;
             const auto& b = piece_[e.right].step;
             divider.adjust(e.cut, joined(e.left, e.right), std::max(a[e.cut.axis], b[e.cut.axis]));
-            if (e.cut.weight > (1 - kLeastGain) * sum(e)) e.cut = {};
+            if (e.cut.weight > (1 - effort_->least_gain) * sum(e)) e.cut = {};
           }
         }
         spent[from / 16] = divider.evaluations;
@@ -377,13 +389,14 @@ class Refiner {
   unsigned jobs_;
   Control& control_;
   std::vector<Piece> piece_;
-  Divider divider_{occupancy_};
+  const Effort* effort_ = kEfforts.data();
+  Divider divider_{occupancy_, *effort_};
 };
 
 }  // namespace
 
 std::size_t refine_evaluations(std::size_t voxels) {
-  constexpr std::size_t most = 120'000, many_voxels = 400'000;
+  constexpr std::size_t most = 100'000, many_voxels = 100'000;
   return voxels <= many_voxels ? most : most * many_voxels / voxels;
 }
 
