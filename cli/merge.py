@@ -30,8 +30,8 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     that contain the hulls, with the planes that remove most free space.
 
     Without a limit the cover is at most 300 outer polytopes. They enclose no more volume than 300 hulls, in
-    40, 55 or 75 % of their bytes where that is possible. It takes about twice as long as --hulls 300, which
-    keeps the hulls as they are.
+    40, 55 or 75 % of their bytes where that is possible. It takes two to three times as long as --hulls
+    300, which keeps the hulls as they are.
 
     Threads (--jobs) share the tiles of a scene, in which clusters of voxels are chosen and merged down to an
     eighth of them, the volumes, the division of voxels between hulls and the shapes of outer polytopes. The

@@ -43,7 +43,7 @@ class MergeConfig:
             "metavar": "F|auto|none",
             "help": "Replace hulls by outer polytopes of at most F planes; auto distributes --max-planes or "
             "--max-bytes to where planes remove most volume, and with --hulls saves the planes without which "
-            "the volume is no larger, in about twice the time. It is the default with --max-planes or "
+            "the volume is no larger, in two to three times the time. It is the default with --max-planes or "
             "--max-bytes, and when no limit is given.",
         },
     )

@@ -57,8 +57,8 @@ def merge(
       pairs of its parts would have been due. Large scenes are merged in tiles first, down to an eighth of the
       clusters. With `hulls`, merging stops at 1.3 times their number, and goes on after tightening: each
       hull is rebuilt from the voxels that no other contains, and hulls without any are dropped, which never
-      enlarges the cover. At the end hulls are tightened, then the voxels of two neighbours are divided anew by
-      a plane where that reduces the sum of their W, or one hull is divided and two others are merged
+      enlarges the cover. At the end hulls are tightened, then the voxels of two neighbours are divided anew
+      by a plane where that reduces the sum of their W, or one hull is divided and two others are merged
       instead, and hulls are tightened again.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of

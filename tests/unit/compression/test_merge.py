@@ -202,7 +202,7 @@ def hills(side):
 
 
 def test_merging_in_tiles_depends_neither_on_threads_nor_on_a_journal():
-    ground = hills(150)
+    ground = hills(148)
     config = MergeConfig(hulls=40)
     journal = _core.MergeJournal()
     kept = []
@@ -303,13 +303,18 @@ def test_growth_of_one_encloses_no_free_space():
     [
         {"max_planes": 3},
         {"hulls": 2, "max_growth": 1.01},
-        {"max_growth": 1.0},
         {"max_planes": 7, "facet_cap": "none"},
     ],
 )
 def test_contradicting_limits_are_infeasible(config):
     with pytest.raises(InfeasibleError):
         cover_of(SCENE, **config)
+
+
+def test_hulls_that_fill_only_voxels_are_found_where_clusters_overlap():
+    cover = cover_of(SCENE, max_growth=1.0)
+    assert cover.manifest.conservativeness == 1
+    assert_covers(cover, SCENE)
 
 
 @pytest.mark.parametrize(
