@@ -37,12 +37,12 @@ def command(source: Path, config: MergeConfig, scheduler: str | None, common: op
     that contain the hulls, with the planes that remove most free space.
 
     Without a limit the cover is at most 300 outer polytopes. They enclose no more volume than 300 hulls, in
-    40, 55 or 75 % of their bytes where that is possible. It takes about twice as long as --hulls 300, which
-    keeps the hulls as they are.
+    40, 55 or 75 % of their bytes where that is possible. It takes two to three times as long as --hulls
+    300, which keeps the hulls as they are.
 
-    Threads (--jobs) share the clusters of voxels, the volumes and the shapes of outer polytopes. The merges
-    follow one another; there the threads only measure pairs ahead that may be next. So two processors take
-    0.7 to 0.9 of the time of one if both are idle (540,000 voxels); busy ones gain little.
+    Threads (--jobs) share the tiles of a scene, in which clusters of voxels are chosen and merged down to an
+    eighth of them, the volumes, the division of voxels between hulls and the shapes of outer polytopes. The
+    last merges follow one another; there the threads only measure pairs ahead that may be next.
 
     With --block the voxels are covered block by block, by --jobs processes or the workers of --scheduler,
     and the hulls of neighbouring blocks are then joined, level by level. The result depends on the block, not
@@ -52,10 +52,10 @@ def command(source: Path, config: MergeConfig, scheduler: str | None, common: op
     An interrupted merge leaves OUTPUT.journal, or with blocks a folder OUTPUT.KEY.partial. The same command
     then continues from it and writes the same bytes.
 
-    Memory: about 600 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered or
-    --cluster-radius is 0. With blocks these are the voxels of one block per job, and 250 bytes per voxel of a
-    cube of blocks that is joined. A block of more than 8,388,608 voxels, or a cover of more than 16,777,216,
-    is refused.
+    Memory: about 200 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered,
+    --cluster-radius is 0 or the method is that of the paper. With blocks these are the voxels of one block
+    per job, and 250 bytes per voxel of a cube of blocks that is joined. A block of more than 8,388,608
+    voxels, or a cover of more than 16,777,216, is refused.
     """
     from alula.cli.merge_blocks import merge_to_file, merge_to_parts
     from alula.schemas.artifact import Artifact, read_artifact

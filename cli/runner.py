@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -15,6 +13,7 @@ import msgspec
 
 from alula.cli.options import Common
 from alula.cli.present import echo, plain, print_json
+from alula.cli.progress import shown_progress
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
 from alula.schemas.files import check_no_stream, is_special, printable
@@ -192,7 +191,7 @@ def run_beside(
         if not common.dry_run:
             os.utime(target)
     if status != "unchanged":
-        with progress_bar(common) as progress:
+        with shown_progress(common) as progress:
             write, summary = make(provenance, progress)
         for path, state in before.items():
             if _state(index_of(path)) != state:
@@ -356,30 +355,6 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from ((f"{key}.{inner}", found) for inner, found in _flat(value))
         else:
             yield key, value
-
-
-@contextmanager
-def progress_bar(common: Common) -> Iterator[Progress]:
-    """Context with a progress callback that draws a bar on stderr when that is a terminal.
-
-    The callback takes (done, total); a total of at most 1 means that it is unknown.
-
-    Args:
-        common: the shared options.
-    """
-    if common.quiet or common.json or not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        *(TextColumn(common.output.name, markup=False), BarColumn(), TaskProgressColumn()),
-        *(TimeRemainingColumn(compact=True), TextColumn("left")),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
-        task = bars.add_task("", total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total if total > 1 else None)
 
 
 def _make_escape(path: Path, special: str = " \t#:*?[") -> str:

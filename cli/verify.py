@@ -109,6 +109,7 @@ def command(
     import msgspec
 
     from alula.cli import runner
+    from alula.cli.progress import shown_progress
     from alula.cli.sources import map_role
     from alula.cli.verify_parts import has_domains, verified, verified_part
     from alula.schemas.atomic import write_text
@@ -176,7 +177,7 @@ def command(
         SCHEMA, version, {}, None, [runner.input_ref(role, path) for role, path in inputs.items()]
     )
     known = output is not None and runner.current(output, provenance, force=force) is not None
-    with runner.progress_bar(common) as progress:
+    with shown_progress(common) as progress:
         sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
         others = {
             "voxels": None if voxels is None or is_parted else read_whole(voxels, VOXELS),

@@ -10,7 +10,7 @@ from alula.schemas.errors import InputError
 
 # Measured peak memory; the help of the commands states it, and a test checks it.
 BASE_BYTES = 2**26  # Python, NumPy and the libraries
-MERGE_BYTES = 2600  # per voxel; about 600 where the voxels form surfaces
+MERGE_BYTES = 2600  # per voxel; about 200 where the voxels form surfaces
 VERIFY_BYTES = 250  # per voxel, or member of a hull where hulls share voxels
 VERIFY_HULL_BYTES = 4000
 

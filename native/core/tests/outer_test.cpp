@@ -84,7 +84,7 @@ int main() {
   const std::vector<Lattice> voxels = blobs();
   const Occupancy occupancy(voxels);
   Control control;
-  const VoxelSets sets = subcover(occupancy, 1, 2, control);
+  const VoxelSets sets = subcover(occupancy, 1, true, 2, control);
   for (const bool tighten : {false, true}) {
     for (const Form& form : {Form{6, 0}, Form{9, 0}, Form{0, 14}, Form{0, 26}}) {
       MergeOptions options;

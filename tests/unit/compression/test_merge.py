@@ -1,5 +1,6 @@
 """The stage `merge`: exact hulls, and covers that contain every voxel at every number of hulls."""
 
+import time
 from itertools import product
 
 import numpy as np
@@ -175,6 +176,80 @@ def test_the_default_leaves_less_excess_than_the_paper():
         assert excess(ours) < excess(theirs)
 
 
+class Interrupted(Exception):
+    """Raised by a progress callback."""
+
+
+@pytest.mark.parametrize("hulls", [10, 20, 40])
+def test_the_default_encloses_at_most_85_percent_of_the_excess_of_the_paper(hulls):
+    ours, theirs = (cover_of(SCENE, method=m, hulls=hulls) for m in ("default", "paper"))
+    assert excess(ours) <= 0.85 * excess(theirs)
+
+
+def test_the_voxels_of_two_hulls_are_divided_anew():
+    """Two bars in a T: greedy merging of uneven clusters is repaired, so that two boxes remain."""
+    bars = {*product(range(12), range(3), range(3)), *product(range(5, 8), range(3, 15), range(3))}
+    cover = cover_of(voxels_of(sorted(bars)), hulls=2)
+    assert excess(cover) == 0
+
+
+def hills(side):
+    """Uneven ground of `side` by `side` voxels."""
+    x, y = np.mgrid[0:side, 0:side]
+    z = np.rint(8 * np.sin(x / 17) + 6 * np.cos(y / 11) + 3 * np.sin(x / 5 + y / 7))
+    z += np.random.default_rng(0).integers(0, 2, z.shape)
+    return voxels_of(np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(int).tolist())
+
+
+def test_merging_in_tiles_depends_neither_on_threads_nor_on_a_journal():
+    ground = hills(66)
+    config = MergeConfig(hulls=40, cluster_radius=0)  # each voxel is a cluster
+    journal = _core.MergeJournal()
+    kept = []
+
+    def stop(done, total):
+        if done > 0.4 * total:
+            kept.append(journal.snapshot())
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        merge(config, ground, jobs=2, progress=stop, journal=journal)
+    again = _core.MergeJournal(journal.snapshot())
+    one, many = merge(config, ground, jobs=1), merge(config, ground, jobs=3, journal=again)
+    assert one.manifest.summary["start_hulls"] > 4096  # of one tile
+    assert again.reused >= len(_core.MergeJournal(kept[0])) > 1000
+    assert_same(one, many)
+    covered = []
+    for hull in range(len(one["plane_start"]) - 1):
+        member = np.array(rows(one, hull, "member_index"), np.int64)
+        normal = np.array(rows(one, hull, "plane_normal"), np.int64)
+        offset = np.array(rows(one, hull, "plane_offset"), np.int64).ravel()
+        assert (member @ normal.T + np.maximum(normal, 0).sum(axis=1) <= offset).all()
+        covered.append(member)
+    assert np.array_equal(np.unique(np.vstack(covered), axis=0), ground["index"])
+    history = one["history"][:, :2].astype(int)
+    start = one.manifest.summary["start_hulls"]
+    assert len(np.unique(history)) == history.size
+    assert (history.max(axis=1) < start + np.arange(len(history))).all()
+
+
+@pytest.mark.slow
+def test_the_reported_fraction_is_within_a_factor_of_two_of_the_time():
+    ground = hills(400)
+    start, reports = time.process_time(), []
+
+    def note(done, total):
+        reports.append((time.process_time() - start, done / total if total > 1 else 0.0))
+
+    merge(MergeConfig(hulls=300), ground, jobs=1, progress=note)
+    whole = time.process_time() - start
+    taken, fraction = (np.array(column) for column in zip(*reports, strict=True))
+    assert (np.diff(fraction) >= 0).all()
+    late = taken > 0.2 * whole
+    ratio = fraction[late] / (taken[late] / whole)
+    assert 0.5 <= ratio.min() <= ratio.max() <= 2
+
+
 def test_the_paper_rule_takes_the_least_weight_first():
     """On a scene small enough to try all pairs: the first merge is one of least measured weight."""
     voxels = voxels_of([(0, 0, 0), (1, 1, 0), (2, 0, 0), (2, 0, 1), (4, 4, 4), (5, 4, 4)])
@@ -235,13 +310,18 @@ def test_growth_of_one_encloses_no_free_space():
     [
         {"max_planes": 3},
         {"hulls": 2, "max_growth": 1.01},
-        {"max_growth": 1.0},
         {"max_planes": 7, "facet_cap": "none"},
     ],
 )
 def test_contradicting_limits_are_infeasible(config):
     with pytest.raises(InfeasibleError):
         cover_of(SCENE, **config)
+
+
+def test_hulls_that_fill_only_voxels_are_found_where_clusters_overlap():
+    cover = cover_of(SCENE, max_growth=1.0)
+    assert cover.manifest.conservativeness == 1
+    assert_covers(cover, SCENE)
 
 
 @pytest.mark.parametrize(
@@ -292,10 +372,6 @@ def test_the_curve_and_history_describe_the_run():
     used = cover["history"][:, :2].astype(int).ravel()
     assert len(set(used)) == len(used)
     assert (cover["history"][:, :2].max(axis=1) < start + np.arange(len(cover["history"]))).all()
-
-
-class Interrupted(Exception):
-    """Raised by a progress callback."""
 
 
 def test_an_interrupted_merge_resumes_from_its_journal():

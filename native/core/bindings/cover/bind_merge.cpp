@@ -6,6 +6,8 @@
 
 #include "alula/cover/fitting.hpp"
 #include "alula/cover/merge.hpp"
+#include "alula/cover/refine.hpp"
+#include "alula/cover/retighten.hpp"
 #include "arrays.hpp"
 #include "fields.hpp"
 #include "python_control.hpp"
@@ -92,8 +94,11 @@ struct Fields<MergeArguments> {
 namespace {
 
 // Fraction of the time, in Share::kWhole, after each part of merge_cover(). Clusters with a block of one are
-// few different ones, larger ones are hulls to build one by one.
-constexpr std::size_t kClustered = 110, kClusteredLarge = 550, kMerged = 940, kTight = 975;
+// few different ones, larger ones are hulls to build one by one. By the rule of the paper nothing is tightened.
+constexpr std::size_t kClustered = 150, kClusteredLarge = 550, kTight = 950;
+constexpr std::size_t merged_share(std::size_t clustered, bool is_paper) {
+  return is_paper ? kTight : clustered + (kTight - clustered) * 3 / 5;
+}
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                    const InVector<std::int64_t>& member_start, unsigned jobs, EvaluationLog* journal,
@@ -102,8 +107,9 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
   fields::assign(given, others, "merge_cover");
   PythonControl whole(std::move(progress));
   const std::size_t clustered = member_start.size() > 1 ? 0 : given.block > 1 ? kClusteredLarge : kClustered;
-  Share cluster(whole, 0, clustered), rest(whole, clustered, Share::kWhole), loop(whole, clustered, kMerged),
-      tight(whole, kMerged, kTight), last(whole, kTight, Share::kWhole);
+  const std::size_t merged = merged_share(clustered, given.is_paper);
+  Share cluster(whole, 0, clustered), rest(whole, clustered, Share::kWhole), loop(whole, clustered, merged),
+      tight(whole, merged, kTight), last(whole, kTight, Share::kWhole);
   Cover cover;
   UnionVolume volume{};
   std::vector<Measured> measured;
@@ -116,7 +122,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       sets.member.assign(member.data(), member.data() + member.size());
       sets.start.assign(member_start.data(), member_start.data() + member_start.size());
     } else {
-      sets = subcover(occupancy, given.block, jobs, cluster);
+      sets = subcover(occupancy, given.block, !given.is_paper, jobs, cluster);
     }
     const Form form{given.facet_cap, given.kdop};
     const MergeOptions options{given.is_paper ? MergeRule::kPaper : MergeRule::kIncrease, given.max_hulls,
@@ -125,8 +131,13 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       cover = fit(occupancy, sets, options, jobs, rest, measured, journal);
     } else {
       cover = merge(occupancy, sets, options, jobs, loop, journal);
-      if (cover.within_budget && !given.is_paper)
-        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, tight);
+      if (cover.within_budget && !given.is_paper) {
+        const Budget budget = form.is_outer() ? Budget{} : options.budget;
+        InterruptOnly quiet(tight);
+        retighten(occupancy, cover, budget, jobs, quiet);
+        refine(occupancy, cover, budget, refine_evaluations(occupancy.size()), jobs, tight);
+        retighten(occupancy, cover, budget, jobs, quiet);
+      }
       if (cover.within_budget && form.is_outer())
         make_outer(occupancy, cover, options.budget, !given.is_paper, jobs, tight);
     }

@@ -47,13 +47,19 @@ void EvaluationLog::open(std::uint64_t print) {
   fingerprint_ = print;
 }
 
-const double* EvaluationLog::find(std::uint32_t left, std::uint32_t right) const {
+std::optional<double> EvaluationLog::find(std::uint32_t left, std::uint32_t right) const {
+  const std::lock_guard lock(mutex_);
+  const Entry* entry = at(left, right);
+  return entry == nullptr ? std::nullopt : std::optional(entry->weight);
+}
+
+const EvaluationLog::Entry* EvaluationLog::at(std::uint32_t left, std::uint32_t right) const {
   if (table_.empty()) return nullptr;
   for (std::size_t slot = slot_of(left, right);; ++slot) {
-    const std::uint32_t at = table_[slot & (table_.size() - 1)];
-    if (at == 0) return nullptr;
-    const Entry& entry = entry_[at - 1];
-    if (entry.left == left && entry.right == right) return &entry.weight;
+    const std::uint32_t number = table_[slot & (table_.size() - 1)];
+    if (number == 0) return nullptr;
+    const Entry& entry = entry_[number - 1];
+    if (entry.left == left && entry.right == right) return &entry;
   }
 }
 
@@ -75,7 +81,7 @@ void EvaluationLog::add(std::span<const Entry> entries) {
     for (const Entry& entry : all) insert(entry);
   }
   for (const Entry& entry : entries)
-    if (find(entry.left, entry.right) == nullptr) insert(entry);
+    if (at(entry.left, entry.right) == nullptr) insert(entry);
 }
 
 void EvaluationLog::count_reuse(std::size_t entries) {

@@ -6,6 +6,7 @@
 
 #include "alula/base/parallel.hpp"
 #include "alula/cover/facet_cap.hpp"
+#include "alula/cover/refine.hpp"
 
 namespace alula {
 
@@ -18,23 +19,6 @@ constexpr std::array<std::size_t, 11> kTenths{63, 67, 72, 80, 90, 100, 115, 135,
 constexpr std::size_t kFirst = 3;
 constexpr std::size_t kMergingShare = 700;  // of the time, in Share::kWhole, before covers are measured
 constexpr std::size_t kTighteningShare = 150, kOutlinedShare = 700;  // of the time of a trial
-
-std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSets& members, unsigned jobs,
-                                      Control& control) {
-  std::vector<LatticePolytope> hulls(members.size());
-  InterruptOnly quiet(control);
-  parallel_chunks(hulls.size(), 8, jobs, quiet, [&](std::size_t begin, std::size_t end) {
-    HullBuilder builder;
-    std::vector<Lattice> voxels;
-    for (std::size_t h = begin; h < end; ++h) {
-      voxels.clear();
-      for (const std::uint32_t v : members[h]) voxels.push_back(occupancy.voxels()[v]);
-      builder.build_voxels(voxels);
-      hulls[h] = builder.polytope();
-    }
-  });
-  return hulls;
-}
 
 void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, const Budget& budget, unsigned jobs,
            Control& control) {
@@ -50,14 +34,14 @@ void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, cons
 // Shrinks outer polytopes to the voxels that no other one contains; afterwards `cover` has hulls again.
 void tighten_outer(const Occupancy& occupancy, Cover& cover, const Form& form, unsigned jobs, Control& control) {
   InterruptOnly quiet(control);
-  auto [holders, excess, order] = containment(occupancy, cover.hull, quiet);
+  auto [holders, excess, held, order] = containment(occupancy, cover.hull, jobs, quiet);
   std::vector<std::uint32_t> inside;
   ExcessMeter meter(occupancy);
   HullBuilder builder;
   FacetRanker rank(occupancy);
   std::vector<Lattice> needed;
   for (const std::size_t h : order) {
-    voxels_inside(occupancy, cover.hull[h], inside);
+    inside.swap(held[h]);
     needed.clear();
     for (const std::uint32_t v : inside)
       if (holders[v] == 1) needed.push_back(occupancy.voxels()[v]);
@@ -147,7 +131,7 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
     none.within_budget = false;
     return none;
   }
-  options.max_hulls = trial.back();
+  options.max_hulls = trial.back(), options.finest_hulls = trial.front();
   options.budget = {};
   Cover whole = merge(occupancy, sets, options, jobs, merging, journal);
   while (!trial.empty() && sets.size() - trial.back() > whole.history.size()) trial.pop_back();
@@ -165,7 +149,12 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
         outlining(trying, kTighteningShare, kOutlinedShare), measuring(trying, kOutlinedShare, Share::kWhole);
     begun = end;
     Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, trying);
-    if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, tightening);
+    if (options.rule != MergeRule::kPaper) {
+      InterruptOnly quiet(tightening);
+      retighten(occupancy, one, {}, jobs, quiet);
+      refine(occupancy, one, {}, refine_evaluations(occupancy.size()), jobs, tightening);
+      retighten(occupancy, one, {}, jobs, quiet);
+    }
     make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, outlining);
     const UnionVolume volume = union_excess(occupancy, one.hull, jobs, measuring);
     measured.push_back({one.hull.size(), planes_of(one.hull), volume});

@@ -32,17 +32,22 @@ constexpr std::size_t kOrderFrom = 48;  // fewer points are inserted in the give
 // Moves points that are extreme in the 26 directions of a cube to the front: most other points are inside a large
 // first hull.
 void extremes_first(std::vector<Point>& points) {
-  std::vector<std::size_t> chosen;
-  for (int d = 0; d < 27; ++d) {
-    const Point direction{d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1};
-    std::size_t best = 0;
-    for (std::size_t i = 1; i < points.size(); ++i)
-      if (dot(points[i], direction) > dot(points[best], direction)) best = i;
-    chosen.push_back(best);
+  std::array<std::size_t, 26> chosen{};
+  std::array<std::int64_t, 13> low, high;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const auto [x, y, z] = points[i];
+    const std::array<std::int64_t, 13> along{x,     y,     z,         x + y,     x - y,     x + z,    x - z,
+                                             y + z, y - z, x + y + z, x + y - z, x - y + z, x - y - z};
+    if (i == 0) low = high = along;
+    for (std::size_t d = 0; d < along.size(); ++d) {
+      if (along[d] < low[d]) low[d] = along[d], chosen[2 * d] = i;
+      if (along[d] > high[d]) high[d] = along[d], chosen[2 * d + 1] = i;
+    }
   }
   std::sort(chosen.begin(), chosen.end());
-  chosen.erase(std::unique(chosen.begin(), chosen.end()), chosen.end());
-  for (std::size_t i = 0; i < chosen.size(); ++i) std::swap(points[i], points[chosen[i]]);
+  const auto end = std::unique(chosen.begin(), chosen.end());
+  std::size_t front = 0;
+  for (auto it = chosen.begin(); it != end; ++it) std::swap(points[front++], points[*it]);
 }
 
 // The corners of voxels sorted by x, y, z, without those that cannot be extreme: only the lowest and the highest
@@ -316,6 +321,13 @@ void HullBuilder::build_voxels(std::span<const Lattice> voxels) {
   build(corner_);
 }
 
+std::vector<Lattice> HullBuilder::build_more(std::span<const Lattice> points, std::span<const Lattice> voxels) {
+  extreme_corners(voxels, corner_);
+  corner_.insert(corner_.begin(), points.begin(), points.end());
+  build(corner_);
+  return outline().vertex;
+}
+
 HullMesh HullBuilder::mesh() {
   HullMesh result;
   std::vector<std::int32_t>& number = group_;
@@ -350,10 +362,15 @@ LatticePolytope HullBuilder::polytope() {
   return result;
 }
 
+HullBuilder::Outline HullBuilder::outline() {
+  with_planes([&](auto& planes) { group_facets(planes); });
+  return {extreme_points(), group_facet_.size()};
+}
+
 // Groups triangles that share a plane and an edge into one facet. A plane touches a convex polytope
 // in one connected face, so groups and planes correspond one to one.
 template <class T>
-LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
+void HullBuilder::group_facets(const Planes<T>& planes) {
   group_.assign(static_cast<std::size_t>(facets_), -1);
   group_facet_.clear();
   for (std::int32_t seed = 0; seed < facets_; ++seed) {
@@ -380,18 +397,11 @@ LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
       }
     }
   }
-  LatticePolytope result;
-  result.plane.reserve(group_facet_.size());
-  for (const std::int32_t f : group_facet_) {
-    const Point n{static_cast<std::int64_t>(planes.x[f]), static_cast<std::int64_t>(planes.y[f]),
-                  static_cast<std::int64_t>(planes.z[f])};
-    const std::int64_t divisor = std::gcd(std::gcd(n[0], n[1]), n[2]);
-    LatticePlane plane{{n[0] / divisor, n[1] / divisor, n[2] / divisor},
-                       static_cast<std::int64_t>(planes.offset[f]) / divisor};
-    for (int i = 0; i < 3; ++i) plane.offset += plane.normal[i] * box_.lower[i];
-    result.plane.push_back(plane);
-  }
-  // A point of the boundary is extreme exactly when three facets meet in it.
+}
+
+// A point of the boundary is extreme exactly when three facets meet in it.
+std::vector<Lattice> HullBuilder::extreme_points() {
+  std::vector<Lattice> result;
   seen_.assign(point_.size(), {-1, -1, -1});
   for (std::int32_t f = 0; f < facets_; ++f) {
     if (facet_[f].vertex[0] < 0) continue;
@@ -410,8 +420,26 @@ LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
     if (seen_[v][2] < 0) continue;
     Lattice p;
     for (int i = 0; i < 3; ++i) p[i] = static_cast<std::int32_t>(point_[v][i]) + box_.lower[i];
-    result.vertex.push_back(p);
+    result.push_back(p);
   }
+  return result;
+}
+
+template <class T>
+LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
+  group_facets(planes);
+  LatticePolytope result;
+  result.plane.reserve(group_facet_.size());
+  for (const std::int32_t f : group_facet_) {
+    const Point n{static_cast<std::int64_t>(planes.x[f]), static_cast<std::int64_t>(planes.y[f]),
+                  static_cast<std::int64_t>(planes.z[f])};
+    const std::int64_t divisor = std::gcd(std::gcd(n[0], n[1]), n[2]);
+    LatticePlane plane{{n[0] / divisor, n[1] / divisor, n[2] / divisor},
+                       static_cast<std::int64_t>(planes.offset[f]) / divisor};
+    for (int i = 0; i < 3; ++i) plane.offset += plane.normal[i] * box_.lower[i];
+    result.plane.push_back(plane);
+  }
+  result.vertex = extreme_points();
   std::sort(result.plane.begin(), result.plane.end());
   std::sort(result.vertex.begin(), result.vertex.end());
   return result;

@@ -1,449 +1,241 @@
 #include "alula/cover/merge.hpp"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
-#include <cstdint>
-#include <limits>
-#include <memory>
-#include <optional>
+#include <atomic>
+#include <numeric>
 #include <queue>
+#include <string_view>
 
 #include "alula/base/parallel.hpp"
-#include "alula/cover/box_tree.hpp"
-#include "alula/cover/lattice_hull.hpp"
+#include "alula/cover/greedy_merge.hpp"
+#include "alula/cover/retighten.hpp"
 
-// The greedy merging, one algorithm from top to bottom: elements, their links and the queue of candidate pairs, the
-// `Merger`, and the sets that a history of merges leaves.
 namespace alula {
 
 namespace {
 
-constexpr std::size_t kAhead = 8;        // maximum number of volumes measured at once, per thread
-constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+constexpr std::size_t kTileSets =
+    4096;  // maximum number of sets of a tile: their elements fit in a processor's cache
+constexpr std::size_t kSetsPerRest = 8;   // tiles merge until a fraction of the sets is left,
+constexpr std::size_t kSetsPerEnd = 16;   // each of them somewhat further, and take back what was too much
+constexpr std::size_t kTileShare = 700;   // of the time, in Share::kWhole, before tiles are joined
+constexpr std::size_t kStageShare = 850;  // of the rest, before hulls are tightened for the first time
 
-constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+std::uint64_t fingerprint_of(const Occupancy& occupancy, const VoxelSets& sets, MergeRule rule, bool is_tiled) {
+  const auto bytes = [](const auto& list) {
+    return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
+  };
+  const std::uint64_t kind = fingerprint(rule == MergeRule::kPaper ? "paper" : is_tiled ? "tiles" : "increase");
+  return fingerprint(bytes(sets.start),
+                     fingerprint(bytes(sets.member), fingerprint(bytes(occupancy.voxels()), kind)));
+}
 
-struct Link {
-  std::uint32_t other;
-  double key;  // of the pair in the queue: the expected key, exact once evaluated
-};
+using Tiles = std::vector<std::vector<std::uint32_t>>;
 
-// A union that is built ahead of its merge.
-struct Ready {
-  std::uint32_t left, right;
-  LatticePolytope hull;
-  HullMesh mesh;
-};
-
-struct Element {
-  LatticePolytope hull;
-  HullMesh mesh;  // of the same hull
-  double weight = 0;
-  bool alive = true;
-  std::vector<Link> links;
-  std::vector<Link> waiting;     // links to lower numbers that were not in the queue yet, the best one last
-  std::unique_ptr<Ready> ready;  // union of this element, as the lower number, and another
-};
-
-struct Candidate {
-  double key;
-  double weight;                                  // W of the union, kUnknown when it was not measured yet
-  std::uint32_t left, right;                      // left < right
-  bool evaluated;                                 // `key` is computed from `weight`
-  bool is_nearest;                                // paired because `left` or `right` touches nothing
-  bool operator<(const Candidate& other) const {  // the best is the top of a heap
-    if (key != other.key) return key > other.key;
-    if (left != other.left) return left > other.left;
-    return right > other.right;
-  }
-};
-
-struct Gap {
-  std::int64_t squared_distance;
-  std::uint32_t item, nearest;
-  bool operator<(const Gap& other) const {
-    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
-    if (item != other.item) return item > other.item;
-    return nearest > other.nearest;
-  }
-};
-
-class Merger {
- public:
-  Merger(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
-         Control& control, EvaluationLog* log)
-      : occupancy_(occupancy), sets_(sets), options_(options), log_(log), team_(jobs) {
-    if (log_ != nullptr) log_->open(fingerprint_of());
-    while (bench_.size() < team_.size()) bench_.emplace_back(occupancy);
-    element_.reserve(2 * sets.size());
-    element_.resize(sets.size());
-    parallel_chunks(sets.size(), 256, jobs, control, [&](std::size_t begin, std::size_t end) {
-      HullBuilder hull;
-      ExcessMeter excess(occupancy);
-      std::vector<Lattice> voxels;
-      for (std::size_t i = begin; i < end; ++i) {
-        voxels.clear();
-        for (const std::uint32_t v : sets[i]) voxels.push_back(occupancy.voxels()[v]);
-        std::sort(voxels.begin(), voxels.end());
-        hull.build_voxels(voxels);
-        element_[i].hull = hull.polytope();
-        element_[i].mesh = hull.mesh();
-        element_[i].weight = excess(hull);
-      }
-    });
-    for (const Element& e : element_) total_weight_ += e.weight, planes_ += written(e);
-    hulls_ = element_.size();
-  }
-
-  Cover run(Control& control) {
-    Cover cover;
-    cover.curve.push_back({hulls_, total_weight_, planes_});
-    if (!is_done()) link_all();
-    const std::size_t start = hulls_, goal = std::max<std::size_t>(options_.max_hulls, 1);
-    while (!is_done()) {
-      const std::optional<Merge> best = hulls_ > 1 ? next() : std::nullopt;
-      if (!best || !may_grow(*best)) {
-        cover.within_budget = !is_limited();
-        break;
-      }
-      join(*best);
-      cover.history.push_back(*best);
-      cover.curve.push_back({hulls_, total_weight_, planes_});
-      control.poll(start - hulls_, start > goal ? start - goal : start - hulls_);
+// Divides the sets into boxes of space with about equally many sets, at most kTileSets each.
+Tiles tiles_of(const Occupancy& occupancy, const VoxelSets& sets) {
+  std::vector<std::uint32_t> number(sets.size());
+  std::iota(number.begin(), number.end(), 0u);
+  const auto place = [&](std::uint32_t set) -> const Lattice& { return occupancy.voxels()[sets[set].front()]; };
+  Tiles tiles;
+  const auto divide = [&](auto& self, std::size_t begin, std::size_t end) -> void {
+    if (end - begin <= kTileSets) {
+      tiles.emplace_back(number.begin() + static_cast<std::ptrdiff_t>(begin),
+                         number.begin() + static_cast<std::ptrdiff_t>(end));
+      std::sort(tiles.back().begin(), tiles.back().end());
+      return;
     }
-    cover.members = merged_sets(sets_, cover.history);
-    for (Element& e : element_)
-      if (e.alive) cover.hull.push_back(std::move(e.hull));
-    return cover;
+    LatticeBox box = LatticeBox::empty();
+    for (std::size_t i = begin; i < end; ++i) box.add(place(number[i]));
+    std::size_t axis = 0;
+    for (std::size_t i = 1; i < 3; ++i)
+      if (box.upper[i] - box.lower[i] > box.upper[axis] - box.lower[axis]) axis = i;
+    const std::size_t middle = begin + (end - begin) / 2;
+    const auto at = [&](std::size_t i) { return number.begin() + static_cast<std::ptrdiff_t>(i); };
+    std::nth_element(at(begin), at(middle), at(end), [&](std::uint32_t a, std::uint32_t b) {
+      return place(a)[axis] != place(b)[axis] ? place(a)[axis] < place(b)[axis] : a < b;
+    });
+    self(self, begin, middle), self(self, middle, end);
+  };
+  divide(divide, 0, number.size());
+  return tiles;
+}
+
+// Counts the merges of all tiles; one for each tile, `merges` is common.
+class TileControl final : public Control {
+ public:
+  TileControl(const Stop& stop, std::atomic<std::size_t>& merges) : stop_(stop), merges_(merges) {}
+  void poll(std::size_t, std::size_t) override {
+    stop_.check();
+    ++merges_;
   }
 
  private:
-  std::size_t written(const Element& e) const { return options_.budget.form.planes(e.hull.plane.size()); }
-
-  bool is_limited() const { return options_.max_hulls > 0 || options_.budget.is_limit(); }
-
-  bool is_done() const {
-    return is_limited() && (options_.max_hulls == 0 || hulls_ <= options_.max_hulls) &&
-           options_.budget.holds(hulls_, planes_);
-  }
-
-  bool may_grow(const Merge& best) const {
-    if (options_.max_growth <= 0) return true;
-    const double total = total_weight_ - element_[best.left].weight - element_[best.right].weight + best.weight;
-    return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
-  }
-
-  // Hull builder and excess meter of one thread.
-  struct Bench {
-    HullBuilder hull;
-    ExcessMeter excess;
-    explicit Bench(const Occupancy& occupancy) : excess(occupancy) {}
-  };
-
-  void build(HullBuilder& hull, std::uint32_t left, std::uint32_t right) const {
-    const bool swap = element_[left].mesh.facet.size() < element_[right].mesh.facet.size();
-    const Element &base = element_[swap ? right : left], &more = element_[swap ? left : right];
-    hull.build_union(base.mesh, more.hull.vertex);
-  }
-
-  // Stores the union that was built last.
-  static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
-    auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
-    if (ready->mesh.point.size() > ready->hull.vertex.size() + ready->hull.vertex.size() / 4) {
-      hull.build(ready->hull.vertex);  // the mesh has too many points that are not extreme
-      ready->mesh = hull.mesh();
-    }
-    return ready;
-  }
-
-  bool is_ready(std::uint32_t left) const {
-    return element_[left].ready != nullptr && element_[element_[left].ready->right].alive;
-  }
-
-  // Number of candidates to measure at once; it falls with the fraction of recent measurements that were not used.
-  std::size_t reach() {
-    if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
-    const std::size_t useful = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
-    return team_.size() * (2 * useful > kAhead ? 2 * useful - kAhead : 1);
-  }
-
-  // Measures a candidate and, on the other threads, those that will probably be next. A weight measured
-  // ahead has no effect until its candidate is at the top, so results do not depend on the number of threads.
-  void measure_ahead(Candidate& first) {
-    ahead_.assign(1, first);
-    passed_.clear();
-    const std::size_t limit = team_.size() > 1 ? reach() : 1;
-    while (ahead_.size() < limit && passed_.size() < limit && !queue_.empty()) {
-      const Candidate c = queue_.top();
-      const bool is_alive = element_[c.left].alive && element_[c.right].alive;
-      if (!is_alive && c.is_nearest) break;
-      queue_.pop();
-      if (!is_alive) {
-        drop(c);
-        continue;
-      }
-      const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
-      (is_known ? passed_ : ahead_).push_back(c);
-    }
-    // Unions with a better key than all unexamined candidates will merge soon.
-    const double soon = queue_.empty() ? std::numeric_limits<double>::infinity() : queue_.top().key;
-    const std::size_t guesses = ahead_.size() - 1;
-    for (const Candidate& c : passed_)
-      if (c.evaluated && !is_ready(c.left)) ahead_.push_back(c);
-    ready_.clear();
-    ready_.resize(ahead_.size());
-    team_.run(ahead_.size(), [&](std::size_t worker, std::size_t i) {
-      Bench& bench = bench_[worker];
-      Candidate& c = ahead_[i];
-      build(bench.hull, c.left, c.right);
-      if (!c.evaluated) c.weight = bench.excess(bench.hull);
-      if (c.evaluated || (key(c.left, c.right, c.weight) < soon && !is_ready(c.left)))
-        ready_[i] = make_ready(bench.hull, c.left, c.right);
-    });
-    first = ahead_[0];
-    guessed_ += guesses;
-    for (std::size_t i = 1; i <= guesses; ++i) queue_.push(ahead_[i]);
-    for (const Candidate& c : passed_) queue_.push(c);
-    for (auto& ready : ready_)
-      if (ready != nullptr && !is_ready(ready->left)) element_[ready->left].ready = std::move(ready);
-  }
-
-  // Computes W of a candidate's union and the key from it.
-  void evaluate(Candidate& c) {
-    const double* known = log_ == nullptr ? nullptr : log_->find(c.left, c.right);
-    if (known != nullptr) {
-      c.weight = *known;
-    } else if (std::isnan(c.weight)) {
-      measure_ahead(c);
-    } else {
-      ++right_guesses_;
-    }
-    c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
-    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // so far the key was a lower bound
-    c.key = key(c.left, c.right, c.weight);
-    c.evaluated = true;
-    if (known != nullptr) {
-      log_->count_reuse(1);
-    } else if (log_ != nullptr) {
-      log_->add(std::array{EvaluationLog::Entry{c.left, c.right, c.weight}});
-    }
-  }
-
-  std::uint64_t fingerprint_of() const {
-    const auto bytes = [](const auto& list) {
-      return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
-    };
-    const std::uint64_t rule = fingerprint(options_.rule == MergeRule::kPaper ? "paper" : "increase");
-    return fingerprint(bytes(sets_.start),
-                       fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
-  }
-
-  double key(std::uint32_t left, std::uint32_t right, double weight) const {
-    if (options_.rule == MergeRule::kPaper) return weight;
-    return weight - element_[left].weight - element_[right].weight;
-  }
-
-  // Lower bound on the key of two elements with these boxes: they share free volume only where the boxes overlap.
-  double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
-    const double u = element_[a].weight, v = element_[b].weight;
-    if (options_.rule == MergeRule::kPaper) return std::max(u, v);
-    double common = 1;
-    for (int i = 0; i < 3; ++i)
-      common *= std::max(0, std::min(box_a.upper[i], box_b.upper[i]) - std::max(box_a.lower[i], box_b.lower[i]));
-    return -std::min({u, v, common});
-  }
-
-  void link(std::uint32_t a, std::uint32_t b, double key) {
-    element_[a].links.push_back({b, key});
-    element_[b].links.push_back({a, key});
-  }
-
-  // Links an element to elements with lower numbers. Only the best of these pairs goes to the queue; when it leaves
-  // the queue, the next one enters.
-  void link_lower(std::uint32_t made, std::vector<Link>& lower) {
-    for (const Link& l : lower) link(made, l.other, l.key);
-    std::sort(lower.begin(), lower.end(),
-              [](const Link& a, const Link& b) { return a.key != b.key ? a.key > b.key : a.other > b.other; });
-    element_[made].waiting = lower;
-    put_next(made);
-  }
-
-  void put_next(std::uint32_t right) {
-    std::vector<Link>& waiting = element_[right].waiting;
-    while (!waiting.empty()) {
-      const Link best = waiting.back();
-      waiting.pop_back();
-      if (!element_[best.other].alive) continue;
-      queue_.push({best.key, kUnknown, best.other, right, false, false});
-      return;
-    }
-  }
-
-  // Drops a candidate that can no longer merge.
-  void drop(const Candidate& c) {
-    if (!c.evaluated && !c.is_nearest) put_next(c.right);
-  }
-
-  void set_key(std::uint32_t a, std::uint32_t b, double key) {
-    for (Link& link : element_[a].links)
-      if (link.other == b) link.key = key;
-  }
-
-  void link_all() {
-    for (const std::uint32_t i : scattered(element_.size())) tree_.insert(i, bounds(element_[i].hull.vertex));
-    std::vector<Link> lower;
-    for (std::uint32_t i = 0; i < element_.size(); ++i) {
-      tree_.touching(tree_.box(i), touching_);
-      lower.clear();
-      for (const std::uint32_t j : touching_)
-        if (j < i) lower.push_back({j, least_key(i, j, tree_.box(i), tree_.box(j))});
-      link_lower(i, lower);
-      if (touching_.size() == 1) pair_with_nearest(i);
-    }
-  }
-
-  // Pairs an element that touches no other with the nearest one.
-  void pair_with_nearest(std::uint32_t i) {
-    const BoxTree::Neighbour near = tree_.nearest(i);
-    if (near.item == BoxTree::kNone) return;
-    if (options_.rule == MergeRule::kPaper) {
-      gaps_.push({near.squared_distance, i, near.item});
-    } else if (!is_linked(i, near.item)) {
-      const double key = least_key(i, near.item, tree_.box(i), tree_.box(near.item));
-      link(i, near.item, key);
-      queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
-    }
-  }
-
-  bool is_linked(std::uint32_t a, std::uint32_t b) const {
-    for (const Link& link : element_[a].links)
-      if (link.other == b) return true;
-    return false;
-  }
-
-  // The best pair, evaluated; nothing when one element remains.
-  std::optional<Merge> next() {
-    while (!queue_.empty()) {
-      Candidate top = queue_.top();
-      queue_.pop();
-      const bool left = element_[top.left].alive, right = element_[top.right].alive;
-      if (!left || !right) {
-        drop(top);
-        if (top.is_nearest && left) repair(top.left);
-        if (top.is_nearest && right) repair(top.right);
-        continue;
-      }
-      if (top.evaluated) return Merge{top.left, top.right, top.weight};
-      if (!top.is_nearest) put_next(top.right);
-      evaluate(top);
-      set_key(top.left, top.right, top.key), set_key(top.right, top.left, top.key);
-      queue_.push(top);
-    }
-    while (!gaps_.empty()) {
-      const Gap gap = gaps_.top();
-      gaps_.pop();
-      if (!element_[gap.item].alive) continue;
-      if (!element_[gap.nearest].alive) {
-        pair_with_nearest(gap.item);
-        continue;
-      }
-      const auto [left, right] = std::minmax(gap.item, gap.nearest);
-      Candidate pair{0, kUnknown, left, right, false, false};
-      evaluate(pair);
-      return Merge{left, right, pair.weight};
-    }
-    return std::nullopt;
-  }
-
-  // Finds a new nearest element after the old one was merged, unless another element touches this one now.
-  void repair(std::uint32_t i) {
-    tree_.touching(tree_.box(i), touching_);
-    if (touching_.size() == 1) pair_with_nearest(i);
-  }
-
-  // Replaces two elements by their union.
-  void join(const Merge& pair) {
-    const auto [left, right, weight] = pair;
-    const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
-    std::unique_ptr<Ready> ready = std::move(element_[left].ready);
-    if (ready == nullptr || ready->right != right) {
-      build(bench_[0].hull, left, right);
-      ready = make_ready(bench_[0].hull, left, right);
-    }
-    Element merged;
-    merged.hull = std::move(ready->hull);
-    merged.mesh = std::move(ready->mesh);
-    merged.weight = weight;
-    merged_links_.clear();
-    for (const std::uint32_t old : {pair.left, pair.right}) {
-      tree_.remove(old);
-      for (const Link& link : element_[old].links)
-        if (link.other != pair.left && link.other != pair.right && element_[link.other].alive)
-          merged_links_.push_back(link);
-      total_weight_ -= element_[old].weight;
-      planes_ -= written(element_[old]);
-      element_[old] = Element{};
-      element_[old].alive = false;
-    }
-    total_weight_ += weight;
-    planes_ += written(merged);
-    --hulls_;
-    const LatticeBox box = bounds(merged.hull.vertex);
-    tree_.touching(box, touching_);
-    tree_.insert(made, box);
-    element_.push_back(std::move(merged));
-    for (const std::uint32_t other : touching_)
-      merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
-    std::sort(merged_links_.begin(), merged_links_.end(),
-              [](const Link& a, const Link& b) { return a.other != b.other ? a.other < b.other : a.key > b.key; });
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < merged_links_.size(); ++i) {
-      const Link l = merged_links_[i];
-      if (i > 0 && merged_links_[i - 1].other == l.other) continue;
-      std::erase_if(element_[l.other].links,
-                    [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
-      if (std::binary_search(touching_.begin(), touching_.end(), l.other)) merged_links_[kept++] = l;
-    }
-    merged_links_.resize(kept);
-    link_lower(made, merged_links_);
-    if (touching_.empty()) pair_with_nearest(made);
-  }
-
-  const Occupancy& occupancy_;
-  const VoxelSets& sets_;
-  MergeOptions options_;
-  std::vector<Element> element_;
-  double total_weight_ = 0;
-  std::size_t planes_ = 0, hulls_ = 0, guessed_ = 0, right_guesses_ = 0;
-  std::priority_queue<Candidate> queue_;
-  std::priority_queue<Gap> gaps_;
-  BoxTree tree_;
-  EvaluationLog* log_;
-  WorkerTeam team_;
-  std::vector<Bench> bench_;  // one per thread of the team
-  std::vector<Candidate> ahead_, passed_;
-  std::vector<std::unique_ptr<Ready>> ready_;  // unions of the candidates in ahead_
-  std::vector<std::uint32_t> touching_;
-  std::vector<Link> merged_links_;
+  const Stop& stop_;
+  std::atomic<std::size_t>& merges_;
 };
+
+// Reports the merges of all tiles instead of the number of finished tiles.
+class TilesControl final : public Control {
+ public:
+  TilesControl(Control& outer, const std::atomic<std::size_t>& merges, std::size_t total)
+      : outer_(outer), merges_(merges), total_(total) {}
+  void poll(std::size_t, std::size_t) override { outer_.poll(std::min(merges_.load(), total_), total_); }
+
+ private:
+  Control& outer_;
+  const std::atomic<std::size_t>& merges_;
+  std::size_t total_;
+};
+
+// Appends a step to a cover's history and curve, its elements renumbered.
+void append(Cover& cover, const MergeStep& step, std::uint32_t left, std::uint32_t right) {
+  const CurvePoint& before = cover.curve.back();
+  cover.history.push_back({std::min(left, right), std::max(left, right), step.merge.weight});
+  cover.curve.push_back({before.hulls - 1, before.excess + step.excess,
+                         static_cast<std::size_t>(static_cast<std::ptrdiff_t>(before.planes) + step.planes)});
+}
+
+// Merges each tile by itself, then takes the merges of all tiles in the order of their keys until `rest` elements
+// are left.
+Cover merge_tiles(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, std::size_t rest,
+                  unsigned jobs, Control& control, EvaluationLog* log) {
+  const Tiles tiles = tiles_of(occupancy, sets);
+  std::vector<MergeSteps> found(tiles.size());
+  std::atomic<std::size_t> polls{0};
+  TilesControl all(control, polls, 2 * sets.size());  // about one for each set and one for each merge
+  parallel_chunks(tiles.size(), 1, jobs, all, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+    for (std::size_t t = begin; t < end; ++t) {
+      TileControl counted(stop, polls);
+      MergeOptions alone;
+      alone.rule = options.rule;
+      alone.budget.form = options.budget.form;
+      alone.max_hulls = std::max<std::size_t>(1, tiles[t].size() / kSetsPerEnd);
+      std::size_t before = 0;
+      for (std::size_t i = 0; i < t; ++i) before += tiles[i].size();
+      found[t] =
+          greedy_merge(occupancy, sets, tiles[t], alone, 1, counted, log, static_cast<std::uint32_t>(2 * before));
+    }
+  });
+
+  Cover cover;
+  CurvePoint start{sets.size(), 0, 0};
+  for (const MergeSteps& steps : found) start.excess += steps.start.excess, start.planes += steps.start.planes;
+  cover.curve.push_back(start);
+  std::vector<std::vector<std::uint32_t>> number = tiles;  // of each tile's elements in the cover
+  std::vector<std::size_t> next(tiles.size(), 0);
+  const auto later = [&](std::size_t a, std::size_t b) {
+    const double x = found[a].step[next[a]].key, y = found[b].step[next[b]].key;
+    return x != y ? x > y : a > b;
+  };
+  std::priority_queue<std::size_t, std::vector<std::size_t>, decltype(later)> queue(later);
+  for (std::size_t t = 0; t < tiles.size(); ++t)
+    if (!found[t].step.empty()) queue.push(t);
+  while (!queue.empty() && cover.curve.back().hulls > rest) {
+    const std::size_t t = queue.top();
+    queue.pop();
+    const MergeStep& step = found[t].step[next[t]++];
+    number[t].push_back(static_cast<std::uint32_t>(sets.size() + cover.history.size()));
+    append(cover, step, number[t][step.merge.left], number[t][step.merge.right]);
+    if (next[t] < found[t].step.size()) queue.push(t);
+  }
+  return cover;
+}
+
+// Numbers of the elements that remain after the merges of the history, ascending.
+std::vector<std::uint32_t> remaining(std::size_t leaves, std::span<const Merge> history) {
+  std::vector<bool> is_merged(leaves + history.size(), false);
+  for (const Merge& m : history) is_merged[m.left] = is_merged[m.right] = true;
+  std::vector<std::uint32_t> number;
+  for (std::uint32_t e = 0; e < is_merged.size(); ++e)
+    if (!is_merged[e]) number.push_back(e);
+  return number;
+}
 
 }  // namespace
 
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log) {
-  Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
-  return Merger(occupancy, sets, options, jobs, start, log).run(loop);
+  const std::size_t rest = sets.size() / kSetsPerRest, hulls = std::max(options.max_hulls, options.finest_hulls);
+  const bool is_counted =
+      options.rule == MergeRule::kIncrease && options.max_growth <= 0 && hulls > 0 && !options.budget.is_limit();
+  const bool is_tiled = is_counted && sets.size() > kTileSets && hulls + hulls / 2 <= rest;
+  const bool is_staged = is_counted && options.finest_hulls == 0;
+  if (log != nullptr) log->open(fingerprint_of(occupancy, sets, options.rule, is_tiled));
+  Share tiling(control, 0, kTileShare), joining(control, is_tiled ? kTileShare : 0, Share::kWhole);
+  Cover cover;
+  VoxelSets last = sets;
+  if (is_tiled) {
+    cover = merge_tiles(occupancy, sets, options, rest, jobs, tiling, log);
+    last = merged_sets(sets, cover.history);
+  }
+  std::vector<std::uint32_t> number = remaining(sets.size(), cover.history);
+  // Merges the sets `last`, which have these numbers in the cover, and replaces them by what remains.
+  const auto go_on = [&](std::size_t max_hulls, Control& part, EvaluationLog* part_log) {
+    std::vector<std::uint32_t> whole(last.size());
+    std::iota(whole.begin(), whole.end(), 0u);
+    MergeOptions some = options;
+    some.max_hulls = max_hulls;
+    const MergeSteps steps = greedy_merge(occupancy, last, whole, some, jobs, part, part_log,
+                                          is_tiled ? static_cast<std::uint32_t>(2 * sets.size()) : 0);
+    (cover.curve.empty() ? cover.curve.emplace_back() : cover.curve.back()) = steps.start;
+    std::vector<Merge> history;
+    for (const MergeStep& step : steps.step) {
+      history.push_back(step.merge);
+      const std::uint32_t made = static_cast<std::uint32_t>(sets.size() + cover.history.size());
+      append(cover, step, number[step.merge.left], number[step.merge.right]);
+      number.push_back(made);
+    }
+    cover.within_budget = steps.within_budget;
+    std::vector<std::uint32_t> kept;
+    for (const std::uint32_t i : remaining(last.size(), history)) kept.push_back(number[i]);
+    number = std::move(kept);
+    last = merged_sets(last, history);
+  };
+  if (is_staged) {
+    Share early(joining, 0, kStageShare), late(joining, kStageShare, Share::kWhole);
+    go_on(options.max_hulls + options.max_hulls * 3 / 10, early, log);
+    if (last.size() > options.max_hulls) {
+      Cover tight;
+      tight.hull = hulls_of(occupancy, last, jobs, late);
+      tight.members = std::move(last);
+      InterruptOnly quiet(late);
+      std::vector<std::uint32_t> kept;
+      for (const std::size_t h : retighten(occupancy, tight, {}, jobs, quiet)) kept.push_back(number[h]);
+      number = std::move(kept);
+      last = std::move(tight.members);
+      go_on(options.max_hulls, late, nullptr);
+    }
+  } else {
+    go_on(options.max_hulls, joining, log);
+  }
+  cover.members = std::move(last);
+  cover.hull = hulls_of(occupancy, cover.members, jobs, joining);
+  return cover;
+}
+
+std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSets& members, unsigned jobs,
+                                      Control& control) {
+  std::vector<LatticePolytope> hulls(members.size());
+  InterruptOnly quiet(control);
+  parallel_chunks(hulls.size(), 8, jobs, quiet, [&](std::size_t begin, std::size_t end) {
+    HullBuilder builder;
+    std::vector<Lattice> voxels;
+    for (std::size_t h = begin; h < end; ++h) {
+      voxels.clear();
+      for (const std::uint32_t v : members[h]) voxels.push_back(occupancy.voxels()[v]);
+      builder.build_voxels(voxels);
+      hulls[h] = builder.polytope();
+    }
+  });
+  return hulls;
 }
 
 VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history) {
   const std::size_t leaves = sets.size();
-  std::vector<bool> is_merged(leaves + history.size(), false);
-  for (const Merge& m : history) is_merged[m.left] = is_merged[m.right] = true;
   VoxelSets result;
   std::vector<std::uint32_t> stack, members;
-  for (std::uint32_t e = 0; e < is_merged.size(); ++e) {
-    if (is_merged[e]) continue;
+  for (const std::uint32_t e : remaining(leaves, history)) {
     members.clear();
     stack.assign(1, e);
     while (!stack.empty()) {

@@ -17,10 +17,10 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
 
 }  // namespace
 
-int sample_lines(std::int32_t extent) {
+int sample_lines(std::int32_t extent, int most) {
   if (extent <= 3) return 4 * extent;
   if (extent <= 8) return 2 * extent;
-  return std::min(extent, 24);
+  return std::min(extent, most);
 }
 
 Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), voxels.end()) {
@@ -189,7 +189,7 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const double volume = static_cast<double>(ex) * ey * (box.upper[2] - box.lower[2]);
   // A hull of voxels has a facet on each side of its bounding box; six facets are that box.
   if (is_box) return volume - static_cast<double>(occupancy_->count(box));
-  const int nx = sample_lines(ex), ny = sample_lines(ey);
+  const int nx = sample_lines(ex, most_lines_), ny = sample_lines(ey, most_lines_);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
   const double last_y = (ny - 0.5) * step_y;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "alula/base/parallel.hpp"
+
 namespace alula {
 
 namespace {
@@ -46,18 +48,22 @@ void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std:
   }
 }
 
-Containment containment(const Occupancy& occupancy, std::span<const LatticePolytope> hulls, Control& control) {
+Containment containment(const Occupancy& occupancy, std::span<const LatticePolytope> hulls, unsigned jobs,
+                        Control& control) {
   const std::size_t count = hulls.size();
   Containment found{std::vector<std::uint32_t>(occupancy.size(), 0), std::vector<double>(count),
-                    std::vector<std::size_t>(count)};
-  std::vector<std::uint32_t> inside;
-  ExcessMeter meter(occupancy);
+                    std::vector<std::vector<std::uint32_t>>(count), std::vector<std::size_t>(count)};
+  parallel_chunks(count, 16, jobs, control, [&](std::size_t begin, std::size_t end) {
+    ExcessMeter meter(occupancy);
+    for (std::size_t h = begin; h < end; ++h) {
+      voxels_inside(occupancy, hulls[h], found.inside[h]);
+      found.inside[h].shrink_to_fit();
+      found.excess[h] = meter(hulls[h]);
+    }
+  });
   for (std::size_t h = 0; h < count; ++h) {
-    voxels_inside(occupancy, hulls[h], inside);
-    for (const std::uint32_t v : inside) ++found.holders[v];
-    found.excess[h] = meter(hulls[h]);
+    for (const std::uint32_t v : found.inside[h]) ++found.holders[v];
     found.order[h] = h;
-    control.poll(h, 3 * count);
   }
   const std::vector<double>& excess = found.excess;
   std::sort(found.order.begin(), found.order.end(),
@@ -65,22 +71,25 @@ Containment containment(const Occupancy& occupancy, std::span<const LatticePolyt
   return found;
 }
 
-void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
+std::vector<std::size_t> retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, unsigned jobs,
+                                   Control& control) {
   const std::size_t count = cover.hull.size();
-  auto [holders, excess, order] = containment(occupancy, cover.hull, control);
-  std::vector<std::uint32_t> inside, shrunk;
+  Share measuring(control, 0, Share::kWhole / 2), shrinking(control, Share::kWhole / 2, Share::kWhole);
+  auto [holders, excess, inside, order] = containment(occupancy, cover.hull, jobs, measuring);
   std::size_t planes = 0, kept = count;
   for (const LatticePolytope& hull : cover.hull) planes += hull.plane.size();
 
   HullBuilder builder;
   std::vector<Lattice> needed;
+  std::vector<std::uint32_t> shrunk;
   std::vector<bool> is_tight(count, true);
   std::size_t done = 0;
   for (const std::size_t h : order) {
-    voxels_inside(occupancy, cover.hull[h], inside);
+    shrinking.poll(done++, count);
     needed.clear();
-    for (const std::uint32_t v : inside)
+    for (const std::uint32_t v : inside[h])
       if (holders[v] == 1) needed.push_back(occupancy.voxels()[v]);
+    if (needed.size() == inside[h].size() && !needed.empty()) continue;  // it is the hull of the voxels inside
     LatticePolytope tight;
     if (!needed.empty()) {
       builder.build_voxels(needed);
@@ -95,10 +104,10 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
     planes = after, kept = left;
     shrunk.clear();
     if (!needed.empty()) voxels_inside(occupancy, tight, shrunk);
-    for (const std::uint32_t v : inside) --holders[v];
+    for (const std::uint32_t v : inside[h]) --holders[v];
     for (const std::uint32_t v : shrunk) ++holders[v];
+    inside[h] = shrunk;
     cover.hull[h] = std::move(tight);
-    control.poll(count + 2 * ++done, 3 * count);
   }
 
   // A voxel that a tight hull needs is in no other hull, so each hull is still the hull of its members;
@@ -106,18 +115,20 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
   std::vector<bool> is_taken(occupancy.size(), false);
   std::vector<LatticePolytope> hulls;
   VoxelSets members;
+  std::vector<std::size_t> remaining;
   for (std::size_t h = 0; h < count; ++h) {
     if (cover.hull[h].plane.empty()) continue;
-    voxels_inside(occupancy, cover.hull[h], inside);
-    for (const std::uint32_t v : inside) {
+    for (const std::uint32_t v : inside[h]) {
       if (!is_tight[h] || !is_taken[v]) members.member.push_back(v);
       is_taken[v] = true;
     }
     members.close();
     hulls.push_back(std::move(cover.hull[h]));
+    remaining.push_back(h);
   }
   cover.hull = std::move(hulls);
   cover.members = std::move(members);
+  return remaining;
 }
 
 }  // namespace alula

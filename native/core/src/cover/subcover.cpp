@@ -10,6 +10,7 @@ namespace alula {
 
 namespace {
 
+constexpr std::size_t kTileVoxels = 65536;   // of the tiles that are covered by disjoint sets, each by itself
 constexpr std::size_t kWeighingShare = 700;  // of the time, in Share::kWhole, before the first choice
 
 // Calls visit(first, last, dx, dy) for the runs of voxel numbers in a voxel's neighbourhood.
@@ -93,30 +94,28 @@ struct Candidate {
   }
 };
 
-// The runs of voxel numbers in each voxel's neighbourhood. They are stored for the common block of 1, where
-// there are at most nine, because the greedy cover needs each many times.
+// The runs of voxel numbers in the neighbourhoods of the voxels begin .. end - 1. They are stored for the common
+// block of 1, where there are at most nine, because the greedy cover needs each many times.
 class Neighbourhoods {
  public:
-  Neighbourhoods(const Occupancy& occupancy, int block, unsigned jobs, Control& control)
-      : occupancy_(occupancy), block_(block) {
+  Neighbourhoods(const Occupancy& occupancy, int block, std::size_t begin, std::size_t end)
+      : occupancy_(occupancy), block_(block), begin_(begin) {
     if (block != 1) return;
-    runs_.resize(occupancy.size());
-    parallel_chunks(runs_.size(), 4096, jobs, control, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t v = begin; v < end; ++v) {
-        Runs& runs = runs_[v];
-        for_runs(occupancy, static_cast<std::uint32_t>(v), 1, [&](std::uint32_t first, std::uint32_t last, int, int) {
-          runs.first[runs.count] = first;
-          runs.length[runs.count++] = static_cast<std::uint8_t>(last - first);
-        });
-      }
-    });
+    runs_.resize(end - begin);
+    for (std::size_t v = begin; v < end; ++v) {
+      Runs& runs = runs_[v - begin];
+      for_runs(occupancy, static_cast<std::uint32_t>(v), 1, [&](std::uint32_t first, std::uint32_t last, int, int) {
+        runs.first[runs.count] = first;
+        runs.length[runs.count++] = static_cast<std::uint8_t>(last - first);
+      });
+    }
   }
 
   // Calls visit(number) for the voxels around one, including itself.
   template <class Visit>
   void each(std::uint32_t voxel, Visit&& visit) const {
     if (block_ == 1) {
-      const Runs& runs = runs_[voxel];
+      const Runs& runs = runs_[voxel - begin_];
       for (std::size_t i = 0; i < runs.count; ++i)
         for (std::uint32_t u = runs.first[i]; u < runs.first[i] + runs.length[i]; ++u) visit(u);
     } else {
@@ -134,32 +133,33 @@ class Neighbourhoods {
   };
   const Occupancy& occupancy_;
   int block_;
+  std::size_t begin_;
   std::vector<Runs> runs_;
 };
 
-}  // namespace
-
-VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control) {
-  Share weighing(control, 0, kWeighingShare), choosing(control, kWeighingShare, Share::kWhole);
-  const std::vector<double> weight = cluster_weights(occupancy, block, jobs, weighing);
-  std::vector<std::uint8_t> covered(occupancy.size(), 0);
-  InterruptOnly quiet(control);
-  const Neighbourhoods around(occupancy, block, jobs, quiet);
-  auto candidate = [&](std::uint32_t v) {
+// Covers the voxels begin .. end - 1 by clusters of voxels among them; calls done(newly covered) after each choice.
+// Candidates only get worse as voxels are covered, so a candidate that is still on top after its update is the best
+// of all (lazy greedy).
+template <class Done>
+VoxelSets chosen(const Occupancy& occupancy, int block, std::span<const double> weight, std::size_t begin,
+                 std::size_t end, bool is_disjoint, Done&& done) {
+  const Neighbourhoods around(occupancy, block, begin, end);
+  std::vector<std::uint8_t> covered(end - begin, 0);
+  const auto each = [&](std::uint32_t v, auto&& visit) {
+    around.each(v, [&](std::uint32_t u) {
+      if (u >= begin && u < end) visit(u);
+    });
+  };
+  const auto candidate = [&](std::uint32_t v) {
     std::uint32_t uncovered = 0;
-    around.each(v, [&](std::uint32_t u) { uncovered += covered[u] == 0; });
+    each(v, [&](std::uint32_t u) { uncovered += covered[u - begin] == 0; });
     return Candidate{uncovered == 0 ? 0 : weight[v] / uncovered, uncovered, v};
   };
-  std::vector<Candidate> all(occupancy.size());
-  parallel_chunks(all.size(), 4096, jobs, quiet, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t v = begin; v < end; ++v) all[v] = candidate(static_cast<std::uint32_t>(v));
-  });
+  std::vector<Candidate> all(end - begin);
+  for (std::size_t v = begin; v < end; ++v) all[v - begin] = candidate(static_cast<std::uint32_t>(v));
   std::priority_queue<Candidate> queue(std::less<Candidate>{}, std::move(all));
-
-  // Candidates only get worse as voxels are covered, so a candidate that is still on top after its update
-  // is the best of all (lazy greedy).
   VoxelSets result;
-  std::size_t left = occupancy.size();
+  std::size_t left = end - begin;
   while (left > 0) {
     const Candidate now = candidate(queue.top().voxel);
     queue.pop();
@@ -168,14 +168,41 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
       queue.push(now);
       continue;
     }
-    around.each(now.voxel, [&](std::uint32_t u) {
-      result.member.push_back(u);
-      covered[u] = 1;
+    each(now.voxel, [&](std::uint32_t u) {
+      if (!is_disjoint || covered[u - begin] == 0) result.member.push_back(u);
+      covered[u - begin] = 1;
     });
     result.close();
     left -= now.uncovered;
-    if (result.size() % 256 == 0) choosing.poll(occupancy.size() - left, occupancy.size());
+    done(now.uncovered);
   }
+  return result;
+}
+
+}  // namespace
+
+VoxelSets subcover(const Occupancy& occupancy, int block, bool is_disjoint, unsigned jobs, Control& control) {
+  Share weighing(control, 0, kWeighingShare), choosing(control, kWeighingShare, Share::kWhole);
+  const std::vector<double> weight = cluster_weights(occupancy, block, jobs, weighing);
+  const std::size_t count = occupancy.size();
+  if (!is_disjoint) {
+    std::size_t covered = 0, sets = 0;
+    return chosen(occupancy, block, weight, 0, count, false, [&](std::uint32_t newly) {
+      covered += newly;
+      if (++sets % 256 == 0) choosing.poll(covered, count);
+    });
+  }
+  std::vector<VoxelSets> part((count + kTileVoxels - 1) / kTileVoxels);
+  parallel_chunks(count, kTileVoxels, jobs, choosing, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+    part[begin / kTileVoxels] =
+        chosen(occupancy, block, weight, begin, end, true, [&](std::uint32_t) { stop.check(); });
+  });
+  VoxelSets result;
+  for (const VoxelSets& sets : part)
+    for (std::size_t i = 0; i < sets.size(); ++i) {
+      result.member.insert(result.member.end(), sets[i].begin(), sets[i].end());
+      result.close();
+    }
   return result;
 }
 

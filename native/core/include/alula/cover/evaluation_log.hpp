@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -26,9 +27,9 @@ class EvaluationLog {
 
   // Keeps the entries if they have this fingerprint, and drops them otherwise.
   void open(std::uint64_t fingerprint);
-  // The weight of a pair, or nullptr. Must not be called while another thread adds.
-  const double* find(std::uint32_t left, std::uint32_t right) const;
-  // Adds pairs that are not in the log yet.
+  // These may be called by several threads. `find` gives the weight of a pair, `add` adds pairs that are not in the
+  // log yet.
+  std::optional<double> find(std::uint32_t left, std::uint32_t right) const;
   void add(std::span<const Entry> entries);
   void count_reuse(std::size_t entries);
 
@@ -38,6 +39,7 @@ class EvaluationLog {
   std::size_t reused() const;  // weights found since the log was made
 
  private:
+  const Entry* at(std::uint32_t left, std::uint32_t right) const;
   void insert(const Entry& entry);
 
   mutable std::mutex mutex_;

@@ -93,11 +93,21 @@ class HullBuilder {
   // Hull of the closed unit cubes [v, v + 1] of voxels sorted by x, y, z; never degenerate.
   void build_voxels(std::span<const Lattice> voxels);
 
+  // The extreme points of the hull of extreme points, which may be none, and further voxels sorted by x, y, z.
+  std::vector<Lattice> build_more(std::span<const Lattice> points, std::span<const Lattice> voxels);
+
   const LatticeBox& box() const { return box_; }
   bool is_box() const { return is_box_; }  // the hull fills box()
   std::span<const LocalPlane> local_planes() const { return local_; }
   LatticePolytope polytope();
   HullMesh mesh();
+
+  // The extreme points, in no particular order, and the number of facets.
+  struct Outline {
+    std::vector<Lattice> vertex;
+    std::size_t planes;
+  };
+  Outline outline();
 
  private:
   using Point = std::array<std::int64_t, 3>;
@@ -118,6 +128,9 @@ class HullBuilder {
   void insert(Planes<T>& planes, std::int32_t p);
   template <class T>
   void list_planes(const Planes<T>& planes);
+  template <class T>
+  void group_facets(const Planes<T>& planes);
+  std::vector<Lattice> extreme_points();
   template <class T>
   LatticePolytope grouped(const Planes<T>& planes);
   void set_points(std::span<const Lattice> points, std::span<const Lattice> more);

@@ -20,9 +20,10 @@ enum class MergeRule {
 
 struct MergeOptions {
   MergeRule rule = MergeRule::kIncrease;
-  std::size_t max_hulls = 0;  // 0: no limit
-  Budget budget;              // of the written cover
-  double max_growth = 0;      // limit of 1 + sum W / voxels; 0: no limit
+  std::size_t max_hulls = 0;     // 0: no limit
+  Budget budget;                 // of the written cover
+  double max_growth = 0;         // limit of 1 + sum W / voxels; 0: no limit
+  std::size_t finest_hulls = 0;  // covers of up to this many hulls will be replayed from the history
 };
 
 struct Merge {
@@ -61,6 +62,10 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
 
 // The voxels of the elements that remain after the merges of the history, by ascending number of the element.
 VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history);
+
+// The convex hulls of the members.
+std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSets& members, unsigned jobs,
+                                      Control& control);
 
 // Orders hulls by their members, lexicographically.
 void sort_hulls(Cover& cover);

@@ -71,8 +71,8 @@ class Occupancy {
 };
 
 // Lines per axis that sample a box of `extent` voxels: four per voxel up to 3 voxels, two up to 8,
-// then one, at most 24.
-int sample_lines(std::int32_t extent);
+// then one, at most `most`.
+int sample_lines(std::int32_t extent, int most = 24);
 
 // A polytope as lower and upper bounds on z over (x, y), in coordinates local to the lower corner of its box.
 class ZBounds {
@@ -94,12 +94,13 @@ class ZBounds {
 };
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
-// bounding box with sample_lines() per axis.
+// bounding box with sample_lines() per axis, at most `most_lines`.
 // Boxes are counted exactly. Any other polytope measures zero only when its bounding box is full, and
 // at least kLeast otherwise, so W = 0 always means no excess. W only ranks merges. One per thread.
 class ExcessMeter {
  public:
-  explicit ExcessMeter(const Occupancy& occupancy) : occupancy_(&occupancy) {}
+  explicit ExcessMeter(const Occupancy& occupancy, int most_lines = 24)
+      : occupancy_(&occupancy), most_lines_(most_lines) {}
   double operator()(const HullBuilder& hull);
   double operator()(const LatticePolytope& polytope);
 
@@ -109,6 +110,7 @@ class ExcessMeter {
   double measure(const LatticeBox& box, bool is_box);
 
   const Occupancy* occupancy_;
+  int most_lines_;
   ZBounds bounds_;
   std::vector<double> y_, low_, high_;
   std::vector<const Occupancy::Column*> column_;

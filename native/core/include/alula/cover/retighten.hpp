@@ -17,18 +17,20 @@ void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std:
 
 // Counts of the hulls that contain each voxel, and the order in which hulls are shrunk.
 struct Containment {
-  std::vector<std::uint32_t> holders;  // number of hulls that contain each voxel
-  std::vector<double> excess;          // W of each hull [voxels]
-  std::vector<std::size_t> order;      // the hulls, largest excess first; the lower number among equals
+  std::vector<std::uint32_t> holders;              // number of hulls that contain each voxel
+  std::vector<double> excess;                      // W of each hull [voxels]
+  std::vector<std::vector<std::uint32_t>> inside;  // the voxels in each hull, ascending
+  std::vector<std::size_t> order;                  // the hulls, largest excess first; the lower number among equals
 };
 
-// Polls once per hull, as one third of a loop over all hulls.
-Containment containment(const Occupancy& occupancy, std::span<const LatticePolytope> hulls, Control& control);
+Containment containment(const Occupancy& occupancy, std::span<const LatticePolytope> hulls, unsigned jobs,
+                        Control& control);
 
 // Replaces each hull, in order of decreasing excess, by the hull of the voxels that no other hull
 // contains, and drops hulls without such voxels; hulls only shrink and the union never grows. Afterwards
 // the members partition the voxels. A hull is kept when its replacement would raise the written cover
-// above the budget.
-void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control);
+// above the budget. Returns the numbers of the hulls that remain.
+std::vector<std::size_t> retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, unsigned jobs,
+                                   Control& control);
 
 }  // namespace alula

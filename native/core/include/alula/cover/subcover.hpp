@@ -28,8 +28,9 @@ struct VoxelSets {
 // W(C_v) = Vol(Hull(C_v) \ occupied). Repeatedly chooses the cluster of minimum weight per newly
 // covered voxel; ties go to the cluster that covers more, then to the lower voxel. With block 1 the
 // weight depends only on the 26 neighbours and is computed once per pattern of neighbours.
-// Time O(M (2 block + 1)^3) and a few hull evaluations per distinct pattern.
-// Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 10-11; Chvatal 1979.
-VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control);
+// A chosen cluster becomes a set of all its voxels. With `is_disjoint` it becomes a set of those that no set before
+// it has, and tiles of consecutive voxels are covered each by itself, in parallel. Time O(M (2 block + 1)^3) and a
+// few hull evaluations per distinct pattern. Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 10-11; Chvatal 1979.
+VoxelSets subcover(const Occupancy& occupancy, int block, bool is_disjoint, unsigned jobs, Control& control);
 
 }  // namespace alula
