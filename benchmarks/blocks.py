@@ -8,9 +8,12 @@ The street tiles are read from the folder that ALULA_DATA names; without it they
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parent))
 
 import numpy as np
 import scenes
