@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from alula.cli import grouped
 from alula.cli.present import echo
 from alula.schemas.errors import UsageError
 
@@ -14,7 +15,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("name", metavar="[COMMAND]", required=False)
 @click.pass_context
 def command(context: click.Context, name: str | None) -> None:

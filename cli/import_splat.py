@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from alula.cli import options, parted, runner
+from alula.cli import grouped, options, parted, runner
 from alula.cli.import_parts import import_parts, inputs_of
 from alula.cli.options import Common
 from alula.schemas.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
@@ -29,7 +29,7 @@ Examples:
   curl -s https://example.org/room.spz | alula import-splat - -o room.scene.npz --turn x"""
 
 
-@click.command("import-splat", epilog=EXAMPLES)
+@grouped.command("import-splat", epilog=EXAMPLES)
 @click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.FilePath(stdin=True))
 @options.from_config(ImportSplatConfig)
 @click.option(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.runner import INDEX
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ Examples:
 Explained = tuple[dict[str, Any], "AlulaError | None"]
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("file", type=options.input_path())
 @options.reporting
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:

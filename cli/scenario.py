@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.schemas.errors import OutputError, UsageError
 
 EXAMPLES = """\b
@@ -18,7 +18,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("file", type=options.input_path(), required=False)
 @options.settings(
     "Replace a value by the path of its key; may be repeated. Names of files are relative to FILE."
