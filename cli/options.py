@@ -6,8 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Callable, Container, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import click
 
 from alula.cli import completion, grouped
-from alula.schemas.errors import UsageError
+from alula.cli.addresses import Address, is_address
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -125,20 +124,31 @@ class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class FilePath(click.Path):
-    """The name of a file or folder; the reader or writer checks the file itself."""
+    """The name of a file or folder; the reader or writer checks the file itself.
 
-    def __init__(self, *, stdin: bool = False) -> None:
+    Args:
+        stdin: `-` is standard input.
+        web: addresses are allowed too.
+    """
+
+    def __init__(self, *, stdin: bool = False, web: bool = False) -> None:
         super().__init__(path_type=Path)
-        self.stdin = stdin
+        self.stdin, self.web = stdin, web
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse text that cannot name a file."""
+        """Refuse text that cannot name a file; an address becomes an `Address`."""
         if value == "":
             self.fail("the name of the file is empty", param, ctx)
         if value == "-" and not self.stdin:
             self.fail("artifacts are files, not streams (./- is a file of that name)", param, ctx)
         if isinstance(value, str) and any(character in value for character in "\0\r\n"):
             self.fail("the name of the file has a line break", param, ctx)
+        if isinstance(value, str) and is_address(value):
+            if not self.web:
+                self.fail(
+                    "addresses are inputs of import-splat and info; download the file first", param, ctx
+                )
+            return Address(value)
         return super().convert(value, param, ctx)
 
 
@@ -354,45 +364,10 @@ def input_path() -> FilePath:
 
 
 def settings(help: str, group: str = "") -> Callable[[F], F]:
-    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `settings_of`.
+    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `set_values`.
 
     Args:
         help: of the option.
         group: heading under which the help shows it.
     """
     return grouped.option("--set", "settings", group=group, multiple=True, metavar="PATH=VALUE", help=help)
-
-
-def settings_of(words: Iterable[str], texts: Container[str] = ()) -> dict[str, Any]:
-    """Parse the words of --set; a later one replaces an earlier one.
-
-    Args:
-        words: PATH=VALUE.
-        texts: paths whose values are text as it stands; others are numbers, lists and truth
-            values where they look so.
-
-    Raises:
-        UsageError: a path or a value is missing, or a number is not finite.
-    """
-    found = {}
-    for word in words:
-        path, equals, text = word.partition("=")
-        if not (equals and path and text):
-            raise UsageError(f"--set needs PATH=VALUE, not {word!r}")
-        found[path] = text if path in texts else _value_of(path, text)
-    return found
-
-
-def _value_of(path: str, text: str) -> Any:
-    """An integer, a number, a list with commas, true or false, else the text."""
-    if "," in text:
-        return [_value_of(path, part) for part in text.split(",")]
-    if text in ("true", "false"):
-        return text == "true"
-    for convert in (int, float):
-        with suppress(ValueError):
-            value = convert(text)
-            if isinstance(value, float) and not math.isfinite(value):
-                raise UsageError(f"--set {path}: {text!r} is not finite")
-            return value
-    return text

@@ -12,6 +12,7 @@ import click
 
 from alula.cli import completion, grouped, options
 from alula.cli.runner import run
+from alula.cli.set_values import settings_of
 from alula.schemas.errors import CheckError, UsageError
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def command(
         changes["rules.trials"] = trials
     if options.is_given(context, "seed"):
         changes["rules.seed"] = common.seed
-    given = options.settings_of(settings, TEXTS)
+    given = settings_of(settings, TEXTS)
     _check_paths(given, names)
     scenario: WorldScenario
     if source.suffix == ".toml":

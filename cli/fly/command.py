@@ -11,6 +11,7 @@ import click
 from alula.cli import grouped, options
 from alula.cli.fly.contact import Route, of_link
 from alula.cli.present import echo
+from alula.cli.set_values import settings_of
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
 
@@ -146,7 +147,7 @@ def command(
     if address is None:
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
-        config, filter_parameters={**config.filter_parameters, **options.settings_of(settings)}
+        config, filter_parameters={**config.filter_parameters, **settings_of(settings)}
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
     vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
