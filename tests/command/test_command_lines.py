@@ -37,7 +37,7 @@ ELSEWHERE = (
         r"^(git|docker|bash|sudo|apt-get|apt|pip|pipx|uv|curl|wget|unzip|mkdir|export) ",
         "prepares the machine",
     ),
-    (r"^(cat|cd|source|\.) ", "of the shell"),
+    (r"^(cat|cd|eval|source|\.) ", "of the shell"),
     (r"^(\./waf|Tools/\S+|~/\S+) ", "builds or starts an autopilot"),
     (r"^make px4_sitl ", "builds PX4"),
     (r"^make CRAZYFLIE_BASE=", "builds the firmware of a Crazyflie, from its sources"),
