@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -186,6 +186,9 @@ docs: setup ## regenerate the command reference, and build the documentation int
 	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
 	@echo "documentation: $(CURDIR)/build/site/index.html"
+
+man: setup ## write the man pages into build/man/
+	$(BIN)/python -P -m alula.cli help --man build/man
 
 schemas: setup ## regenerate what follows from the schemas, and the type stub of the native module
 	$(BIN)/python -P -m alula.schemas.generate .

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from alula.cli import options, runner
+from alula.cli import grouped, options, runner
 from alula.cli.options import PATH, Common
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.progress import Progress
@@ -21,7 +21,7 @@ Examples:
 SCHEMA = "alula/demo-scene"
 
 
-@click.command("demo-scene", epilog=EXAMPLES)
+@grouped.command("demo-scene", epilog=EXAMPLES)
 @click.option("--colmap", type=PATH, help="Also write the cameras as a COLMAP text model to this folder.")
 @click.option("--cameras", type=PATH, help="Also write the cameras in the scene's frame to this CSV file.")
 @click.option(

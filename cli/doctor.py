@@ -11,9 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import click
-
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.schemas.extras import EXTRAS
 
 EXAMPLES = """\b
@@ -65,7 +63,7 @@ class Check:
     note: str = ""
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @options.reporting
 def command(json: bool, quiet: bool, verbose: int) -> None:
     """Check that everything alula needs is installed.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.options import Common
 from alula.schemas.configs.export import FOLDERS, ExportConfig
 
@@ -29,12 +29,13 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("artifact", metavar="[INPUT]", required=False, type=options.input_path())
 @options.from_config(ExportConfig)
-@click.option(
+@grouped.option(
     "--sign",
     "key_path",
+    group="Maps in tiles",
     metavar="KEYFILE",
     type=options.input_path(),
     help="Tiles: sign the index with this key, a file of 32 bytes or of 64 hexadecimal digits.",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.fly.conduct import Interrupts, failed_checks, is_of_vehicle, priority, signals, stop
 from alula.cli.fly.contact import Route, of_link, reach
 from alula.cli.interruption import InterruptedWithAdvice
@@ -37,7 +37,7 @@ def _speeds(context: click.Context, parameter: click.Parameter, value: str) -> t
     )
 
 
-@click.command("identify", epilog=EXAMPLES)
+@grouped.command("identify", epilog=EXAMPLES)
 @click.option(
     "--link",
     "address",

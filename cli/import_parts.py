@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -36,8 +36,26 @@ def inputs_of(found: Sequence[SplatFile]) -> list[dict[str, Path]]:
     ]
 
 
+def names_of(
+    found: Sequence[SplatFile], roles: Sequence[Mapping[str, Path]], shown: Mapping[Path, str]
+) -> dict[str, str]:
+    """Names to record in place of those of the files, by role.
+
+    Args:
+        found: the splats.
+        roles: files by role, for each splat; the splat itself is the first one.
+        shown: names of splats by their paths.
+    """
+    pairs = zip(found, roles, strict=True)
+    return {next(iter(files)): shown[one.path] for one, files in pairs if one.path in shown}
+
+
 def import_parts(
-    paths: Sequence[Path], config: ImportSplatConfig, part_gaussians: int, common: Common
+    paths: Sequence[Path],
+    config: ImportSplatConfig,
+    part_gaussians: int,
+    common: Common,
+    shown: Mapping[Path, str],
 ) -> None:
     """Import splats into a folder of parts; jobs share the pieces of the files.
 
@@ -46,6 +64,7 @@ def import_parts(
         config: see `ImportSplatConfig`.
         part_gaussians: maximum number of Gaussians of a part.
         common: the shared options.
+        shown: names to record in place of those of the files, by their paths.
 
     Raises:
         UsageError, InputError, OutputError: as `run_parts` and `import_piece`.
@@ -79,7 +98,8 @@ def import_parts(
         return writer.whole(recorded, **whole_scene(config, writer.manifests, nothing, levels))
 
     inputs = {role: path for files in roles for role, path in files.items()}
-    run_parts(common, SCENE, parameters_of(config) | {"part_gaussians": part_gaussians}, inputs, build)
+    parameters = parameters_of(config) | {"part_gaussians": part_gaussians}
+    run_parts(common, SCENE, parameters, inputs, build, names=names_of(found, roles, shown))
 
 
 def _imported(

@@ -5,15 +5,17 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
 
-from alula.cli import options, parted, runner
-from alula.cli.import_parts import import_parts, inputs_of
+from alula.cli import grouped, options, parted, runner
+from alula.cli.addresses import Address, Limits, limited
+from alula.cli.import_parts import import_parts, inputs_of, names_of
 from alula.cli.options import Common
+from alula.cli.progress import shown_progress
 from alula.schemas.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
 from alula.schemas.errors import AlulaError, InputError, UsageError
 from alula.schemas.files import printable
@@ -26,34 +28,40 @@ Examples:
   alula import-splat street/lod-meta.json -o street.scene.npz --lod 1
   alula import-splat tile_0.splat tile_1.splat -o street.scene.npz
   alula import-splat tile_*.splat -o city.scene
-  curl -s https://example.org/room.spz | alula import-splat - -o room.scene.npz --turn x"""
+  alula import-splat https://example.org/room.spz -o room.scene.npz --turn x
+  cat tile.splat | alula import-splat - -o tile.scene.npz"""
 
 
-@click.command("import-splat", epilog=EXAMPLES)
-@click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.FilePath(stdin=True))
+@grouped.command("import-splat", epilog=EXAMPLES)
+@click.argument(
+    "splats", metavar="SPLAT...", nargs=-1, required=True, type=options.FilePath(stdin=True, web=True)
+)
 @options.from_config(ImportSplatConfig)
-@click.option(
+@grouped.option(
     "--part-gaussians",
     type=options.Whole(100, 2**26),
     default=PART_GAUSSIANS,
     show_default=True,
     help="Maximum number of Gaussians of a part, where the output is a folder.",
 )
+@limited
 @options.output(".scene.npz, or a folder .scene")
 @click.pass_context
 def command(
     context: click.Context,
-    splats: tuple[Path, ...],
+    splats: tuple[Path | Address, ...],
     config: ImportSplatConfig,
     part_gaussians: int,
+    limits: Limits,
     common: Common,
 ) -> None:
     """Read Gaussian splat files into a scene.
 
-    SPLAT is a file, the output folder of a trainer, or - for standard input. The format is recognised by
-    the content; `alula info` reports it too, and docs/guide/splat-formats.md lists all formats. The output
-    counts the Gaussians that are left out, by reason. It also records the precision that a lossy format may
-    have lost; voxelize grows the ellipsoids accordingly.
+    SPLAT is a file, the output folder of a trainer, - for standard input, or an address, https://host/file,
+    whose file is downloaded, read and removed. The format is recognised by the content; `alula info` reports
+    it too, and docs/guide/splat-formats.md lists all formats. The output counts the Gaussians that are left
+    out, by reason. It also records the precision that a lossy format may have lost; voxelize grows the
+    ellipsoids accordingly.
 
     Several files that share one frame, such as tiles, become one scene, in their order. Of a streamed SOG,
     lod-meta.json or its folder reads all files of one level of detail. Any other folder stands for all splats
@@ -67,8 +75,8 @@ def command(
     one file, a part is a whole file while it is read.
     """
     if parted.is_parted(common.output, ".scene"):
-        with read_stdin(splats[0], common) as first:
-            import_parts((first, *splats[1:]), config, part_gaussians, common)
+        with local_copies(splats, limits, common) as paths:
+            import_parts(paths, config, part_gaussians, common, _shown(splats, paths))
         return
     if options.is_given(context, "part_gaussians"):
         raise UsageError("--part-gaussians goes with a folder as the output, such as -o NAME.scene")
@@ -79,11 +87,12 @@ def command(
     from alula.stages.reconstruction.import_splat import import_splat
     from alula.stages.reconstruction.pieces import find_splats
 
-    if len(splats) > 1 and any(str(path) == "-" for path in splats):
-        raise UsageError("- is one stream and cannot be joined with files; write it to a file first")
-    with read_stdin(splats[0], common) as first:
-        found = find_splats((first, *splats[1:]), config.format, config.lod)
-        names = [printable("-" if one.path == first != splats[0] else one.path.name) for one in found]
+    with local_copies(splats, limits, common) as paths:
+        found = find_splats(paths, config.format, config.lod)
+        shown = _shown(splats, paths)
+        names = [
+            printable("-" if str(splats[0]) == "-" else shown.get(one.path, one.path.name)) for one in found
+        ]
 
         def build(progress: Progress) -> Artifact:
             read = joined(
@@ -98,8 +107,53 @@ def command(
                 more = f" and {len(found) - 1} more" if len(found) > 1 else ""
                 raise InputError(f"{splats[0]}{more}: {error}") from error
 
-        inputs = {role: path for files in inputs_of(found) for role, path in files.items()}
-        runner.run_stage(common, SCENE, config, inputs, build)
+        roles = inputs_of(found)
+        inputs = {role: path for files in roles for role, path in files.items()}
+        runner.run_stage(common, SCENE, config, inputs, build, names=names_of(found, roles, shown))
+
+
+def _shown(splats: Sequence[Path | Address], paths: Sequence[Path]) -> dict[Path, str]:
+    """Address of each file that was downloaded."""
+    pairs = zip(splats, paths, strict=True)
+    return {path: printable(str(splat)) for splat, path in pairs if isinstance(splat, Address)}
+
+
+@contextmanager
+def local_copies(
+    splats: Sequence[Path | Address], limits: Limits, common: Common
+) -> Iterator[tuple[Path, ...]]:
+    """Context with the paths to read: files themselves, and temporary copies of all others.
+
+    Args:
+        splats: the arguments of the command.
+        limits: of downloads.
+        common: the shared options.
+
+    Raises:
+        UsageError: --depfile is given with a download, an address is named twice, or - with others.
+        UsageError, InputError: as `Limits.for_each`, `read_stdin` and `downloaded`.
+    """
+    if len(splats) > 1 and any(str(path) == "-" for path in splats):
+        raise UsageError("- is one stream and cannot be joined with files; write it to a file first")
+    addresses = [splat for splat in splats if isinstance(splat, Address)]
+    wanted = iter(limits.for_each(len(addresses)))
+    if addresses and common.depfile is not None:
+        raise UsageError("--depfile names files, but the input is an address")
+    for number, address in enumerate(addresses):
+        if address in addresses[:number]:
+            raise UsageError(f"{address}: is named twice")
+    with ExitStack() as stack:
+        paths = []
+        for splat in splats:
+            if isinstance(splat, Path):
+                paths.append(stack.enter_context(read_stdin(splat, common)))
+                continue
+            from alula.cli.download import downloaded
+
+            with shown_progress(common) as progress:
+                copy = downloaded(splat, limits.most_bytes, next(wanted), progress)
+                paths.append(stack.enter_context(copy))
+        yield tuple(paths)
 
 
 @contextmanager

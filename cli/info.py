@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
+from alula.cli.addresses import Address, Limits, limited
 from alula.cli.runner import INDEX
 
 if TYPE_CHECKING:
@@ -17,31 +19,48 @@ EXAMPLES = """\b
 Examples:
   alula info room.cover.npz
   alula info scan.ply --json
+  alula info https://example.org/scan.spz
 """
 
 Explained = tuple[dict[str, Any], "AlulaError | None"]
 
 
-@click.command(epilog=EXAMPLES)
-@click.argument("file", type=options.input_path())
+@grouped.command(epilog=EXAMPLES)
+@click.argument("file", type=options.FilePath(web=True))
+@limited
 @options.reporting
-def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
+def command(file: Path | Address, limits: Limits, json: bool, quiet: bool, verbose: int) -> None:
     """Explain an artifact or a splat file.
 
-    FILE may also be the folder of a splat, of an artifact in parts, or of a map in tiles. For a damaged file,
-    info prints what it can still read and ends with exit code 3.
+    FILE may also be the folder of a splat, of an artifact in parts, or of a map in tiles; or an address,
+    https://host/file, whose file is downloaded and removed. For a damaged file, info prints what it can still
+    read and ends with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
     from alula.schemas.files import printable, size_of
 
-    facts, error = _explain(file)
-    facts = {"file": printable(file.name), "bytes": size_of(file), "whole": error is None, **facts}
-    if json:
-        print_json(facts)
-    elif not quiet:
-        print_sections(facts)
-    if error is not None:
-        raise error
+    (sha256,) = limits.for_each(int(isinstance(file, Address))) or ("",)
+    with _local(file, limits.most_bytes, sha256) as path:
+        facts, error = _explain(path)
+        name = file.name if isinstance(file, Path) else str(file)
+        facts = {"file": printable(name), "bytes": size_of(path), "whole": error is None, **facts}
+        if "damage" in facts:
+            facts["damage"] = facts["damage"].replace(str(path), str(file))
+        if json:
+            print_json(facts)
+        elif not quiet:
+            print_sections(facts)
+        if error is not None:
+            raise error
+
+
+def _local(file: Path | Address, most_bytes: int, sha256: str) -> AbstractContextManager[Path]:
+    """Context with the path to read: the file itself, or a temporary copy of an address."""
+    if isinstance(file, Path):
+        return nullcontext(file)
+    from alula.cli.download import downloaded
+
+    return downloaded(file, most_bytes, sha256)
 
 
 def _explain(path: Path) -> Explained:

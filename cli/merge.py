@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options, parted
+from alula.cli import grouped, options, parted
 from alula.schemas.configs.merge import MergeConfig
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path(), metavar="VOXELS|COVER")
 @options.from_config(MergeConfig)
 @options.scheduler("Send blocks")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options, runner
+from alula.cli import grouped, options, runner
 from alula.cli.interruption import handlers_kept
 from alula.cli.options import PATH
 from alula.schemas.configs.observe import ObserveConfig
@@ -32,7 +32,7 @@ LEVEL = (
 )
 
 
-@click.command("observe", epilog=EXAMPLES)
+@grouped.command("observe", epilog=EXAMPLES)
 @click.argument("scene", type=options.input_path())
 @click.option("--colmap", type=PATH, help="COLMAP model (folder) with cameras in the splat file's frame.")
 @click.option(
@@ -41,8 +41,9 @@ LEVEL = (
     help="CSV image,x,y,z,qw,qx,qy,qz,width,height,fx,fy,cx,cy of cameras in the splat file's frame: camera "
     "to scene, axes x right, y down, z forward; pixels; no distortion.",
 )
-@click.option(
+@grouped.option(
     "--nerfstudio",
+    group="Cameras",
     type=PATH,
     help="Run folder or dataparser_transforms.json: the cameras are in the frame of the source poses.",
 )
@@ -53,7 +54,12 @@ LEVEL = (
     type=options.input_path(),
     help="Vehicle (.toml) that must be able to go there; default: the quadrotor of FastBridge.",
 )
-@options.from_config(ObserveConfig)
+@options.from_config(
+    ObserveConfig,
+    groups=dict.fromkeys(
+        ("confidence", "min_overlap", "min_opacity", "inflation_m", "ignore_loss", "max_voxels"), "Obstacles"
+    ),
+)
 @options.output(".seen.npz")
 @click.pass_context
 def command(

@@ -6,16 +6,16 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Callable, Container, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import click
 
-from alula.cli import completion
-from alula.schemas.errors import UsageError
+from alula.cli import completion, grouped
+from alula.cli.addresses import Address, is_address
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -79,7 +79,7 @@ def _are_numbers(text: str) -> bool:
         return False
 
 
-class NumbersOption(click.Option):
+class NumbersOption(grouped.Option):
     """An option of type `Numbers`: one word in quotes, several words, or a mixture of both."""
 
     def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
@@ -124,20 +124,31 @@ class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class FilePath(click.Path):
-    """The name of a file or folder; the reader or writer checks the file itself."""
+    """The name of a file or folder; the reader or writer checks the file itself.
 
-    def __init__(self, *, stdin: bool = False) -> None:
+    Args:
+        stdin: `-` is standard input.
+        web: addresses are allowed too.
+    """
+
+    def __init__(self, *, stdin: bool = False, web: bool = False) -> None:
         super().__init__(path_type=Path)
-        self.stdin = stdin
+        self.stdin, self.web = stdin, web
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse text that cannot name a file."""
+        """Refuse text that cannot name a file; an address becomes an `Address`."""
         if value == "":
             self.fail("the name of the file is empty", param, ctx)
         if value == "-" and not self.stdin:
             self.fail("artifacts are files, not streams (./- is a file of that name)", param, ctx)
         if isinstance(value, str) and any(character in value for character in "\0\r\n"):
             self.fail("the name of the file has a line break", param, ctx)
+        if isinstance(value, str) and is_address(value):
+            if not self.web:
+                self.fail(
+                    "addresses are inputs of import-splat and info; download the file first", param, ctx
+                )
+            return Address(value)
         return super().convert(value, param, ctx)
 
 
@@ -145,6 +156,7 @@ FINITE_FLOAT = FiniteFloat()
 POINT = Numbers(3)
 PATH = FilePath()
 JOBS = Whole(0, 256)
+REMOTE = "Other machines"
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,12 +174,15 @@ class Common:
     depfile: Path | None
 
 
+common = partial(grouped.option, group=grouped.COMMON)
+
+
 def reporting(function: F) -> F:
     """Add -q, -v and --json, for commands that write no file; the function gets them by name."""
     for option in (
-        click.option("-v", "--verbose", count=True, help="More notes; -vv shows tracebacks."),
-        click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
-        click.option("--json", "json", is_flag=True, help="Print the result, or the error, as JSON."),
+        common("-v", "--verbose", count=True, help="More notes; -vv shows tracebacks."),
+        common("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+        common("--json", "json", is_flag=True, help="Print the result, or the error, as JSON."),
     ):
         function = option(function)
     return function
@@ -191,24 +206,24 @@ def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
         collect.__dict__.update(function.__dict__)
         decorated = reporting(collect)
         for option in (
-            click.option("--depfile", type=PATH, help="Also write Make dependencies to this file."),
-            click.option(
+            common("--depfile", type=PATH, help="Also write Make dependencies to this file."),
+            common(
                 "--jobs",
                 type=JOBS,
                 default=0,
                 help="Threads; 0 is all processors. Results do not depend on it.",
                 show_default=True,
             ),
-            click.option(
+            common(
                 "--seed",
                 type=Whole(0, 2**63 - 1),
                 default=0,
                 help="Seed of all randomness.",
                 show_default=True,
             ),
-            click.option("-n", "--dry-run", is_flag=True, help="Read and check everything, write nothing."),
-            click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance."),
-            click.option("-o", "--output", type=PATH, required=required, help=f"File to write ({suffix})."),
+            common("-n", "--dry-run", is_flag=True, help="Read and check everything, write nothing."),
+            common("-f", "--force", is_flag=True, help="Replace an output of other provenance."),
+            grouped.option("-o", "--output", type=PATH, required=required, help=f"File to write ({suffix})."),
         ):
             decorated = option(decorated)
         return typing.cast(F, decorated)
@@ -216,15 +231,19 @@ def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
     return decorate
 
 
-def from_config(config: type[Any], argument: str = "config") -> Callable[[F], F]:
+def from_config(
+    config: type[Any], argument: str = "config", groups: Mapping[str, str] | None = None
+) -> Callable[[F], F]:
     """Decorator that adds one option per field of a configuration dataclass.
 
     The function gets an instance as an argument. The metadata of a field can have `help`, `option`
-    (one name or several, when they differ from the field's name) and `metavar`.
+    (one name or several, when they differ from the field's name), `metavar` and `group`, the heading under
+    which the help shows the option.
 
     Args:
         config: the dataclass; fields with the metadata `internal` get no option.
         argument: name of the function's argument.
+        groups: headings by field, in place of those of the metadata.
     """
 
     def decorate(function: F) -> F:
@@ -254,7 +273,8 @@ def from_config(config: type[Any], argument: str = "config") -> Callable[[F], F]
                     else typing.cast(Callable[[], Any], field.default_factory)()
                 )
                 keywords.update(default=default, show_default=default is not None and default != ())
-            collect = click.option(*names, field.name, **keywords)(collect)
+            group = (groups or {}).get(field.name, field.metadata.get("group", ""))
+            collect = grouped.option(*names, field.name, group=group, **keywords)(collect)
         return typing.cast(F, collect)
 
     return decorate
@@ -317,8 +337,9 @@ def scheduler(what: str) -> Callable[[F], F]:
         context.meta["allow_remote"] = value
 
     def add(function: F) -> F:
-        click.option(
+        grouped.option(
             "--allow-remote",
+            group=REMOTE,
             is_flag=True,
             is_eager=True,
             expose_value=False,
@@ -326,8 +347,9 @@ def scheduler(what: str) -> Callable[[F], F]:
             help="Allow a --scheduler on another machine. Scheduler and workers can run any code here, and "
             "see what they are sent: use only those that you trust.",
         )(function)
-        return click.option(
+        return grouped.option(
             "--scheduler",
+            group=REMOTE,
             metavar="ADDRESS",
             callback=check,
             help=f"{what} to this dask.distributed scheduler, tcp://host:port.",
@@ -341,45 +363,11 @@ def input_path() -> FilePath:
     return PATH
 
 
-def settings(help: str) -> Callable[[F], F]:
-    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `settings_of`.
+def settings(help: str, group: str = "") -> Callable[[F], F]:
+    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `set_values`.
 
     Args:
         help: of the option.
+        group: heading under which the help shows it.
     """
-    return click.option("--set", "settings", multiple=True, metavar="PATH=VALUE", help=help)
-
-
-def settings_of(words: Iterable[str], texts: Container[str] = ()) -> dict[str, Any]:
-    """Parse the words of --set; a later one replaces an earlier one.
-
-    Args:
-        words: PATH=VALUE.
-        texts: paths whose values are text as it stands; others are numbers, lists and truth
-            values where they look so.
-
-    Raises:
-        UsageError: a path or a value is missing, or a number is not finite.
-    """
-    found = {}
-    for word in words:
-        path, equals, text = word.partition("=")
-        if not (equals and path and text):
-            raise UsageError(f"--set needs PATH=VALUE, not {word!r}")
-        found[path] = text if path in texts else _value_of(path, text)
-    return found
-
-
-def _value_of(path: str, text: str) -> Any:
-    """An integer, a number, a list with commas, true or false, else the text."""
-    if "," in text:
-        return [_value_of(path, part) for part in text.split(",")]
-    if text in ("true", "false"):
-        return text == "true"
-    for convert in (int, float):
-        with suppress(ValueError):
-            value = convert(text)
-            if isinstance(value, float) and not math.isfinite(value):
-                raise UsageError(f"--set {path}: {text!r} is not finite")
-            return value
-    return text
+    return grouped.option("--set", "settings", group=group, multiple=True, metavar="PATH=VALUE", help=help)

@@ -37,6 +37,7 @@ def run_parts(
     build: Callable[[PartsWriter, Provenance, Progress], Manifest],
     *,
     seed: int | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> None:
     """Run a stage whose output is a folder of parts, unless the output is already current.
 
@@ -47,6 +48,7 @@ def run_parts(
         inputs: role to path of all files that the output depends on.
         build: function that hands all parts to the writer and returns the manifest of the whole.
         seed: the seed, when the output depends on one.
+        names: role to name of inputs that are recorded by another name than the file's own.
 
     Raises:
         UsageError, InputError, OutputError: as `runner.run`.
@@ -67,7 +69,8 @@ def run_parts(
 
     try:
         with contextlib.ExitStack() as stack:
-            run_beside(common, kind.name, kind.version, parameters, inputs, make, seed, INDEX, "part-.*")
+            known = (common, kind.name, kind.version, parameters, inputs, make, seed, INDEX, "part-.*")
+            run_beside(*known, names)
     except KeyboardInterrupt as interruption:
         parts = [*left[0].glob(f"part-*{kind.suffix}")] if left else []
         if not parts:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options, runner
+from alula.cli import grouped, options, runner
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from alula.schemas.mission import Mission
 
 
-@click.command(
+@grouped.command(
     "plan",
     epilog="""Examples:
 
@@ -32,8 +32,12 @@ if TYPE_CHECKING:
   alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
 @click.argument("map_path", metavar="MAP", type=options.input_path())
-@click.option(
-    "--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover or onboard map."
+@grouped.option(
+    "--scene",
+    "scene_path",
+    group="Obstacles of a scene",
+    type=options.input_path(),
+    help="Scene, beside a cover or onboard map.",
 )
 @click.option(
     "--vehicle",
@@ -47,12 +51,16 @@ if TYPE_CHECKING:
     type=options.input_path(),
     help="Waypoints, gates, laps and zones (.toml), in place of --via, --gate, --loops and --yaw.",
 )
-@click.option(
-    "--within", type=options.input_path(), help="Seen space (.seen.npz) that the flight must stay in."
+@grouped.option(
+    "--within",
+    group="Search",
+    type=options.input_path(),
+    help="Seen space (.seen.npz) that the flight must stay in.",
 )
-@click.option(
+@grouped.option(
     "--free-points",
     "count",
+    group="Search",
     type=options.Whole(1, 1000),
     metavar="N",
     help="Only print N free points, far from one another, to choose start and goal from.",

@@ -11,7 +11,16 @@ from alula.cli.main import COMMANDS, cli
 HEADER = """# Command reference
 
 This page has the help of every command: what it reads and writes, its options with their defaults, and
-examples. Exit codes come first. Made from the parsers by `make docs`; do not edit.
+examples. Exit codes come first. The options that matter most are the first ones; those that all commands
+share come last. On a terminal:
+
+```sh
+alula help plan                            # the same text
+alula help --man ~/.local/share/man/man1   # man pages, for `man alula-plan`
+eval "$(alula completion bash)"            # Tab completes commands, options, files, filters, vehicles
+```
+
+Made from the parsers by `make docs`; do not edit.
 
 """
 

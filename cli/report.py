@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.options import Common
 from alula.schemas.configs.report import ReportConfig
 
@@ -29,7 +29,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("runs", nargs=-1, type=options.input_path())
 @click.option("--cover", type=options.input_path(), help="Cover that the runs flew through (.cover.npz).")
 @click.option("--scene", type=options.input_path(), help="Scene that the cover was made from (.scene.npz).")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from alula.schemas.manifest import InputRef
 
 
-def input_ref(role: str, path: Path) -> InputRef:
+def input_ref(role: str, path: Path, name: str = "") -> InputRef:
     """Describe an input file, with its kind and version when it is an artifact.
 
     The hash of an artifact in parts is that of its index, which has the hashes of the parts.
@@ -36,6 +36,7 @@ def input_ref(role: str, path: Path) -> InputRef:
     Args:
         role: role of the input, such as "scene".
         path: the file, or the folder of an artifact in parts.
+        name: to record in place of the file's own.
 
     Raises:
         InputError: the file cannot be read.
@@ -47,7 +48,7 @@ def input_ref(role: str, path: Path) -> InputRef:
     sha256 = file_hash(index_of(path))
     recorded = read_provenance(path)
     schema, version = (recorded.schema, recorded.version) if recorded else ("", "")
-    return InputRef(role, schema, version, sha256, printable(path.name))
+    return InputRef(role, schema, version, sha256, name or printable(path.name))
 
 
 def index_of(path: Path) -> Path:
@@ -80,6 +81,7 @@ def run_stage(
     *,
     seed: int | None = None,
     begin: Callable[[Provenance], None] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> None:
     """Run a stage with an array artifact as its output, unless the output is already current.
 
@@ -91,6 +93,7 @@ def run_stage(
         build: function from a progress callback to the artifact.
         seed: the seed, when the output depends on one.
         begin: called with the provenance of the output before `build`.
+        names: role to name of inputs that are recorded by another name than the file's own.
 
     Raises:
         UsageError, InputError, OutputError: as `run`.
@@ -111,7 +114,7 @@ def run_stage(
     if not common.output.name.endswith(".npz"):
         folder = f" or, for a folder of parts, {kind.folder_suffix}" if kind.folder_suffix else ""
         raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix}){folder}")
-    run_beside(common, kind.name, kind.version, parameters_of(config), inputs, make, seed)
+    run_beside(common, kind.name, kind.version, parameters_of(config), inputs, make, seed, names=names)
 
 
 def run(
@@ -165,6 +168,7 @@ def run_beside(
     seed: int | None,
     mark: str = "",
     members: str = "",
+    names: Mapping[str, str] | None = None,
 ) -> None:
     """As `run`, but `make` gets a function that returns the provenance, so that hashing runs beside it."""
     target = common.output / mark
@@ -178,11 +182,13 @@ def run_beside(
     for path in inputs.values():
         _check_input(path)
     before = {path: _state(index_of(path)) for path in inputs.values()}
-    provenance = _Meanwhile(
-        lambda: Provenance.now(
-            schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
-        )
-    )
+    shown = names or {}
+
+    def recorded_now() -> Provenance:
+        refs = [input_ref(role, path, shown.get(role, "")) for role, path in inputs.items()]
+        return Provenance.now(schema, version, parameters, seed, refs)
+
+    provenance = _Meanwhile(recorded_now)
     status = "written"
     summary: dict[str, Any] = {}
     made = common.output if mark == INDEX else target  # an index of parts alone proves nothing
@@ -201,9 +207,9 @@ def run_beside(
         else:
             write()
     if common.depfile is not None and not common.dry_run:
-        names = " ".join(["", *(_make_escape(index_of(path)) for path in inputs.values())])
+        prerequisites = " ".join(["", *(_make_escape(index_of(path)) for path in inputs.values())])
         written = target if mark == INDEX else common.output
-        write_text(common.depfile, _make_escape(written, " \t#:*?[%") + f":{names}\n")
+        write_text(common.depfile, _make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
     show(common, status, summary)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options, parted, runner
+from alula.cli import grouped, options, parted, runner
 from alula.cli.alignment_table import show_alignment
 from alula.cli.interruption import handlers_kept
 from alula.cli.options import PATH, Common, Numbers, NumbersOption
@@ -34,38 +34,6 @@ Examples:
   alula scale-align room.scene.npz -o metric.scene.npz --distance "0 0 0" "1 0 0" 2.5 --up "0 -1 0" --floor
   alula scale-align city.scene -o metric.scene --transform utm.json"""
 
-SECTIONS = {
-    "By cameras": ("colmap", "cameras", "reference", "origin", "poses", "nerfstudio"),
-    "By points": ("correspondences", "distances", "cloud", "initial"),
-    "By numbers": ("transform", "scale"),
-    "Level the frame": ("up", "floor"),
-    "Check the alignment": (
-        *(
-            "threshold_m",
-            "max_angle_deg",
-            "max_rms_m",
-            "max_scale_sigma",
-            "min_inliers",
-            "min_matched",
-            "min_fitness",
-        ),
-    ),
-}
-
-
-class Sectioned(click.Command):
-    """A command whose help groups its options."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one list per section; the options that every command has come last."""
-        shown = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
-        records = {p.name: record for p in shown if (record := p.get_help_record(ctx))}
-        for title, names in SECTIONS.items():
-            with formatter.section(title):
-                formatter.write_dl([records.pop(name) for name in names])
-        with formatter.section("Options"):
-            formatter.write_dl(list(records.values()))
-
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Files:
@@ -82,7 +50,7 @@ class Files:
     transform: Path | None
 
 
-@click.command("scale-align", cls=Sectioned, epilog=EXAMPLES)
+@grouped.command("scale-align", epilog=EXAMPLES)
 @click.argument("scene", type=options.input_path())
 @click.option("--colmap", type=PATH, help="COLMAP model (folder) with cameras in the scene's frame.")
 @click.option("--cameras", type=PATH, help="CSV image,x,y,z of cameras in the scene's frame.")
@@ -91,19 +59,23 @@ class Files:
     type=PATH,
     help="CSV of the same cameras in the world: image,x,y,z [m] or image,lat,lon,alt.",
 )
-@click.option(
+@grouped.option(
     "--poses",
+    group="Cameras",
     type=PATH,
     help="CSV image,x,y,z,qw,qx,qy,qz: camera to world, axes x right, y down, z forward (OpenCV, COLMAP); "
     "--cameras then needs them too.",
 )
-@click.option(
+@grouped.option(
     "--nerfstudio",
+    group="Cameras",
     type=PATH,
     help="Run folder or dataparser_transforms.json: map the scene back to the frame of the source poses; "
     "--colmap or --cameras are then in that frame.",
 )
-@click.option("--correspondences", type=PATH, help="CSV sx,sy,sz,wx,wy,wz of points in both frames.")
+@grouped.option(
+    "--correspondences", group="Points", type=PATH, help="CSV sx,sy,sz,wx,wy,wz of points in both frames."
+)
 @click.option(
     "--distance",
     "distances",
@@ -113,9 +85,12 @@ class Files:
     metavar="'X Y Z' 'X Y Z' METRES",
     help="Two points of the scene and their distance; repeatable; determines the scale alone.",
 )
-@click.option("--cloud", type=PATH, help="Surveyed cloud [m]: PLY, PCD, XYZ, PTS or .npz (points).")
-@click.option(
+@grouped.option(
+    "--cloud", group="Points", type=PATH, help="Surveyed cloud [m]: PLY, PCD, XYZ, PTS or .npz (points)."
+)
+@grouped.option(
     "--initial",
+    group="Points",
     type=PATH,
     help="First guess for --cloud, a file like that of --transform; cameras or --correspondences can replace "
     "it; default: the identity.",

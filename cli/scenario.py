@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
+from alula.cli.set_values import settings_of
 from alula.schemas.errors import OutputError, UsageError
 
 EXAMPLES = """\b
@@ -18,7 +19,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("file", type=options.input_path(), required=False)
 @options.settings(
     "Replace a value by the path of its key; may be repeated. Names of files are relative to FILE."
@@ -67,7 +68,7 @@ def command(
     from alula.schemas.world_defaults import vehicle_of
     from alula.schemas.world_text import moved, toml_of, values_of
 
-    read = read_sources(file, options.settings_of(settings, TEXTS))
+    read = read_sources(file, settings_of(settings, TEXTS))
     vehicle = vehicle_of(read.scenario, file.parent)
     if (words := refusal(read.scenario, vehicle)) is not None:
         raise UsageError(f"{file}: {words}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.present import echo
 from alula.schemas.errors import UsageError
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _CRTP = "udp://"
 
 
-@click.command(
+@grouped.command(
     "sim-vehicle",
     epilog="""Examples:
 
@@ -68,22 +68,27 @@ _CRTP = "udp://"
     metavar="KIND[:KEY=VALUE,...]",
     help="Fault to inject; keys: start, duration, probability, amount, way, since. May be repeated.",
 )
-@click.option(
+@grouped.option(
     "--mocap",
     "mocap_address",
+    group="Motion capture",
     metavar="udp:HOST:PORT",
     help="Send the true pose to this address as motion capture, for fly --mocap.",
 )
-@click.option(
+@grouped.option(
     "--mocap-start",
+    group="Motion capture",
     type=options.POINT,
     cls=options.NumbersOption,
     default="0 0 0",
     show_default=True,
     help="Initial position in the frame of motion capture, east north up [m].",
 )
-@click.option(
-    "--hand", is_flag=True, help="Simulate a hand that moves the vehicle, for fly --frame-check hand."
+@grouped.option(
+    "--hand",
+    group="Motion capture",
+    is_flag=True,
+    help="Simulate a hand that moves the vehicle, for fly --frame-check hand.",
 )
 @click.option(
     "--heading",
@@ -93,19 +98,28 @@ _CRTP = "udp://"
     show_default=True,
     help="Initial heading, clockwise from north [degrees].",
 )
-@click.option(
+@grouped.option(
     "--signing-key",
+    group="Signatures and other machines",
     type=options.PATH,
     help="File with the key for MAVLink 2 signatures; unsigned packets are then refused.",
 )
-@click.option(
+@grouped.option(
     "--console",
+    group="Signatures and other machines",
     is_flag=True,
     help="Simulate the console port, which accepts unsigned packets even with --signing-key.",
 )
 @click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="Stop after this time [s].")
-@click.option("--allow-remote", is_flag=True, help="Allow a link to another machine.")
-@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Seed of noise and faults.")
+@grouped.option(
+    "--allow-remote",
+    group="Signatures and other machines",
+    is_flag=True,
+    help="Allow a link to another machine.",
+)
+@options.common(
+    "--seed", type=options.Whole(0), default=0, show_default=True, help="Seed of noise and faults."
+)
 @options.reporting
 def command(
     link: str,

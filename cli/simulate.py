@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import completion, options
+from alula.cli import completion, grouped, options
 from alula.cli.runner import run
+from alula.cli.set_values import settings_of
 from alula.schemas.errors import CheckError, UsageError
 
 if TYPE_CHECKING:
@@ -31,10 +32,16 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
 @click.option("--map", "map_path", type=options.input_path(), help="Cover, tiles or scene to fly in.")
-@click.option("--key", "key_path", type=options.input_path(), help="Key that must have signed the tiles.")
+@grouped.option(
+    "--key",
+    "key_path",
+    group="Maps in tiles",
+    type=options.input_path(),
+    help="Key that must have signed the tiles.",
+)
 @click.option("--scene", "scene_path", type=options.input_path(), help="Scene, beside a cover.")
 @click.option(
     "--vehicle",
@@ -101,7 +108,7 @@ def command(
         changes["rules.trials"] = trials
     if options.is_given(context, "seed"):
         changes["rules.seed"] = common.seed
-    given = options.settings_of(settings, TEXTS)
+    given = settings_of(settings, TEXTS)
     _check_paths(given, names)
     scenario: WorldScenario
     if source.suffix == ".toml":

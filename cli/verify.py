@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("proven", metavar="COVER", type=options.input_path())
 @click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
 @click.option(
@@ -49,16 +49,16 @@ Examples:
 @click.option(
     "-o", "--output", type=options.PATH, help="Certificate to write when every check holds (.json)."
 )
-@click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
-@click.option("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
-@click.option(
+@options.common("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
+@options.common("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
+@options.common(
     "--jobs",
     type=options.JOBS,
     default=0,
     help="Threads, of a cover in parts processes; 0 is all processors.",
     show_default=True,
 )
-@click.option("--depfile", type=options.PATH, help="Also write Make dependencies to this file.")
+@options.common("--depfile", type=options.PATH, help="Also write Make dependencies to this file.")
 @options.reporting
 def command(
     proven: Path,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.options import Common
 from alula.schemas.configs.view import PictureConfig, ViewConfig
 
@@ -31,7 +31,7 @@ _PAGES, _STILLS, _MOVING = (".html", ".htm"), (".png",), (".webp", ".gif")
 _STILL_PX, _MOVING_PX = (1280, 800), (640, 400)
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.input_path())
 @click.option(
     "--port",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.schemas.configs.voxelize import VoxelizeConfig
 
 EXAMPLES = """\b
@@ -17,12 +17,13 @@ Examples:
 """
 
 
-@click.command("voxelize", epilog=EXAMPLES)
+@grouped.command("voxelize", epilog=EXAMPLES)
 @click.argument("scene", type=options.input_path())
 @options.from_config(VoxelizeConfig)
-@click.option(
+@grouped.option(
     "--tile",
     "tile_m",
+    group="Limits",
     type=options.FINITE_FLOAT,
     help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory. In a folder "
     "of voxels each tile is a part; default then: 512 voxels.",

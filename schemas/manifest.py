@@ -58,7 +58,8 @@ class InputRef(msgspec.Struct, frozen=True, order=True):
         schema: its kind; empty for a file that is no artifact.
         version: of its kind; empty for a file that is no artifact.
         sha256: of the whole file.
-        name: the file's name without its folder, so that equal content gives equal bytes in every folder.
+        name: the file's name without its folder, so that equal content gives equal bytes in every folder; of
+            a download its address, without user, password and query.
     """
 
     role: str

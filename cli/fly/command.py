@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.fly.contact import Route, of_link
 from alula.cli.present import echo
+from alula.cli.set_values import settings_of
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
 
@@ -24,7 +25,7 @@ Examples:
 """
 
 
-@click.command(epilog=EXAMPLES)
+@grouped.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
 @click.option(
     "--map",
@@ -32,10 +33,17 @@ Examples:
     type=options.input_path(),
     help="Cover, tiles or scene to fly in; required with a plan.",
 )
-@click.option("--key", "tiles_key", type=options.input_path(), help="Key that must have signed the tiles.")
+@grouped.option(
+    "--key",
+    "tiles_key",
+    group="Maps in tiles",
+    type=options.input_path(),
+    help="Key that must have signed the tiles.",
+)
 @click.option("--scene", "scene_path", type=options.input_path(), help="Metric scene, if --map is a cover.")
-@click.option(
+@grouped.option(
     "--within",
+    group="Flight",
     type=options.input_path(),
     help="Seen space (.seen.npz) to stay in, beside a cover; unseen space counts like hulls.",
 )
@@ -53,7 +61,7 @@ Examples:
     "one.",
 )
 @of_link
-@options.settings("Parameter of a filter among ellipsoids; may be repeated.")
+@options.settings("Parameter of a filter among ellipsoids; may be repeated.", "Filter")
 @click.option(
     "--live",
     type=options.Whole(1, 65535),
@@ -62,8 +70,9 @@ Examples:
     metavar="[PORT]",
     help="Show the flight in a browser, at this port of this machine only (8080).",
 )
-@click.option(
+@grouped.option(
     "--foxglove",
+    group="Log",
     type=options.Whole(1, 65535),
     is_flag=False,
     flag_value=8765,
@@ -71,8 +80,9 @@ Examples:
     help="Serve the live channels to Foxglove, at this port of this machine only (8765); requires "
     "alula[foxglove].",
 )
-@click.option(
+@grouped.option(
     "--start-time",
+    group="Log",
     metavar="TIME",
     help="Time of the start in the log, such as 2026-05-01T12:00:00Z; default: by the clock of this machine.",
 )
@@ -137,7 +147,7 @@ def command(
     if address is None:
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
-        config, filter_parameters={**config.filter_parameters, **options.settings_of(settings)}
+        config, filter_parameters={**config.filter_parameters, **settings_of(settings)}
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
     vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE

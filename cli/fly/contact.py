@@ -8,9 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-import click
-
-from alula.cli import options
+from alula.cli import grouped, options
 from alula.cli.present import echo
 from alula.schemas.errors import LinkError
 
@@ -84,34 +82,40 @@ def of_link(function: F) -> F:
 
     command: Any = with_route
     for option in (
-        click.option(
+        grouped.option(
             "--origin",
+            group="Frame of the vehicle",
             type=options.POINT,
             cls=options.NumbersOption,
             default="0 0 0",
             show_default=True,
             help="Origin of the map in the vehicle's local frame, east north up [m].",
         ),
-        click.option(
+        grouped.option(
             "--yaw",
+            group="Frame of the vehicle",
             type=options.FINITE_FLOAT,
             default=0.0,
             show_default=True,
             help="Angle from east to the map's x axis, counter-clockwise [degrees].",
         ),
-        click.option(
+        grouped.option(
             "--signing-key",
             "key_path",
+            group="Link",
             type=options.input_path(),
             help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
         ),
-        click.option(
+        grouped.option(
             "--mocap",
+            group="Link",
             metavar="ADDRESS",
             help="Address at which motion capture is received, udp:HOST:PORT; it is forwarded to the "
             "vehicle.",
         ),
-        click.option("--allow-remote", is_flag=True, help="Allow links to other machines than this one."),
+        grouped.option(
+            "--allow-remote", group="Link", is_flag=True, help="Allow links to other machines than this one."
+        ),
     ):
         command = option(command)
     found: F = command

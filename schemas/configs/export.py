@@ -53,6 +53,7 @@ class ExportConfig:
     rate_hz: float | None = field(
         default=None,
         metadata={
+            "group": "Onboard maps",
             "option": "--rate",
             "help": "Rate at which the target calls polytope-cbf [Hz]; a map whose worst tick takes longer "
             "than its period is refused with exit code 4; default: 100 on a crazyflie, no check elsewhere.",
@@ -61,6 +62,7 @@ class ExportConfig:
     largest_normal: int = field(
         default=127,
         metadata={
+            "group": "Onboard maps",
             "metavar": "Q",
             "help": "Onboard map: maximum component of a plane's integer normal, 1 to 127. Only 1 makes the"
             " map smaller: 2 bytes per oblique plane, all in 26 directions.",
@@ -79,6 +81,7 @@ class ExportConfig:
     reach_m: float | None = field(
         default=None,
         metadata={
+            "group": "Maps in tiles",
             "option": "--reach",
             "metavar": "METRES",
             "help": "Tiles: each has all hulls within this distance of it; the filter must not depend on "
@@ -88,6 +91,7 @@ class ExportConfig:
     hysteresis_m: float | None = field(
         default=None,
         metadata={
+            "group": "Maps in tiles",
             "option": "--hysteresis",
             "metavar": "METRES",
             "help": "Tiles: a tile is valid up to this distance beyond its borders; default: an eighth of a "
@@ -109,6 +113,7 @@ class ExportConfig:
     spacing_m: float | None = field(
         default=None,
         metadata={
+            "group": "Distance fields",
             "option": "--spacing",
             "metavar": "METRES",
             "help": "Distance field: distance between samples [m]; default: the edge of a voxel.",
@@ -117,6 +122,7 @@ class ExportConfig:
     pad_m: float = field(
         default=1.0,
         metadata={
+            "group": "Distance fields",
             "option": "--pad",
             "metavar": "METRES",
             "help": "Distance field: how far it reaches beyond the hulls [m].",
@@ -125,6 +131,7 @@ class ExportConfig:
     origin: tuple[float, float, float] | None = field(
         default=None,
         metadata={
+            "group": "Other formats",
             "metavar": "LAT LON HEIGHT",
             "help": "GeoJSON: latitude and longitude [degree] and WGS84 height [m] of the origin of the map, "
             "whose x points east and y north.",
@@ -133,6 +140,7 @@ class ExportConfig:
     spz_version: int = field(
         default=3,
         metadata={
+            "group": "Other formats",
             "metavar": "V",
             "help": "SPZ: version 2, 3 or 4. Nearly all programs read 3; 2 stores rotations less accurately;"
             " 4 is newer.",

@@ -13,25 +13,39 @@ class FlightConfig:
     """Parameters of all commands that fly."""
 
     rate_hz: float = field(
-        default=100.0, metadata={"help": "Rate of the control loop [Hz].", "option": "--rate"}
+        default=100.0,
+        metadata={"group": "Control loop", "help": "Rate of the control loop [Hz].", "option": "--rate"},
     )
     latency_s: float = field(
         default=0.03,
-        metadata={"help": "Latency of states and commands, for the geofence [s].", "option": "--latency"},
+        metadata={
+            "group": "Control loop",
+            "help": "Latency of states and commands, for the geofence [s].",
+            "option": "--latency",
+        },
     )
     near_m: float = field(
         default=0.5,
         metadata={
+            "group": "Checks of the vehicle",
             "help": "Maximum horizontal distance at take-off from where the flight starts [m].",
             "option": "--near",
         },
     )
     battery: float = field(
         default=0.3,
-        metadata={"help": "Minimum charge at take-off, from 0 to 1; the vehicle lands at two thirds of it."},
+        metadata={
+            "group": "Checks of the vehicle",
+            "help": "Minimum charge at take-off, from 0 to 1; the vehicle lands at two thirds of it.",
+        },
     )
     stale_s: float = field(
-        default=0.15, metadata={"help": "Maximum age of a state in flight [s].", "option": "--stale"}
+        default=0.15,
+        metadata={
+            "group": "Checks of the vehicle",
+            "help": "Maximum age of a state in flight [s].",
+            "option": "--stale",
+        },
     )
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from alula.schemas.filters.values import config_field, entries, limits
 class FlyConfig(AlongPlanConfig, FlightConfig):
     """Parameters of `fly`; None stands for a value of the plan or the vehicle, or for a default."""
 
-    name: str = field(default="flight", metadata={"help": "Name of the flight, for reports."})
+    name: str = field(default="flight", metadata={"group": "Log", "help": "Name of the flight, for reports."})
     filter: str = field(
         default="polytope-cbf", metadata={"help": "Safety filter, or none.", "metavar": "NAME"}
     )
@@ -39,20 +39,25 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     )
     fence_map: bool = field(
         default=False,
-        metadata={"help": "The geofence also keeps the vehicle's radius from the hulls of the cover."},
+        metadata={
+            "group": "Geofence",
+            "help": "The geofence also keeps the vehicle's radius from the hulls of the cover.",
+        },
     )
     fence_reserve_m: float = field(
         default=0.05,
         metadata={
+            "group": "Geofence",
             "help": "Distance that the geofence keeps beyond the radius, for errors of its model [m].",
             "option": "--fence-reserve",
         },
     )
     gain: float = field(
-        default=2.0, metadata={"help": "Gain c of the nominal controller, among hulls [1/s]."}
+        default=2.0,
+        metadata={"group": "Filter", "help": "Gain c of the nominal controller, among hulls [1/s]."},
     )
-    beta: float = config_field(PolytopeCbfParameters, "beta")
-    kappa_per_m: float = config_field(PolytopeCbfParameters, "kappa_per_m", option="--kappa")
+    beta: float = config_field(PolytopeCbfParameters, "beta", group="Filter")
+    kappa_per_m: float = config_field(PolytopeCbfParameters, "kappa_per_m", option="--kappa", group="Filter")
     speed_m_s: float | None = field(
         default=None,
         metadata={
@@ -63,6 +68,7 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     velocity_lag_s: float | tuple[float, float, float] | None = field(
         default=None,
         metadata={
+            "group": "Filter",
             "help": "Lag with which the vehicle follows velocity set-points [s], of all axes: 1.25 times the "
             "duration of 63 % of a stop from --speed, in the slowest direction; default: by axis, from the "
             "vehicle's file, which alula identify writes, else that of ArduPilot Copter with its default "
@@ -72,11 +78,15 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     )
     sigma: float = field(
         default=1.0,
-        metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
+        metadata={
+            "group": "Filter",
+            "help": "Level of the scene's ellipsoids as obstacles, in standard deviations.",
+        },
     )
     inflation_m: float | None = field(
         default=None,
         metadata={
+            "group": "Filter",
             "help": "Distance that filters among ellipsoids add to radius and margin [m]; default: as "
             "suggested by the scene's alignment.",
             "option": "--inflate",
@@ -85,6 +95,7 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     catch_up_m_s: float | None = field(
         default=None,
         metadata={
+            "group": "Filter",
             "help": "Speed above that of the reference with which a vehicle may catch up among ellipsoids "
             "[m/s]; default: from the vehicle's file, else half the plan's speed.",
             "option": "--catch-up",
@@ -93,13 +104,15 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     frame_check: Literal["motion", "hand", "none"] = field(
         default="motion",
         metadata={
+            "group": "Flight",
             "help": "Check that the vehicle's frame is the map's. motion: in flight, by the motion; hand: "
-            "also before take-off, by moves of the vehicle by hand along the map's axes."
+            "also before take-off, by moves of the vehicle by hand along the map's axes.",
         },
     )
     fallback_s: float = field(
         default=3.0,
         metadata={
+            "group": "Flight",
             "help": "Maximum time in which filter or geofence may fly a fallback; then the vehicle holds "
             "[s].",
             "option": "--fallback",
@@ -108,6 +121,7 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     max_time_s: float | None = field(
         default=None,
         metadata={
+            "group": "Flight",
             "help": "Maximum duration of the flight of the plan, after which the vehicle lands [s]; "
             "default: 10 s plus three times its duration.",
             "option": "--max-time",
@@ -116,22 +130,29 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     allow_blocked: bool = field(
         default=False,
         metadata={
+            "group": "Flight",
             "help": "Fly a plan that is not proven to be clear of the map (plan --allow-blocked), "
-            "behind the filter alone."
+            "behind the filter alone.",
         },
     )
     replan_after_s: float = field(
         default=2.0,
         metadata={
+            "group": "New plans",
             "help": "Make a new plan when the filter has held the vehicle up for so long [s]; 0 makes none.",
             "option": "--replan-after",
         },
     )
     replans: int = field(
-        default=5, metadata={"help": "Maximum number of new plans that are asked for in a flight."}
+        default=5,
+        metadata={
+            "group": "New plans",
+            "help": "Maximum number of new plans that are asked for in a flight.",
+        },
     )
     log_rate_hz: float = field(
-        default=100.0, metadata={"help": "Rate of samples in the log [Hz].", "option": "--log-rate"}
+        default=100.0,
+        metadata={"group": "Log", "help": "Rate of samples in the log [Hz].", "option": "--log-rate"},
     )
     filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
 

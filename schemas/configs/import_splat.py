@@ -24,13 +24,17 @@ class ImportSplatConfig:
     )
     lod: int | None = field(
         default=None,
-        metadata={"help": "Level of detail to read from lod-meta.json; default: 0, the finest."},
+        metadata={
+            "group": "Levels of detail",
+            "help": "Level of detail to read from lod-meta.json; default: 0, the finest.",
+        },
     )
     part: bool = field(
         default=False,
         metadata={
+            "group": "Levels of detail",
             "help": "Accept some files of a level of detail without the others; the scene then lacks what "
-            "the others show, and every guarantee says so."
+            "the others show, and every guarantee says so.",
         },
     )
     turn: Literal["none", "x", "y", "z"] = field(
@@ -42,7 +46,10 @@ class ImportSplatConfig:
     )
     drop_nan: bool = field(
         default=False,
-        metadata={"help": "Leave out Gaussians with a value that is not finite, instead of failing."},
+        metadata={
+            "group": "Filtering",
+            "help": "Leave out Gaussians with a value that is not finite, instead of failing.",
+        },
     )
     min_opacity: float = field(
         default=DRAWN,
@@ -62,12 +69,14 @@ class ImportSplatConfig:
     crop_sphere: tuple[float, float, float, float] | None = field(
         default=None,
         metadata={
+            "group": "Filtering",
             "help": "Keep Gaussians with a centre in the sphere X Y Z RADIUS [file units].",
             "metavar": "SPHERE",
         },
     )
     max_scale: float | None = field(
-        default=None, metadata={"help": "Maximum one-sigma semi-axis of a Gaussian [file units]."}
+        default=None,
+        metadata={"group": "Filtering", "help": "Maximum one-sigma semi-axis of a Gaussian [file units]."},
     )
     drop_floaters: bool = field(
         default=False, metadata={"help": "Leave out small groups that are far from everything else."}

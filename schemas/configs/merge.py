@@ -62,6 +62,7 @@ class MergeConfig:
     block_m: float | None = field(
         default=None,
         metadata={
+            "group": "Blocks",
             "option": "--block",
             "help": "Cover blocks of this edge on their own, then join their hulls [m]. Without it, more "
             "than 16,777,216 voxels get blocks of at most 1,048,576 voxels.",
@@ -69,7 +70,10 @@ class MergeConfig:
     )
     per_block: bool = field(
         default=False,
-        metadata={"help": "The limits hold for each block, and blocks are not joined; needs --block."},
+        metadata={
+            "group": "Blocks",
+            "help": "The limits hold for each block, and blocks are not joined; needs --block.",
+        },
     )
     method: Literal["default", "paper"] = field(
         default="default",

@@ -24,18 +24,26 @@ class ObserveConfig(VoxelizeConfig):
     range_m: float = field(
         default=5.0,
         metadata={
+            "group": "Depth images",
             "help": "Depth up to which a pixel without a surface sees [m]; a pixel with one sees up to it.",
             "option": "--range",
         },
     )
     near_m: float = field(
-        default=0.1, metadata={"help": "Smallest depth of a voxel that is seen [m].", "option": "--near"}
+        default=0.1,
+        metadata={
+            "group": "Depth images",
+            "help": "Smallest depth of a voxel that is seen [m].",
+            "option": "--near",
+        },
     )
     columns: int = field(
         default=400,
-        metadata={"help": "Pixels along the longer side of a depth image."},
+        metadata={"group": "Depth images", "help": "Pixels along the longer side of a depth image."},
     )
-    min_views: int = field(default=1, metadata={"help": "Minimum number of cameras that see a voxel."})
+    min_views: int = field(
+        default=1, metadata={"group": "Depth images", "help": "Minimum number of cameras that see a voxel."}
+    )
     reach: tuple[float, float, float] | None = field(
         default=None,
         metadata={

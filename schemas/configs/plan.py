@@ -20,6 +20,7 @@ class AlongPlanConfig:
     via_tolerance_m: float | None = field(
         default=None,
         metadata={
+            "group": "Flight",
             "help": "Distance within which a via point of a plan counts as passed [m]; default: the "
             "vehicle's radius, at least 0.1.",
             "option": "--via-tolerance",
@@ -27,7 +28,10 @@ class AlongPlanConfig:
     )
     allow_tight: bool = field(
         default=False,
-        metadata={"help": "Fly a plan although it is nearer to the map than the filter lets the vehicle be."},
+        metadata={
+            "group": "Flight",
+            "help": "Fly a plan although it is nearer to the map than the filter lets the vehicle be.",
+        },
     )
 
     def __post_init__(self) -> None:
@@ -68,11 +72,17 @@ class PlanConfig:
     )
     speed_m_s: float = field(default=1.0, metadata={"help": "Maximum speed [m/s].", "option": "--speed"})
     acceleration_m_s2: float = field(
-        default=3.0, metadata={"help": "Maximum acceleration [m/s^2].", "option": "--acceleration"}
+        default=3.0,
+        metadata={
+            "group": "Limits of the motion",
+            "help": "Maximum acceleration [m/s^2].",
+            "option": "--acceleration",
+        },
     )
     jerk_m_s3: float | None = field(
         default=None,
         metadata={
+            "group": "Limits of the motion",
             "help": "Maximum jerk [m/s^3]; default: what the body rates and rotors of the vehicle allow.",
             "option": "--max-jerk",
         },
@@ -80,6 +90,7 @@ class PlanConfig:
     snap_m_s4: float | None = field(
         default=None,
         metadata={
+            "group": "Limits of the motion",
             "help": "Maximum snap [m/s^4]; default: what the rotors of the vehicle allow.",
             "option": "--max-snap",
         },
@@ -87,6 +98,7 @@ class PlanConfig:
     tilt_rad: float | None = field(
         default=None,
         metadata={
+            "group": "Limits of the motion",
             "help": "Maximum tilt of the thrust [rad]; default: 0.8 of that of the vehicle.",
             "option": "--tilt",
         },
@@ -94,6 +106,7 @@ class PlanConfig:
     body_rate_rad_s: float | None = field(
         default=None,
         metadata={
+            "group": "Limits of the motion",
             "help": "Maximum rate of the thrust axis [rad/s]; default: 0.8 of that of the vehicle, or less "
             "for its rotors.",
             "option": "--body-rate",
@@ -102,6 +115,7 @@ class PlanConfig:
     interface: Literal["body-rates", "acceleration", "velocity"] = field(
         default="body-rates",
         metadata={
+            "group": "Limits of the motion",
             "help": "What the vehicle will be commanded by. A plan for accelerations or velocities keeps to "
             "the accelerations and the jerk with which the vehicle's own autopilot follows them.",
         },
@@ -116,24 +130,30 @@ class PlanConfig:
     )
     smooth: float = field(
         default=1.0,
-        metadata={"help": "Fly this many times the minimum time, at least 1, and minimise snap instead."},
+        metadata={
+            "group": "Search",
+            "help": "Fly this many times the minimum time, at least 1, and minimise snap instead.",
+        },
     )
     straight: bool = field(
         default=False,
         metadata={
+            "group": "Search",
             "help": "Fly straight from start to goal, from rest to rest by a polynomial of degree 7 in time: "
-            "the reference of FastBridge."
+            "the reference of FastBridge.",
         },
     )
     allow_blocked: bool = field(
         default=False,
         metadata={
-            "help": "With --straight, also write a plan that is not proven: for flights behind a filter."
+            "group": "Search",
+            "help": "With --straight, also write a plan that is not proven: for flights behind a filter.",
         },
     )
     resolution_m: float | None = field(
         default=None,
         metadata={
+            "group": "Search",
             "help": "Spacing of the search lattice [m]; default: by --radius and the size of the box.",
             "option": "--resolution",
         },
@@ -141,6 +161,7 @@ class PlanConfig:
     bounds: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
+            "group": "Search",
             "help": "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around hulls and points.",
             "metavar": "BOX",
         },
@@ -148,14 +169,18 @@ class PlanConfig:
     gate: tuple[Gate, ...] = field(
         default=(),
         metadata={
+            "group": "Course",
             "help": "Hoop to fly through: centre [m], direction, radius of the opening [m]; may be repeated.",
             "metavar": "CX CY CZ NX NY NZ R",
         },
     )
-    loops: int = field(default=1, metadata={"help": "Laps: fly via points or gates so many times."})
+    loops: int = field(
+        default=1, metadata={"group": "Course", "help": "Laps: fly via points or gates so many times."}
+    )
     yaw: str = field(
         default="0",
         metadata={
+            "group": "Course",
             "help": "Heading: constant [rad], `along` the motion, or `towards:X,Y,Z`, a point [m].",
             "metavar": "HEADING",
         },
@@ -163,6 +188,7 @@ class PlanConfig:
     yaw_rate_rad_s: float | None = field(
         default=None,
         metadata={
+            "group": "Course",
             "help": "Maximum rate of the heading [rad/s]; default: 2, or what the vehicle can do.",
             "option": "--yaw-rate",
         },
@@ -170,15 +196,22 @@ class PlanConfig:
     # What the obstacles are, and points that are not free.
     sigma: float = field(
         default=1.0,
-        metadata={"help": "Level of a scene's ellipsoids as obstacles, in standard deviations."},
+        metadata={
+            "group": "Obstacles of a scene",
+            "help": "Level of a scene's ellipsoids as obstacles, in standard deviations.",
+        },
     )
     confidence: float | None = field(
         default=None,
-        metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution."},
+        metadata={
+            "group": "Obstacles of a scene",
+            "help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution.",
+        },
     )
     inflation_m: float | None = field(
         default=None,
         metadata={
+            "group": "Obstacles of a scene",
             "help": "Distance that filters will add to radius and margin [m]; default: as suggested by the "
             "scene's alignment, and for hulls what of that they have not grown by.",
             "option": "--inflate",
@@ -186,7 +219,10 @@ class PlanConfig:
     )
     snap: bool = field(
         default=False,
-        metadata={"help": "Move points of the flight that are not free to the nearest free one."},
+        metadata={
+            "group": "Search",
+            "help": "Move points of the flight that are not free to the nearest free one.",
+        },
     )
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ class ScaleAlignConfig:
     origin: Point | None = field(
         default=None,
         metadata={
+            "group": "Cameras",
             "help": "Position where lat,lon,alt become 0,0,0; default: the first row of --reference.",
             "metavar": "'LAT LON ALT'",
         },
@@ -38,6 +39,7 @@ class ScaleAlignConfig:
     threshold_m: float = field(
         default=0.1,
         metadata={
+            "group": "Checks",
             "help": "Maximum residual of an inlier, and half the thickness of a --floor [m].",
             "option": "--threshold",
         },
@@ -45,6 +47,7 @@ class ScaleAlignConfig:
     max_angle_deg: float = field(
         default=5.0,
         metadata={
+            "group": "Checks",
             "help": "Maximum angle between the orientations of an inlier [deg].",
             "option": "--angle-threshold",
         },
@@ -55,23 +58,31 @@ class ScaleAlignConfig:
     )
     max_scale_sigma: float | None = field(
         default=None,
-        metadata={"help": "Maximum standard deviation of the scale [m per unit]; fail above it."},
+        metadata={
+            "group": "Checks",
+            "help": "Maximum standard deviation of the scale [m per unit]; fail above it.",
+        },
     )
     min_inliers: int | None = field(
         default=None,
-        metadata={"help": "Minimum number of inliers; fail below it; default: more than half of all."},
+        metadata={
+            "group": "Checks",
+            "help": "Minimum number of inliers; fail below it; default: more than half of all.",
+        },
     )
     min_matched: float = field(
         default=0.5,
         metadata={
+            "group": "Checks",
             "help": "Minimum fraction of the rows of --reference or --poses whose image is a camera of the "
-            "scene; the others are skipped."
+            "scene; the others are skipped.",
         },
     )
     min_fitness: float = field(
         default=0.3,
         metadata={
-            "help": "Minimum fraction of scene or --cloud, the larger of both, that overlaps the other."
+            "group": "Checks",
+            "help": "Minimum fraction of scene or --cloud, the larger of both, that overlaps the other.",
         },
     )
     distances: tuple[Distance, ...] = field(default=(), metadata={"internal": True})

@@ -50,23 +50,27 @@ class PictureConfig:
     camera: Literal["chase", "cockpit", "orbit", "fixed"] = field(
         default="chase",
         metadata={
+            "group": "Pictures",
             "help": "Of moving pictures: chase is behind and above the vehicle, cockpit where it is; orbit "
-            "turns around the scene on the vehicle's side; fixed looks as the page does at first."
+            "turns around the scene on the vehicle's side; fixed looks as the page does at first.",
         },
     )
     size: str = field(
         default="",
         metadata={
+            "group": "Pictures",
             "help": "Of pictures: columns and rows [px]; default: 1280x800, of moving ones 640x400.",
             "metavar": "COLUMNSxROWS",
         },
     )
     frames_per_second: float = field(
-        default=12.0, metadata={"help": "Of moving pictures: frames per second.", "metavar": "FLOAT"}
+        default=12.0,
+        metadata={"group": "Pictures", "help": "Of moving pictures: frames per second.", "metavar": "FLOAT"},
     )
     seconds: float = field(
         default=10.0,
         metadata={
+            "group": "Pictures",
             "help": "Of moving pictures: maximum time [s]; longer flights are shown faster.",
             "metavar": "FLOAT",
         },

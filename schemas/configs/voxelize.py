@@ -20,7 +20,8 @@ class VoxelizeConfig:
         metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution."},
     )
     min_overlap: int = field(
-        default=1, metadata={"help": "Minimum number of ellipsoids that touch a marked voxel."}
+        default=1,
+        metadata={"group": "Obstacles", "help": "Minimum number of ellipsoids that touch a marked voxel."},
     )
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
@@ -43,14 +44,16 @@ class VoxelizeConfig:
     ignore_loss: bool = field(
         default=False,
         metadata={
-            "help": "Do not grow the ellipsoids by the precision that the splat file's format may have lost."
+            "group": "Obstacles",
+            "help": "Do not grow the ellipsoids by the precision that the splat file's format may have lost.",
         },
     )
     max_voxels: int = field(
         default=MERGE_VOXELS,
         metadata={
+            "group": "Limits",
             "help": "Maximum number of voxels; the default is what merge can take. An estimate far above it "
-            "ends the command before the work, with a size or a filter that would fit."
+            "ends the command before the work, with a size or a filter that would fit.",
         },
     )
 

@@ -26,6 +26,7 @@ PARSED = (
     (r"^alula sim-vehicle ", "serves until it is stopped"),
     (r"^alula view (?!.* -o )", "serves a browser until it is stopped"),
     (r"^alula doctor", "is about the machine"),
+    (r"^alula import-splat (-|https:)", "reads a stream, or from another machine"),
 )
 HELP = "docs/guide/commands.md"  # the examples of the help: parsed
 ELLIPSIS = re.compile(r" \.\.\. ")  # leaves a part out
@@ -36,7 +37,7 @@ ELSEWHERE = (
         r"^(git|docker|bash|sudo|apt-get|apt|pip|pipx|uv|curl|wget|unzip|mkdir|export) ",
         "prepares the machine",
     ),
-    (r"^(cd|source|\.) ", "of the shell"),
+    (r"^(cat|cd|eval|source|\.) ", "of the shell"),
     (r"^(\./waf|Tools/\S+|~/\S+) ", "builds or starts an autopilot"),
     (r"^make px4_sitl ", "builds PX4"),
     (r"^make CRAZYFLIE_BASE=", "builds the firmware of a Crazyflie, from its sources"),

@@ -4,10 +4,12 @@ import os
 import subprocess
 import sys
 
+import click
 import pytest
 
 from alula import __version__
-from alula.cli.main import run
+from alula.cli.grouped import COMMON, MOST
+from alula.cli.main import COMMANDS, cli, run
 from alula.stages.filtering.registry import filter_names
 
 
@@ -41,6 +43,50 @@ def test_help_of_a_command_is_that_of_its_option(capsys):
 def test_help_of_an_unknown_command_is_refused(capsys):
     assert run(["help", "fry"]) == 2
     assert capsys.readouterr().err == "alula: no command is called 'fry' (alula help lists them)\n"
+
+
+def sections(name):
+    """Headings of a command's help, each with the names of its options."""
+    top = cli.make_context("alula", [name], resilient_parsing=True)
+    with click.Context(cli.get_command(top, name), top) as own:
+        return {
+            heading: [
+                next(word for word in names.replace(",", " ").split() if word[:2] == "--")
+                for names, _ in shown
+            ]
+            for heading, shown in own.command.sections(own).items()
+        }
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_at_most_ten_options_come_before_the_groups_and_the_common_ones_last(name):
+    found = sections(name)
+    command = cli.get_command(click.Context(cli), name)
+    shown = [option for options in found.values() for option in options]
+    known = [{*p.opts, *p.secondary_opts} for p in command.params if isinstance(p, click.Option)]
+    assert len(shown) == len(set(shown)) == len(known) + 1  # and --help
+    assert all(any(option in names for option in shown) for names in known)
+    first, *_ = found
+    assert first == "Options"
+    assert 1 <= len(found["Options"]) <= MOST
+    assert "--output" not in shown or found["Options"][0] == "--output"
+    if len(shown) <= MOST:
+        assert list(found) == ["Options"]
+        return
+    *_, last = found
+    assert last == COMMON
+    assert found[COMMON][-4:] == ["--json", "--quiet", "--verbose", "--help"]
+    assert not {"--force", "--dry-run", "--seed", "--jobs", "--depfile"} & {*shown} - {*found[COMMON]}
+
+
+def test_a_group_has_a_heading_of_its_own_in_the_help(capsys):
+    assert run(["import-splat", "-h"]) == 0
+    shown = capsys.readouterr().out
+    places = [
+        shown.index(text) for text in ("\nOptions:\n", "--turn", "\nFiltering:\n", "--drop-nan", "\nCommon")
+    ]
+    assert places == sorted(places)
+    assert sections("observe")["Obstacles"][0] == "--confidence"  # a parameter of voxelize, where it matters
 
 
 def test_the_version_has_a_short_option(capsys):

@@ -46,6 +46,17 @@ def test_a_stream_is_read_like_the_file(tmp_path):
     assert b"-f replaces it" in other_content.stderr
 
 
+def test_a_stream_of_splat_records_is_recognised_by_its_content(tmp_path):
+    rows = np.frombuffer(splat_bytes(), RECORD).copy()
+    assert (
+        b"--format splat" in alula("import-splat", "-", "-o", tmp_path / "s.npz", stdin=splat_bytes()).stderr
+    )
+    rows["quat"] = 255, 128, 128, 128  # those of `splat_bytes` are not normalised
+    done = alula("import-splat", "-", "-o", tmp_path / "s.scene.npz", stdin=rows.tobytes())
+    assert done.returncode == 0, done.stderr
+    assert read_artifact(tmp_path / "s.scene.npz", SCENE).manifest.source["format"] == "splat"
+
+
 @pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("stdin", "options", "code", "words"),

@@ -24,6 +24,7 @@ from alula.stages.reconstruction.formats.ply import count_ply, decode_ply
 from alula.stages.reconstruction.formats.sog import is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import count_splat, decode_splat
+from alula.stages.reconstruction.formats.splat_content import is_splat
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.formats.spz import decode_spz
 from alula.stages.reconstruction.formats.spz_container import is_spz
@@ -60,7 +61,7 @@ class SplatFormat:
 
     Attributes:
         name: the value of `--format`.
-        matches: test of a source by its content, or by its suffix where there is no magic number.
+        matches: test of a source by its content; where there is no magic number, also by its suffix.
         decode: function from a source to its Gaussians; raises ArtifactError.
         members: function from a source to the names of all files to read, relative to its folder, the main
             one first.
@@ -94,7 +95,7 @@ STREAMED_SOG = SplatFormat("streamed-sog", is_streamed_sog, decode_streamed_sog,
 KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat(
     "splat",
-    lambda source: source.suffix == ".splat",
+    is_splat,
     _of_file(decode_splat),
     windows=Windows(
         lambda source: count_splat(source.data), lambda source, rows: decode_splat(source.data, window=rows)
@@ -117,21 +118,21 @@ _WITH_MAGIC = (
     NERFSTUDIO,
     MEANS_JSON,
 )
-_BY_SUFFIX = (
+_WITHOUT_MAGIC = (
     KSPLAT,
-    SPLAT,
+    SPLAT,  # by the suffix, or by records that are plausible
 )
 
 
 def formats() -> Iterator[SplatFormat]:
-    """All formats: those with a magic number, those of other packages, and those by suffix alone."""
+    """All formats: those with a magic number, those of other packages, and those without one."""
     yield from _WITH_MAGIC
     for entry in sorted(entry_points(group="alula.formats"), key=lambda entry: entry.name):
         found = entry.load()
         if not isinstance(found, SplatFormat):
             raise InputError(f"entry point {entry.name} ({entry.value}) is not a SplatFormat")
         yield found
-    yield from _BY_SUFFIX
+    yield from _WITHOUT_MAGIC
 
 
 def recognise(source: Source, name: str = "auto") -> SplatFormat:
@@ -155,7 +156,11 @@ def recognise(source: Source, name: str = "auto") -> SplatFormat:
             return candidate
     if source.is_folder:
         raise ArtifactError("is a folder, but of no kind that this version recognises; name a file in it")
-    raise ArtifactError("not a splat file that this version recognises; --format forces one")
+    unmarked = " or ".join(f"--format {one.name}" for one in _WITHOUT_MAGIC)
+    raise ArtifactError(
+        f"not a splat file that this version recognises; --format forces one ({unmarked} for those without a "
+        "magic number)"
+    )
 
 
 @dataclass(frozen=True, slots=True)
