@@ -214,9 +214,9 @@ def run_beside(
         else:
             write()
     if common.depfile is not None and not common.dry_run:
-        names = " ".join(["", *(_make_escape(index_of(path)) for path in inputs.values())])
+        names = " ".join(["", *(make_escape(index_of(path)) for path in inputs.values())])
         written = target if mark == INDEX else common.output
-        write_text(common.depfile, _make_escape(written, " \t#:*?[%") + f":{names}\n")
+        write_text(common.depfile, make_escape(written, " \t#:*?[%") + f":{names}\n")
     show(common, status, summary)
 
 
@@ -385,6 +385,11 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield key, value
 
 
-def _make_escape(path: Path, special: str = " \t#:*?[") -> str:
-    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not."""
+def make_escape(path: Path, special: str = " \t#:*?[") -> str:
+    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not.
+
+    Args:
+        path: the file.
+        special: characters to escape.
+    """
     return re.sub(rf"(\\*)([{re.escape(special)}])", r"\1\1\\\2", str(path)).replace("$", "$$")

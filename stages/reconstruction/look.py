@@ -1,0 +1,108 @@
+"""A first look at a splat of unknown origin: which way is up, how high it is, and where its matter lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from alula.schemas.arrays import FloatArray
+
+_BINS = 200  # of heights, over the extent of nearly all Gaussians
+_OUTER = 0.5  # percentile beyond which Gaussians have no say in the extent
+_CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: a floor
+_MATTER = 1.0  # percentile of a box around the matter
+_WORTH = 0.5  # of the volume of all Gaussians: a smaller box is worth a crop
+_GROWN = 0.05  # of its edges, by which that box is grown
+CONVENTION = (0.0, -1.0, 0.0)  # up of most trainers, which take over COLMAP's axes
+
+
+@dataclass(frozen=True, slots=True)
+class Up:
+    """The direction that is taken for up.
+
+    Attributes:
+        direction: unit vector in the frame of the splat.
+        why: in words, for the reader of the project.
+    """
+
+    direction: tuple[float, float, float]
+    why: str
+
+
+def up_of(mean: FloatArray) -> Up:
+    """Up from the Gaussians alone: the axis along which the fullest thin layer lies near one end, the floor.
+
+    The layer has 1 / 200 of the extent. Where no axis has a layer that is clearly fuller than those of the
+    others, up is -y, as most trainers write it.
+
+    Args:
+        mean: centres, shape (N, 3).
+    """
+    layers = [_layer(mean[:, axis]) for axis in range(3)]
+    order = sorted(range(3), key=lambda axis: -layers[axis][0])
+    fullest, second = layers[order[0]], layers[order[1]]
+    if fullest[0] < _CLEAR * second[0] or 0.3 < fullest[1] < 0.7:
+        return Up(CONVENTION, "no floor stands out, so the axis -y of most trainers is taken")
+    sign = 1.0 if fullest[1] <= 0.5 else -1.0
+    direction = [0.0, 0.0, 0.0]
+    direction[order[0]] = sign
+    name = f"{'+' if sign > 0 else '-'}{'xyz'[order[0]]}"
+    x, y, z = direction
+    return Up(
+        (x, y, z), f"a flat layer with {fullest[0]:.0%} of the Gaussians lies at the end opposite {name}"
+    )
+
+
+def up_of_cameras(R_scene_camera: FloatArray) -> Up:
+    """Up from the cameras of a model, which people hold level: the mean of their upward axes.
+
+    Args:
+        R_scene_camera: axes x right, y down, z forward as columns, shape (N, 3, 3).
+    """
+    mean = -R_scene_camera[:, :, 1].mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if length < 0.2:
+        return Up(CONVENTION, "the cameras point every way, so the axis -y of most trainers is taken")
+    x, y, z = (round(float(one), 6) for one in mean / length)
+    return Up((x, y, z), f"mean of the upward axes of {len(R_scene_camera)} cameras")
+
+
+def height_of(mean: FloatArray, up: tuple[float, float, float]) -> float:
+    """Extent along up, without the outermost 0.5 % of the Gaussians at either end.
+
+    Args:
+        mean: centres, shape (N, 3).
+        up: unit vector.
+    """
+    low, high = np.percentile(mean @ np.array(up), (_OUTER, 100 - _OUTER))
+    return float(high - low)
+
+
+def crop_of(mean: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
+    """Box around the matter, where that is much smaller than the box of all Gaussians.
+
+    Args:
+        mean: centres, shape (N, 3) [m].
+
+    Returns:
+        Lower and upper corner, and the fraction of the Gaussians inside; None where nothing is worth a crop.
+    """
+    low, high = np.percentile(mean, (_MATTER, 100 - _MATTER), axis=0)
+    grown = _GROWN * (high - low)
+    low, high = low - grown, high + grown
+    whole = np.ptp(mean, axis=0)
+    if float(np.prod(high - low)) >= _WORTH * float(np.prod(whole)) or not (high > low).all():
+        return None
+    inside = ((mean >= low) & (mean <= high)).all(axis=1)
+    return low, high, float(inside.mean())
+
+
+def _layer(coordinate: FloatArray) -> tuple[float, float]:
+    """Fraction of the Gaussians in the fullest layer, and where it lies between the ends, 0 to 1."""
+    low, high = np.percentile(coordinate, (_OUTER, 100 - _OUTER))
+    if not high > low:
+        return 1.0, 0.0
+    counts, _ = np.histogram(coordinate, _BINS, (float(low), float(high)))
+    at = int(counts.argmax())
+    return float(counts[at]) / len(coordinate), (at + 0.5) / _BINS
