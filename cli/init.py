@@ -12,6 +12,7 @@ from alula.cli import options
 if TYPE_CHECKING:
     from alula.cli.project import Choices
 
+UPS = ("+x", "-x", "+y", "-y", "+z", "-z")
 EXAMPLES = """\b
 Examples:
   alula init garden.ply --metres-per-unit 1.8
@@ -23,6 +24,7 @@ Examples:
 @click.command("init", epilog=EXAMPLES)
 @click.argument("splat", type=options.input_path())
 @click.option("--colmap", type=options.PATH, help="COLMAP model (folder) of the splat: its cameras tell up.")
+@click.option("--up", type=click.Choice(UPS), help="Axis of the splat that points up; default: by its floor.")
 @click.option("--metres-per-unit", type=options.FINITE_FLOAT, help="Length of a unit of the splat [m].")
 @click.option("--height", "height_m", type=options.FINITE_FLOAT, help="Height of all that is shown [m].")
 @click.option(
@@ -34,6 +36,7 @@ Examples:
 def command(
     splat: Path,
     colmap: Path | None,
+    up: str | None,
     metres_per_unit: float | None,
     height_m: float | None,
     trials: int,
@@ -54,7 +57,7 @@ def command(
 
     folder = folder_of(splat, output)
     chosen: Choices = look(
-        splat, folder, colmap=colmap, metres_per_unit=metres_per_unit, height_m=height_m, jobs=jobs
+        splat, colmap=colmap, up=up, metres_per_unit=metres_per_unit, height_m=height_m, jobs=jobs
     )
     write_project(folder, splat, chosen, trials)
     if json:

@@ -23,12 +23,14 @@ if TYPE_CHECKING:
 HULLS = 300
 MOST_VOXELS = 100_000  # of the chosen size: minutes of `merge`
 FINEST_M = 0.05  # a third of the radius of the default vehicle [m]
+_EDGES = 100  # voxels along the diagonal of a small thing, which may then be finer
 _SIZES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # times a power of ten
 _BEYOND_M = 1.0  # around a place that was not cropped, in which flights may go around it [m]
 _CANDIDATES = 12  # free points
 _TRIES = 8  # pairs of them
 _RISE_M = (1.0, 0.7, 0.5, 0.3, 0.0)  # from where the rehearsed vehicle stands to the start of the plan [m]
 
+_KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
 _KEEP_M = 0.25  # radius and margin of the default vehicle
 LEARN_SCALE = (
     "a splat does not tell its scale; learn it from two points of the splat and their distance in the real "
@@ -90,9 +92,9 @@ def folder_of(splat: Path, output: Path | None) -> Path:
 
 def look(
     splat: Path,
-    folder: Path,
     *,
     colmap: Path | None = None,
+    up: str | None = None,
     metres_per_unit: float | None = None,
     height_m: float | None = None,
     jobs: int = 0,
@@ -101,8 +103,8 @@ def look(
 
     Args:
         splat: file or folder of the splat.
-        folder: of the project, for messages.
         colmap: COLMAP model with cameras in its frame.
+        up: axis that points up, such as "+z".
         metres_per_unit: scale.
         height_m: height of all that is shown, instead of the scale [m].
         jobs: threads; 0 is all processors.
@@ -115,6 +117,8 @@ def look(
     from alula.cli.library.verbs import merge, voxelize
     from alula.stages.reconstruction.look import crop_of, height_of
 
+    if up is not None and colmap is not None:
+        raise UsageError("--up and --colmap both tell up; give one of them")
     if metres_per_unit is not None and height_m is not None:
         raise UsageError("--metres-per-unit and --height both give the scale; give one of them")
     for name, value in (("--metres-per-unit", metres_per_unit), ("--height", height_m)):
@@ -122,8 +126,8 @@ def look(
             raise UsageError(f"{name} must be between 1e-06 and 1e+06, not {value:g}")
     assumed: dict[str, str] = {}
     scene, importing = _imported(splat, assumed)
-    up = _up(scene, colmap, assumed)
-    height = height_of(scene.mean, up.direction)
+    upward = _up(scene, colmap, up, assumed)
+    height = height_of(scene.mean, upward.direction)
     scale = metres_per_unit
     if height_m is not None:
         if not height > 0:
@@ -139,7 +143,7 @@ def look(
         assumed["scale"] = (
             f"ASSUMED, not known: 1 unit is 1 m, so that all that is shown is {height:.3g} m high"
         )
-    metric, aligning = _aligned(scene, up, scale, assumed)
+    metric, aligning = _aligned(scene, upward, scale, assumed)
     box = crop_of(metric.mean)
     voxelizing, fields = "", {}
     low, high = metric.mean.min(axis=0) - _BEYOND_M, metric.mean.max(axis=0) + _BEYOND_M
@@ -153,7 +157,8 @@ def look(
         )
     else:
         assumed["crop"] = "none; the Gaussians lie close enough together"
-    size = _size(metric, float(np_norm(high - low)), fields, jobs)
+    diagonal_m = math.dist(metric.mean.min(axis=0), metric.mean.max(axis=0))
+    size = _size(metric, min(FINEST_M, diagonal_m / _EDGES), fields, jobs)
     voxels = voxelize(metric, size_m=size, jobs=jobs, **fields)
     assumed["voxels"] = (
         f"{size:g} m, {len(voxels.index):,} of them; coarser ones close narrow passages, finer ones take "
@@ -237,7 +242,7 @@ def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
             tried = import_splat(splat, **fields, **more)
         except AlulaError:
             continue
-        if len(tried.mean) >= 0.5 * total:
+        if len(tried.mean) >= _KEPT * total:
             removed.append(f"{len(whole.mean) - len(tried.mean):,} by {option}")
             fields |= more
             words.append(option)
@@ -246,10 +251,12 @@ def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
     return whole, " ".join(words)
 
 
-def _up(scene: Scene, colmap: Path | None, assumed: dict[str, str]) -> Up:
-    from alula.stages.reconstruction.look import up_of, up_of_cameras
+def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, str]) -> Up:
+    from alula.stages.reconstruction.look import up_given, up_of, up_of_cameras
 
-    if colmap is None:
+    if up is not None:
+        found = up_given(up)
+    elif colmap is None:
         found = up_of(scene.mean)
     else:
         from alula.stages.alignment.colmap import read_model
@@ -275,36 +282,21 @@ def _aligned(scene: Scene, up: Up, scale: float, assumed: dict[str, str]) -> tup
     return found, f"{words} --floor"
 
 
-def np_norm(vector: np.ndarray[Any, Any]) -> float:
-    """Length of a vector."""
-    return math.sqrt(float((vector * vector).sum()))
-
-
-def _size(scene: Scene, diagonal_m: float, fields: dict[str, Any], jobs: int) -> float:
-    """Smallest size of voxels of which there are at most `MOST_VOXELS`, at least `FINEST_M`."""
+def _size(scene: Scene, finest_m: float, fields: dict[str, Any], jobs: int) -> float:
+    """Smallest size of voxels, at least `finest_m`, of which there are at most `MOST_VOXELS`."""
     from alula.cli.library.verbs import voxelize
 
-    step = _step_of(max(FINEST_M, diagonal_m / 300))
-    best: float | None = None
-    for _ in range(30):
-        size = _at(step)
+    step = _step_of(max(finest_m, 1e-4))
+    for size in map(_at, range(step, step + 40)):
         try:
-            count = len(voxelize(scene, size_m=size, jobs=jobs, max_voxels=4 * MOST_VOXELS, **fields).index)
-        except InfeasibleError:
-            count = 4 * MOST_VOXELS
-        if count <= MOST_VOXELS:
-            best, step = size, step - 1
-            if _at(step) < FINEST_M:
-                break
-        elif best is not None:
-            break
-        else:
-            step += 1
-    if best is None:
-        raise InfeasibleError(
-            "no size of voxels leaves few enough of them; crop the splat in an editor first"
-        )
-    return best
+            if (
+                len(voxelize(scene, size_m=size, jobs=jobs, max_voxels=MOST_VOXELS, **fields).index)
+                <= MOST_VOXELS
+            ):
+                return size
+        except (InputError, InfeasibleError):  # too many; refused before the work where they are far too many
+            continue
+    raise InfeasibleError("no size of voxels leaves few enough of them; crop the splat in an editor first")
 
 
 def _step_of(size_m: float) -> int:

@@ -8,9 +8,11 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 
-_BINS = 200  # of heights, over the extent of nearly all Gaussians
+_LAYERS = 200  # along the largest extent of nearly all Gaussians
 _OUTER = 0.5  # percentile beyond which Gaussians have no say in the extent
 _CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: a floor
+_ONE_SIDED = 2.0  # times as many Gaussians above a floor as below it
+_NO_FLOOR = "no floor stands out, so the axis -y of most trainers is taken"
 _MATTER = 1.0  # percentile of a box around the matter
 _WORTH = 0.5  # of the volume of all Gaussians: a smaller box is worth a crop
 _GROWN = 0.05  # of its edges, by which that box is grown
@@ -31,27 +33,42 @@ class Up:
 
 
 def up_of(mean: FloatArray) -> Up:
-    """Up from the Gaussians alone: the axis along which the fullest thin layer lies near one end, the floor.
+    """Up from the Gaussians alone: away from the floor, the fullest thin layer across an axis.
 
-    The layer has 1 / 200 of the extent. Where no axis has a layer that is clearly fuller than those of the
-    others, up is -y, as most trainers write it.
+    Layers have the same thickness along all axes, 1 / 200 of the largest extent. Where neither side of the
+    fullest layer has twice as many Gaussians as the other, up is +x, -y or +z, as most writers have it. Where
+    no axis has a layer that is clearly fuller than those of the others, up is -y, as most trainers write it.
 
     Args:
         mean: centres, shape (N, 3).
     """
-    layers = [_layer(mean[:, axis]) for axis in range(3)]
+    low, high = np.percentile(mean, (_OUTER, 100 - _OUTER), axis=0)
+    thickness = float((high - low).max()) / _LAYERS
+    if not thickness > 0:
+        return Up(CONVENTION, _NO_FLOOR)
+    layers = [_layer(mean[:, axis], float(low[axis]), float(high[axis]), thickness) for axis in range(3)]
     order = sorted(range(3), key=lambda axis: -layers[axis][0])
-    fullest, second = layers[order[0]], layers[order[1]]
-    if fullest[0] < _CLEAR * second[0] or 0.3 < fullest[1] < 0.7:
-        return Up(CONVENTION, "no floor stands out, so the axis -y of most trainers is taken")
-    sign = 1.0 if fullest[1] <= 0.5 else -1.0
+    share, below, above = layers[order[0]]
+    if share < _CLEAR * layers[order[1]][0]:
+        return Up(CONVENTION, _NO_FLOOR)
+    is_positive = order[0] != 1 if max(below, above) < _ONE_SIDED * min(below, above) else below <= above
     direction = [0.0, 0.0, 0.0]
-    direction[order[0]] = sign
-    name = f"{'+' if sign > 0 else '-'}{'xyz'[order[0]]}"
+    direction[order[0]] = 1.0 if is_positive else -1.0
     x, y, z = direction
-    return Up(
-        (x, y, z), f"a flat layer with {fullest[0]:.0%} of the Gaussians lies at the end opposite {name}"
-    )
+    name = f"{'+' if is_positive else '-'}{'xyz'[order[0]]}"
+    return Up((x, y, z), f"a flat layer has {share:.0%} of the Gaussians, and {name} leads up from it")
+
+
+def up_given(axis: str) -> Up:
+    """Up as the user gave it.
+
+    Args:
+        axis: such as "+z".
+    """
+    direction = [0.0, 0.0, 0.0]
+    direction["xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
+    x, y, z = direction
+    return Up((x, y, z), "as given")
 
 
 def up_of_cameras(R_scene_camera: FloatArray) -> Up:
@@ -98,11 +115,9 @@ def crop_of(mean: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     return low, high, float(inside.mean())
 
 
-def _layer(coordinate: FloatArray) -> tuple[float, float]:
-    """Fraction of the Gaussians in the fullest layer, and where it lies between the ends, 0 to 1."""
-    low, high = np.percentile(coordinate, (_OUTER, 100 - _OUTER))
-    if not high > low:
-        return 1.0, 0.0
-    counts, _ = np.histogram(coordinate, _BINS, (float(low), float(high)))
-    at = int(counts.argmax())
-    return float(counts[at]) / len(coordinate), (at + 0.5) / _BINS
+def _layer(coordinate: FloatArray, low: float, high: float, thickness: float) -> tuple[float, float, float]:
+    """Fractions of the Gaussians in the fullest layer, and on either side of it."""
+    bins = max(1, round((high - low) / thickness))
+    counts, _ = np.histogram(coordinate, bins, (low, low + bins * thickness))
+    at, total = int(counts.argmax()), len(coordinate)
+    return counts[at] / total, int(counts[:at].sum()) / total, int(counts[at + 1 :].sum()) / total
