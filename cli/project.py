@@ -33,9 +33,9 @@ _RISE_M = (1.0, 0.7, 0.5, 0.3, 0.0)  # from where the rehearsed vehicle stands t
 _KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
 _KEEP_M = 0.25  # radius and margin of the default vehicle
 LEARN_SCALE = (
-    "a splat does not tell its scale; learn it from two points of the splat and their distance in the real "
-    "place (scale-align --distance), from a known height (init --height), or from COLMAP cameras with GPS or "
-    "surveyed positions (scale-align --colmap --reference)"
+    "a splat does not tell its scale; learn it from two points clicked in alula view, which shows their "
+    "distance, and a tape measure (--metres-per-unit), from a known height (--height), or from COLMAP "
+    "cameras with GPS or surveyed positions (alula scale-align --colmap --reference)"
 )
 
 
