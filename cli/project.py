@@ -145,7 +145,8 @@ def look(
         )
     metric, aligning = _aligned(scene, upward, scale, assumed)
     box = crop_of(metric.mean)
-    voxelizing, fields = "", {}
+    voxelizing = ""
+    fields: dict[str, Any] = {}
     low, high = metric.mean.min(axis=0) - _BEYOND_M, metric.mean.max(axis=0) + _BEYOND_M
     if box is not None and (box[1] - box[0]).min() >= 6 * _KEEP_M:
         crop = _rounded((*box[0], *box[1]))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 
+_Centres = NDArray[np.floating[Any]]
 _LAYERS = 200  # along the largest extent of nearly all Gaussians
 _OUTER = 0.5  # percentile beyond which Gaussians have no say in the extent
 _CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: a floor
@@ -32,7 +35,7 @@ class Up:
     why: str
 
 
-def up_of(mean: FloatArray) -> Up:
+def up_of(mean: _Centres) -> Up:
     """Up from the Gaussians alone: away from the floor, the fullest thin layer across an axis.
 
     Layers have the same thickness along all axes, 1 / 200 of the largest extent. Where neither side of the
@@ -85,7 +88,7 @@ def up_of_cameras(R_scene_camera: FloatArray) -> Up:
     return Up((x, y, z), f"mean of the upward axes of {len(R_scene_camera)} cameras")
 
 
-def height_of(mean: FloatArray, up: tuple[float, float, float]) -> float:
+def height_of(mean: _Centres, up: tuple[float, float, float]) -> float:
     """Extent along up, without the outermost 0.5 % of the Gaussians at either end.
 
     Args:
@@ -96,7 +99,7 @@ def height_of(mean: FloatArray, up: tuple[float, float, float]) -> float:
     return float(high - low)
 
 
-def crop_of(mean: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
+def crop_of(mean: _Centres) -> tuple[FloatArray, FloatArray, float] | None:
     """Box around the matter, where that is much smaller than the box of all Gaussians.
 
     Args:
