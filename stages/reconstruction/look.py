@@ -118,7 +118,7 @@ def crop_of(mean: _Centres) -> tuple[FloatArray, FloatArray, float] | None:
     return low, high, float(inside.mean())
 
 
-def _layer(coordinate: FloatArray, low: float, high: float, thickness: float) -> tuple[float, float, float]:
+def _layer(coordinate: _Centres, low: float, high: float, thickness: float) -> tuple[float, float, float]:
     """Fractions of the Gaussians in the fullest layer, and on either side of it."""
     bins = max(1, round((high - low) / thickness))
     counts, _ = np.histogram(coordinate, bins, (low, low + bins * thickness))
