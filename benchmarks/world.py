@@ -66,7 +66,7 @@ TIMED = 200  # flights of which the ticks are timed, one after the other
 # What the loops of simulations and of `fly` consist of, with their commands, logs and bindings.
 _STAGES = (
     *("stages/simulation", "stages/runlog", "stages/flight/commanders", "cli/simulate", "cli/simulate.py"),
-    "cli/sources.py",
+    *("cli/missions.py", "cli/sources.py"),
     *("native/core/src/flight", "native/core/include/alula/flight", "native/core/bindings/flight"),
 )
 

@@ -20,6 +20,7 @@ from alula.schemas.extras import EXTRAS, missing
 
 # name: (module, first line of its help); a test compares the lines with the commands.
 COMMANDS: dict[str, tuple[str, str]] = {
+    "init": ("init", "Write a first project for a splat of your own, ready for make."),
     "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
     "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
     "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from alula.schemas.progress import Progress
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
     from alula.schemas.mission import Mission
+    from alula.schemas.vehicle import Vehicle
 
 
 @grouped.command(
@@ -91,8 +93,7 @@ def command(
     from alula.schemas.errors import UsageError
     from alula.schemas.kinds import PLAN
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-    from alula.stages.planning.plan import plan, resolve_plan
-    from alula.stages.simulation.world.parts import behind_filters
+    from alula.stages.planning.plan import resolve_plan
 
     if config.radius_m is not None and vehicle_path is not None:
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
@@ -113,20 +114,63 @@ def command(
     if config.start is None or config.goal is None:
         raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
 
-    if config.filter is not None and config.straight:
-        raise UsageError("--straight flies lines as they are, whatever a filter does; leave out --filter")
-    if config.filter is not None and "image" in paths:
-        raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
+    check_filter(config, paths)
 
     def build(progress: Progress) -> Artifact:
-        maps = _read(paths)
-        behind = None if config.filter is None else behind_filters(config, vehicle, **maps, jobs=common.jobs)
-        known: dict[str, Any] = {"mission": mission, "vehicle": vehicle, "behind": behind}
-        return plan(config, **maps, **known, jobs=common.jobs, progress=progress)
+        return find_plan(config, _read(paths), vehicle, mission, jobs=common.jobs, progress=progress)
 
     further = {"vehicle": vehicle_path, "mission": mission_path}
     inputs = paths | {role: path for role, path in further.items() if path is not None}
     runner.run_stage(common, PLAN, config, inputs, build)
+
+
+def check_filter(config: PlanConfig, roles: Container[str]) -> None:
+    """Refuse filters that the plan cannot be flown behind.
+
+    Args:
+        config: of the plan.
+        roles: of its maps.
+
+    Raises:
+        UsageError: there is one.
+    """
+    from alula.schemas.errors import UsageError
+
+    if config.filter is not None and config.straight:
+        raise UsageError("--straight flies lines as they are, whatever a filter does; leave out --filter")
+    if config.filter is not None and "image" in roles:
+        raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
+
+
+def find_plan(
+    config: PlanConfig,
+    maps: Mapping[str, Any],
+    vehicle: Vehicle,
+    mission: Mission | None = None,
+    *,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> Artifact:
+    """Find the plan, behind the filters of the configuration if it names some.
+
+    Args:
+        config: see `resolve_plan`.
+        maps: `cover`, `scene`, `image` and `within`.
+        vehicle: that will fly it.
+        mission: waypoints, gates and zones.
+        jobs: threads; 0 is all processors.
+        progress: called with (done, total).
+
+    Raises:
+        InfeasibleError: there is no plan.
+        UsageError, InputError: parameters and maps do not go together.
+    """
+    from alula.stages.planning.plan import plan
+    from alula.stages.simulation.world.parts import behind_filters
+
+    behind = None if config.filter is None else behind_filters(config, vehicle, **maps, jobs=jobs)
+    known: dict[str, Any] = {"mission": mission, "vehicle": vehicle, "behind": behind}
+    return plan(config, **maps, **known, jobs=jobs, progress=progress)
 
 
 def _mission(context: click.Context, path: Path) -> Mission:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,21 +57,53 @@ def command(
     Beside a page two more files are written: a .md file with the same tables and a .csv file with one row per
     trial. All formats have the same contents and the same numbers.
     """
-    from alula.cli.runner import run
+    named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
+    write_report(runs, {role: path for role, path in named.items() if path is not None}, config, common)
+
+
+def files_of(runs: Sequence[Path], named: Mapping[str, Path]) -> dict[str, Path]:
+    """All files that a report depends on, by role.
+
+    Args:
+        runs: logs in their order; the record beside each has its measured times.
+        named: the other files by role: `cover`, `scene`, `plan`, `certificate`.
+
+    Raises:
+        UsageError: there is none.
+    """
     from alula.schemas.errors import UsageError
-    from alula.schemas.provenance import read_provenance
-    from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION
     from alula.schemas.run import record_path
 
-    named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
     inputs: dict[str, Path] = {}
     for number, log in enumerate(runs, 1):
         inputs[f"run-{number:03d}"] = log
         if record_path(log).is_file():
             inputs[f"timing-{number:03d}"] = record_path(log)
-    inputs |= {role: path for role, path in named.items() if path is not None}
+    inputs |= named
     if not inputs:
         raise UsageError("report needs a run, or one of --cover, --scene, --plan")
+    return inputs
+
+
+def write_report(
+    runs: Sequence[Path], named: Mapping[str, Path], config: ReportConfig, common: Common
+) -> None:
+    """Write a report and the files beside it, unless they are current.
+
+    Args:
+        runs: logs in their order.
+        named: the other files by role: `cover`, `scene`, `plan`, `certificate`.
+        config: see `ReportConfig`.
+        common: the shared options.
+
+    Raises:
+        UsageError, InputError, OutputError: as `runner.run`.
+    """
+    from alula.cli.runner import run
+    from alula.schemas.provenance import read_provenance
+    from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION
+
+    inputs = files_of(runs, named)
     parameters = config.parameters(common.output)
     form = str(parameters["format"])
     beside = [common.output.with_suffix(suffix) for suffix in (".md", ".csv") if form == "html"]
@@ -81,8 +113,8 @@ def command(
         common = dataclasses.replace(common, force=True)  # a table of trials has no room for provenance
 
     def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, bytes], dict[str, Any]]:
-        material = _read(config.title, runs, inputs, provenance)
-        files, summary = _files(material, config, form, common.output, provenance, progress)
+        material = read_material(config.title, runs, inputs, provenance)
+        files, summary = contents_of(material, config, form, common.output, provenance, progress)
         for path in files:
             if path != common.output and path not in beside:  # figures, which are known only now
                 _check_ours(path, inputs, common)
@@ -103,7 +135,7 @@ def command(
         _write_all({path: files[path] for path in beside if not path.exists()})
 
 
-def _files(
+def contents_of(
     material: Material,
     config: ReportConfig,
     form: str,
@@ -111,7 +143,16 @@ def _files(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
-    """Contents of the files of a report, the output first, and the facts to print."""
+    """Contents of the files of a report, the output first, and the facts to print.
+
+    Args:
+        material: runs, maps and certificate.
+        config: see `ReportConfig`.
+        form: one of `FORMATS`.
+        output: the file.
+        provenance: to be recorded.
+        progress: called with (done, total).
+    """
     from alula.schemas.provenance import in_ascii
     from alula.stages.reporting.content import content_of, draw, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
@@ -172,7 +213,20 @@ def _figures_of(output: Path) -> list[Path]:
     return [output.with_name(name) for name in found]
 
 
-def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:
+def read_material(
+    title: str, runs: Sequence[Path], inputs: Mapping[str, Path], provenance: Provenance
+) -> Material:
+    """Read the files of a report.
+
+    Args:
+        title: heading.
+        runs: logs in their order.
+        inputs: all files by role, see `files_of`.
+        provenance: of the report.
+
+    Raises:
+        InputError: a file cannot be read, or the certificate is that of another cover.
+    """
     from alula.schemas.cut_run import read_logged
     from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.files import size_of

@@ -111,10 +111,23 @@ def run_stage(
         finished = Artifact(manifest, artifact.arrays)
         return lambda: write_artifact(common.output, finished), manifest.summary
 
-    if not common.output.name.endswith(".npz"):
-        folder = f" or, for a folder of parts, {kind.folder_suffix}" if kind.folder_suffix else ""
-        raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix}){folder}")
+    check_array_name(common.output, kind)
     run_beside(common, kind.name, kind.version, parameters_of(config), inputs, make, seed, names=names)
+
+
+def check_array_name(output: Path, kind: Kind) -> None:
+    """Refuse a name that readers would not recognise as an array artifact.
+
+    Args:
+        output: the file to write.
+        kind: of the artifact.
+
+    Raises:
+        UsageError: the name does not end in .npz.
+    """
+    if not output.name.endswith(".npz"):
+        folder = f" or, for a folder of parts, {kind.folder_suffix}" if kind.folder_suffix else ""
+        raise UsageError(f"{output}: the output must end in .npz (usually {kind.suffix}){folder}")
 
 
 def run(
@@ -181,7 +194,7 @@ def run_beside(
         check_output(common.depfile, {**inputs, "output": common.output})
     for path in inputs.values():
         _check_input(path)
-    before = {path: _state(index_of(path)) for path in inputs.values()}
+    before = {path: state_of(index_of(path)) for path in inputs.values()}
     shown = names or {}
 
     def recorded_now() -> Provenance:
@@ -200,21 +213,25 @@ def run_beside(
         with shown_progress(common) as progress:
             write, summary = make(provenance, progress)
         for path, state in before.items():
-            if _state(index_of(path)) != state:
+            if state_of(index_of(path)) != state:
                 raise InputError(f"{path}: changed while it was read; start again when it is whole")
         if common.dry_run:
             status = "dry-run"
         else:
             write()
     if common.depfile is not None and not common.dry_run:
-        prerequisites = " ".join(["", *(_make_escape(index_of(path)) for path in inputs.values())])
+        prerequisites = " ".join(["", *(make_escape(index_of(path)) for path in inputs.values())])
         written = target if mark == INDEX else common.output
-        write_text(common.depfile, _make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
+        write_text(common.depfile, make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
     show(common, status, summary)
 
 
-def _state(path: Path) -> tuple[int, ...]:
-    """Attributes that change when a file is written to or replaced; empty where it does not exist."""
+def state_of(path: Path) -> tuple[int, ...]:
+    """Attributes that change when a file is written to or replaced; empty where it does not exist.
+
+    Args:
+        path: the file.
+    """
     try:
         found = path.stat()
     except OSError:
@@ -339,12 +356,23 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     if common.quiet:
         return
     echo(f"{common.output}: {status}")
-    shown = {key: value for key, value in _flat(summary) if key != "notes" and not _says_nothing(key, value)}
+    shown = facts(summary)
     width = max((len(key) for key in shown), default=0)
     for key, value in shown.items():
-        echo(f"  {key:<{width}}  {plain(value)}")
+        echo(f"  {key:<{width}}  {value}")
     for note in summary.get("notes", ()):
         echo(f"note: {note}", err=True)
+
+
+def facts(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Figures of a summary as people read them, by name; those that say nothing are left out.
+
+    Args:
+        summary: figures by name; its notes are no figures.
+    """
+    return {
+        key: plain(value) for key, value in _flat(summary) if key != "notes" and not _says_nothing(key, value)
+    }
 
 
 def _says_nothing(key: str, value: Any) -> bool:
@@ -363,6 +391,11 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield key, value
 
 
-def _make_escape(path: Path, special: str = " \t#:*?[") -> str:
-    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not."""
+def make_escape(path: Path, special: str = " \t#:*?[") -> str:
+    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not.
+
+    Args:
+        path: the file.
+        special: characters to escape.
+    """
     return re.sub(rf"(\\*)([{re.escape(special)}])", r"\1\1\\\2", str(path)).replace("$", "$$")

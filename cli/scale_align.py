@@ -39,15 +39,27 @@ Examples:
 class Files:
     """Files with the evidence for the alignment, one field per option."""
 
-    colmap: Path | None
-    cameras: Path | None
-    reference: Path | None
-    poses: Path | None
-    nerfstudio: Path | None
-    correspondences: Path | None
-    cloud: Path | None
-    initial: Path | None
-    transform: Path | None
+    colmap: Path | None = None
+    cameras: Path | None = None
+    reference: Path | None = None
+    poses: Path | None = None
+    nerfstudio: Path | None = None
+    correspondences: Path | None = None
+    cloud: Path | None = None
+    initial: Path | None = None
+    transform: Path | None = None
+
+    def inputs(self) -> dict[str, Path]:
+        """All files by role; a model or run folder has several."""
+        from alula.stages.alignment import colmap, nerfstudio
+
+        single = ("cameras", "reference", "poses", "correspondences", "cloud", "initial", "transform")
+        found = {role: path for role in single if (path := getattr(self, role)) is not None}
+        if self.colmap is not None:
+            found |= {f"colmap {part}": path for part, path in colmap.model_files(self.colmap).items()}
+        if self.nerfstudio is not None:
+            found |= nerfstudio.transform_files(self.nerfstudio)
+        return found
 
 
 @grouped.command("scale-align", epilog=EXAMPLES)
@@ -123,7 +135,6 @@ def command(
     from alula.schemas.manifest import Manifest
     from alula.schemas.parts import open_parts
     from alula.schemas.parts_join import read_whole
-    from alula.stages.alignment import colmap, nerfstudio
     from alula.stages.alignment.align_parts import PartsAligner
     from alula.stages.alignment.scale_align import scale_align
     from alula.stages.progress import share
@@ -136,7 +147,7 @@ def command(
     if files.colmap is not None or files.reference is not None:
         with handlers_kept(), suppress(ImportError):  # the stages say that it is not installed
             import pycolmap  # noqa: F401
-    _check_evidence_options(config, files)
+    check_evidence(config, files)
     for name, option, path, needed in (
         ("min_fitness", "--min-fitness", files.cloud, "--cloud"),
         ("max_angle_deg", "--angle-threshold", files.poses, "--poses"),
@@ -144,12 +155,7 @@ def command(
     ):
         if path is None and options.is_given(context, name):
             raise UsageError(f"{option} goes with {needed}")
-    single = ("cameras", "reference", "poses", "correspondences", "cloud", "initial", "transform")
-    inputs = {"scene": scene} | {role: path for role in single if (path := getattr(files, role)) is not None}
-    if files.colmap is not None:
-        inputs |= {f"colmap {part}": path for part, path in colmap.model_files(files.colmap).items()}
-    if files.nerfstudio is not None:
-        inputs |= nerfstudio.transform_files(files.nerfstudio)
+    inputs = {"scene": scene} | files.inputs()
 
     shown: list[dict[str, Any]] = []
 
@@ -159,12 +165,12 @@ def command(
             show_alignment(alignment, common.verbose)
 
     def build(progress: Progress) -> Artifact:
-        return scale_align(config, read_whole(scene, SCENE), _evidence(config, files), common.seed, report)
+        return scale_align(config, read_whole(scene, SCENE), evidence_of(config, files), common.seed, report)
 
     def build_parts(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
         half = share(progress, 0, 0.5), share(progress, 0.5, 1)
         parts = open_parts(scene, SCENE)
-        found = _evidence(config, files)
+        found = evidence_of(config, files)
         aligner = PartsAligner(config, parts, found, common.seed, report, common.jobs, half[0])
         align_parts(aligner, parts, writer, common.jobs, half[1])
         return writer.whole(recorded, **aligner.whole(writer.manifests))
@@ -232,8 +238,16 @@ def _recorded(manifest: Any) -> dict[str, Any]:
     return found
 
 
-def _check_evidence_options(config: ScaleAlignConfig, files: Files) -> None:
-    """Refuse combinations of options that are contradictory, redundant or incomplete."""
+def check_evidence(config: ScaleAlignConfig, files: Files) -> None:
+    """Refuse combinations of options that are contradictory, redundant or incomplete.
+
+    Args:
+        config: of the alignment.
+        files: with the evidence.
+
+    Raises:
+        UsageError: there is such a combination.
+    """
     given = {
         "--colmap": files.colmap, "--cameras": files.cameras, "--correspondences": files.correspondences,
         "--distance": config.distances or None, "--cloud": files.cloud, "--transform": files.transform,
@@ -264,8 +278,16 @@ def _check_evidence_options(config: ScaleAlignConfig, files: Files) -> None:
         raise UsageError("--origin goes with the lat,lon,alt of --reference")
 
 
-def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
-    """Read the evidence for the alignment."""
+def evidence_of(config: ScaleAlignConfig, files: Files) -> Evidence | None:
+    """Read the evidence for the alignment.
+
+    Args:
+        config: of the alignment.
+        files: with the evidence.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
     from alula.stages.alignment import cloud_files, tables
     from alula.stages.alignment.cloud import Cloud
     from alula.stages.alignment.scale_align import Given, scale_only

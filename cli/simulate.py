@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import completion, grouped, options
+from alula.cli.missions import MAPS, Mission, names_of, scenario_of
 from alula.cli.runner import run
 from alula.cli.set_values import settings_of
 from alula.schemas.errors import CheckError, UsageError
@@ -94,77 +95,23 @@ def command(
     filtered flight touched what does not move, or a plan was not flown as planned.
     """
     from alula.cli.run_files import check_log_name
-    from alula.schemas.world import TEXTS, changed, read_world
-    from alula.schemas.world_source import source_tree, vehicle_table
+    from alula.schemas.world import TEXTS
 
     check_log_name(common.output)
-    names = None if filters is None else _names_of(filters)
-    changes: dict[str, Any] = {}
-    if planned:
-        changes["mission.planned"] = True
-    if pairs_path is not None:
-        changes["mission.pairs_from"] = _relative(pairs_path, source)
-    if trials is not None:
-        changes["rules.trials"] = trials
-    if options.is_given(context, "seed"):
-        changes["rules.seed"] = common.seed
-    given = settings_of(settings, TEXTS)
-    _check_paths(given, names)
-    scenario: WorldScenario
-    if source.suffix == ".toml":
-        from alula.cli.sources import map_files
-
-        if map_path is not None:
-            changes |= {
-                f"world.{role}": _relative(path, source) for role, path in map_files(map_path).items()
-            }
-        if scene_path is not None:
-            changes["world.scene"] = _relative(scene_path, source)
-        if vehicle is not None:
-            key, name = next(iter(vehicle_table(vehicle).items()))
-            changes[f"vehicle.{key}"] = name if key == "type" else _relative(Path(name), source)
-        if names is not None:
-            changes["safety.filters"] = names
-        if speed is not None:
-            changes["mission.speed_m_s"] = speed
-        scenario = read_world(source, changes | given)
-    else:
-        from alula.cli.sources import source_files
-        from alula.stages.filtering.registry import filter_kind
-
-        files = source_files(source, map_path, scene_path)
-        chosen = given.pop("safety.filters", names)
-        chosen = [chosen] if isinstance(chosen, str) else chosen
-        tree = source_tree(files, filter_kind, filters=chosen, vehicle=vehicle, speed_m_s=speed)
-        scenario = changed(tree, str(source), changes | given)
+    scenario = scenario_of(
+        source,
+        map_path=map_path,
+        scene_path=scene_path,
+        vehicle=vehicle,
+        pairs_path=pairs_path,
+        planned=planned,
+        filters=None if filters is None else names_of(filters),
+        speed_m_s=speed,
+        trials=trials,
+        seed=common.seed if options.is_given(context, "seed") else None,
+        given=settings_of(settings, TEXTS),
+    )
     _fly(scenario, source, key_path, scheduler, common)
-
-
-def _names_of(filters: str) -> list[str]:
-    """Names of filters in their order; only the single name `none` flies without any."""
-    names = [name.strip() for name in filters.split(",")]
-    if "" in names or ("none" in names and names != ["none"]):
-        raise UsageError(f"--filter needs names of filters, or only none, not {filters!r}")
-    return names
-
-
-def _relative(path: Path, source: Path) -> str:
-    """Name of a file as the scenario names it, relative to its folder; without a scenario, as it is."""
-    inside = source.suffix == ".toml" and source.parent != Path()
-    return str(path.resolve()) if inside and not path.is_absolute() else str(path)
-
-
-def _check_paths(given: Mapping[str, Any], filters: list[str] | None) -> None:
-    """Refuse names without a table, such as those of filters' parameters, and say their whole paths."""
-    from alula.schemas.world_text import keys_of
-
-    for path in given:
-        if "." in path or path == "name":
-            continue
-        likely = [key.path for key in keys_of() if key.path.rpartition(".")[2] == path]
-        own = [key for key in likely if key.split(".")[1] in (filters or ())] or likely
-        hint = f"is it {' or '.join(own[:3])}?" if own else "alula scenario --keys lists all"
-        raise UsageError(f"--set {path}: needs the whole path of a key; {hint}")
 
 
 def _fly(
@@ -175,44 +122,21 @@ def _fly(
     common: options.Common,
 ) -> None:
     """Fly all trials, and write log and record."""
-    import msgspec
-
     from alula.cli.journal import JournalFile
     from alula.cli.sources import read_tiles_of
     from alula.schemas.journal import TRIALS
-    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
-    from alula.schemas.vehicle import contents
-    from alula.schemas.world import FILES
-    from alula.schemas.world_defaults import vehicle_of
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION
     from alula.stages.simulation.chunks import TrialJournal
-    from alula.stages.simulation.pairs import pairs_flown
     from alula.stages.simulation.world.chunks import FlownChunk
     from alula.stages.simulation.world.simulate import simulate_world
     from alula.stages.simulation.world.summary import world_summary
 
-    folder = source.parent if source.suffix == ".toml" else Path()
-    vehicle = vehicle_of(scenario, folder)
-    # The content of files is hashed; their names have no influence on results.
-    parameters = msgspec.json.decode(msgspec.json.encode(scenario), type=dict[str, Any])
-    paths = {"scenario": source} if source.suffix == ".toml" else {}
-    for key in FILES:
-        table, name = key.split(".")
-        if (file := parameters[table].pop(name)) is not None:
-            paths[_ROLES.get(key, name)] = folder / file
-    tiles = read_tiles_of(paths, key_path)
-    pairs = None
-    if "pairs" in paths:
-        pairs = pairs_flown(read_run(paths["pairs"]).trials, scenario.rules.trials)
+    mission = Mission.of(scenario, source)
+    tiles = read_tiles_of(mission.paths, key_path)
     kept = JournalFile(common, TRIALS, partial(TrialJournal, FlownChunk))
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        read = {
-            role: read_whole(paths[role], kind)
-            for role, kind in (("cover", COVER), ("scene", SCENE), ("seen", SEEN), ("plan", PLAN))
-            if role in paths
-        }
+        read = {role: found for role in MAPS if (found := mission.read(role)) is not None}
         kept.begin(provenance)
         start = time.monotonic()
         with kept.kept(progress) as (journal, watched):
@@ -220,13 +144,10 @@ def _fly(
             try:
                 flown = simulate_world(
                     scenario,
-                    vehicle,
-                    cover=read.get("cover"),
-                    scene=read.get("scene"),
-                    seen=read.get("seen"),
-                    plan=read.get("plan"),
+                    mission.vehicle,
+                    **read,
                     tiles=tiles,
-                    pairs=pairs,
+                    pairs=mission.pairs,
                     journal=journal,
                     jobs=common.jobs,
                     scheduler=scheduler,
@@ -237,27 +158,17 @@ def _fly(
                 raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
         timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
         summary = world_summary(flown)
-        return lambda: _write(common.output, provenance, flown, summary, timing, read), summary
+        return lambda: write_flights(common.output, provenance, flown, summary, timing, read), summary
 
-    parameters = {key: value for key, value in parameters.items() if key not in ("schema", "version", "fly")}
-    parameters["vehicle_file"] = contents(vehicle)
-    # Without filters, those two say how encounters and flights in a fence are measured.
-    told = scenario.safety.filters or ("dr-acbf", "geofence")
-    safety = parameters["safety"]
-    parameters["safety"] = {name: safety[name] for name in ("filters", *told) if name in safety} | {
-        name: safety["others"][name] for name in told if name in safety["others"]
-    }
-    seed = parameters["rules"].pop("seed")
-    run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=seed)
+    run(common, RUN_SCHEMA, RUN_VERSION, mission.parameters, mission.paths, make, seed=mission.seed)
     kept.remove()
     if not common.dry_run:
-        _check(common.output, scenario)
+        from alula.schemas.run import read_run
+
+        check_trials(common.output, scenario, read_run(common.output).trials)
 
 
-_ROLES = {"vehicle.file": "vehicle", "mission.pairs_from": "pairs"}  # of files whose keys are named otherwise
-
-
-def _write(
+def write_flights(
     output: Path,
     provenance: Provenance,
     flown: WorldRun,
@@ -265,7 +176,19 @@ def _write(
     timing: dict[str, Any],
     read: Mapping[str, Artifact],
 ) -> None:
-    """Write the log, and the record beside it."""
+    """Write the log, and the record beside it.
+
+    Args:
+        output: file of the log.
+        provenance: of the run.
+        flown: all trials.
+        summary: of them.
+        timing: measured times by name [s].
+        read: maps by role.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
     from alula.cli.run_files import write_run
     from alula.schemas.run import RunRecord
     from alula.stages.runlog.world import write_world_log
@@ -307,23 +230,31 @@ def _write(
     )
 
 
-def _check(output: Path, scenario: WorldScenario) -> None:
-    """Raise CheckError when filtered flights touched what does not move, or a plan was not flown."""
-    from alula.schemas.run import PLAN_OUTCOMES, read_run
+def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialResult]) -> None:
+    """Refuse flights behind filters that touched what does not move, and plans that were not flown.
+
+    Args:
+        name: of the run, for the message.
+        scenario: that was flown.
+        trials: verdicts.
+
+    Raises:
+        CheckError: there is one.
+    """
+    from alula.schemas.run import PLAN_OUTCOMES
     from alula.stages.planning.adherence import complaint
     from alula.stages.simulation.world.judge import hits_static, static_clearance
 
-    trials: list[TrialResult] = read_run(output).trials
     hits = [trial for trial in trials if hits_static(trial)]
     if hits and scenario.safety.filters:
         deepest = min(hits, key=static_clearance)
         start = " ".join(f"{value:.3f}" for value in deepest.start_m)
         raise CheckError(
-            f"{output}: {len(hits)} of {len(trials)} filtered flights touched a static obstacle or left the "
+            f"{name}: {len(hits)} of {len(trials)} filtered flights touched a static obstacle or left the "
             f"fence; the deepest is trial {deepest.index} from ({start}), {-static_clearance(deepest):.4g} m"
         )
     if scenario.mission.kind == "plan":
         trial = trials[0]
         if trial.outcome != "reached":
             words = complaint(trial.plan) if trial.outcome in PLAN_OUTCOMES else None
-            raise CheckError(f"{output}: {words or f'the flight of the plan ended as {trial.outcome}'}")
+            raise CheckError(f"{name}: {words or f'the flight of the plan ended as {trial.outcome}'}")

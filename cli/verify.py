@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +12,8 @@ from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
+    from alula.schemas.progress import Progress
+    from alula.schemas.provenance import Provenance
     from alula.stages.compression.verify import Certificate
 
 EXAMPLES = """\b
@@ -106,8 +109,6 @@ def command(
     """
     import os
 
-    import msgspec
-
     from alula.cli import runner
     from alula.cli.progress import shown_progress
     from alula.cli.sources import map_role
@@ -120,12 +121,9 @@ def command(
     from alula.schemas.signing_key import read_key
     from alula.schemas.tiles import TILES, WHOLE, is_tiles, read_tiles
     from alula.stages.compression.onboard.image import read_map
-    from alula.stages.compression.onboard.verify import verify_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
-    from alula.stages.compression.verify import SCHEMA, VERSION, verify
+    from alula.stages.compression.verify import SCHEMA, VERSION
     from alula.stages.compression.verify_parts import VERSION as VERSION_OF_PARTS
-    from alula.stages.planning.verify import verify_plan
-    from alula.stages.planning.verify_seen import verify_seen
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -179,54 +177,30 @@ def command(
     known = output is not None and runner.current(output, provenance, force=force) is not None
     with shown_progress(common) as progress:
         sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
-        others = {
-            "voxels": None if voxels is None or is_parted else read_whole(voxels, VOXELS),
-            "scene": None if scene is None or is_parted else read_whole(scene, SCENE),
-        }
         certificate: Certificate
         if is_parted:
             certificate = verified(proven, voxels, scene, sha256, jobs, scheduler, progress)
-        elif is_plan:
-            certificate = verify_plan(
-                read_whole(proven, PLAN),
-                cover=None if map_path is None else read_whole(map_path, COVER),
-                scene=others["scene"],
-                within=None if within is None else read_whole(within, SEEN),
-                sha256=sha256,
-                jobs=jobs,
-            )
-        elif is_tiles(proven):
-            assert cover is not None
-            certificate = verify_tiles(
-                read_tiles(proven, None if key_path is None else read_key(key_path)),
-                cover=read_whole(cover, COVER),
-                **others,
-                sha256=sha256,
-                jobs=jobs,
-                progress=progress,
-            )
-        elif is_map:
-            image = read_map(proven.read_bytes(), proven)
-            origin = None if cover is None else read_whole(cover, COVER)
-            certificate = verify_map(
-                image, cover=origin, **others, sha256=sha256, jobs=jobs, progress=progress
-            )
-        elif is_seen:
-            certificate = verify_seen(
-                read_whole(proven, SEEN), **others, sha256=sha256, jobs=jobs, progress=progress
-            )
         else:
-            certificate = verify(
-                read_whole(proven, COVER), **others, sha256=sha256, jobs=jobs, progress=progress
-            )
+            kinds = {
+                **{"plan": PLAN, "seen": SEEN, "cover": COVER},
+                **{"within": SEEN, "voxels": VOXELS, "scene": SCENE},
+            }
+            read: dict[str, Any] = {
+                role: read_whole(path, kinds[role]) for role, path in inputs.items() if role != "map"
+            }
+            if is_tiles(proven):
+                tiles = read_tiles(proven, None if key_path is None else read_key(key_path))
+                certificate = verify_tiles(tiles, **read, sha256=sha256, jobs=jobs, progress=progress)
+            else:
+                if is_map:
+                    read = {"map": read_map(proven.read_bytes(), proven), **read}
+                certificate = prove(read, sha256=sha256, jobs=jobs, progress=progress)
     if not certificate.covered:
         _show(common, "failed", certificate)
         raise CheckError(f"{proven}: {certificate.complaint()}")
     status = "checked"
     if output is not None:
-        record = {"schema": SCHEMA, "version": version, **msgspec.to_builtins(certificate)}
-        record["provenance"] = provenance
-        text = msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
+        text = certificate_text(certificate, provenance)
         # An existing certificate is never trusted: it is compared with the new one.
         status = (
             "dry-run"
@@ -240,6 +214,50 @@ def command(
         elif status == "unchanged":
             os.utime(output)
     _show(common, status, certificate)
+
+
+def prove(
+    files: Mapping[str, Any], *, sha256: Mapping[str, str], jobs: int = 0, progress: Progress | None = None
+) -> Certificate:
+    """Prove the first of the files against the others, by the stage for its kind.
+
+    Args:
+        files: artifacts by role, the proven one first: `plan`, `seen`, `cover`, or `map`, an onboard map.
+        sha256: of the files, by role.
+        jobs: threads; 0 is all processors.
+        progress: called with (done, total).
+
+    Raises:
+        InputError: a file has another frame, or is too large.
+    """
+    from alula.stages.compression.onboard.verify import verify_map
+    from alula.stages.compression.verify import verify
+    from alula.stages.planning.verify import verify_plan
+    from alula.stages.planning.verify_seen import verify_seen
+
+    (role, proven), *rest = files.items()
+    against = dict(rest)
+    if role == "plan":
+        return verify_plan(proven, **against, sha256=sha256, jobs=jobs)
+    stage: Any = {"map": verify_map, "seen": verify_seen, "cover": verify}[role]
+    certificate: Certificate = stage(proven, **against, sha256=sha256, jobs=jobs, progress=progress)
+    return certificate
+
+
+def certificate_text(certificate: Certificate, provenance: Provenance) -> str:
+    """The JSON file of a certificate.
+
+    Args:
+        certificate: to be written.
+        provenance: to be recorded in it.
+    """
+    import msgspec
+
+    from alula.stages.compression.verify import SCHEMA
+
+    record = {"schema": SCHEMA, "version": provenance.version, **msgspec.to_builtins(certificate)}
+    record["provenance"] = provenance
+    return msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
 
 
 def _is_plan(path: Path) -> bool:

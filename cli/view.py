@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,14 +59,13 @@ def command(
     Pictures are drawn without a graphics card. Splat files are read as import-splat reads them, without its
     options.
     """
-    from alula.cli.runner import run
     from alula.schemas.errors import UsageError
-    from alula.schemas.provenance import parameters_of
 
-    inputs = _inputs(files)
-    form = common.output.suffix if options.is_given(context, "output") else ""
-    if form not in ("", *_PAGES, *_STILLS, *_MOVING):
-        raise UsageError(f"{common.output}: the output must end in .html, .png, .webp or .gif")
+    inputs = page_inputs(files)
+    is_file = options.is_given(context, "output")
+    form = common.output.suffix if is_file else ""
+    if is_file:
+        check_form(common.output)
     for name in ("camera", "size", "frames_per_second", "seconds"):
         if (
             options.is_given(context, name)
@@ -75,16 +74,58 @@ def command(
         ):
             known = ", ".join((*_STILLS, *_MOVING) if name == "size" else _MOVING)
             raise UsageError(f"--{name.replace('_', '-')} needs an output that ends in {known}")
-    if not form:
+    if not is_file:
         if common.dry_run or common.depfile is not None:
             raise UsageError("-n and --depfile need -o")
         _serve(files, config, port, common)
         return
+    write_view(files, inputs, config, pictured, common)
+
+
+def check_form(output: Path) -> None:
+    """Refuse a name that no form of a view has.
+
+    Args:
+        output: file to write.
+
+    Raises:
+        UsageError: its suffix is that of no page and no picture.
+    """
+    from alula.schemas.errors import UsageError
+
+    if output.suffix not in (*_PAGES, *_STILLS, *_MOVING):
+        raise UsageError(f"{output}: the output must end in .html, .png, .webp or .gif")
+
+
+def write_view(
+    files: Sequence[Path],
+    inputs: Mapping[str, Path],
+    config: ViewConfig,
+    pictured: PictureConfig,
+    common: Common,
+) -> None:
+    """Write the page or picture of a view, unless it is current.
+
+    Args:
+        files: artifacts, runs and splats.
+        inputs: all files that the view depends on, by role.
+        config: see `ViewConfig`.
+        pictured: of pictures, see `PictureConfig`.
+        common: the shared options.
+
+    Raises:
+        UsageError, InputError, OutputError: as `runner.run`.
+    """
+    from alula.cli.runner import run
+    from alula.schemas.provenance import parameters_of
+
+    check_form(common.output)
+    form = common.output.suffix
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         from alula.schemas.atomic import atomic_output
 
-        compose = _composer(_read(files, config), config)
+        compose = composer(_read(files, config), config)
         draw = _page if form in _PAGES else _picture
         data, summary = draw(compose, config, pictured, form, provenance, progress, common.jobs)
 
@@ -158,8 +199,16 @@ def _picture(
     return (encode.gif if form == ".gif" else encode.webp)(found, rate_hz, line), summary
 
 
-def _inputs(files: tuple[Path, ...]) -> Mapping[str, Path]:
-    """All files that the page depends on, by role; a splat may have several."""
+def page_inputs(files: Sequence[Path]) -> Mapping[str, Path]:
+    """All files that the page depends on, by role; a splat may have several.
+
+    Args:
+        files: artifacts, runs and splats.
+
+    Raises:
+        UsageError: one is named twice.
+        InputError: one cannot be opened, or is of no known format.
+    """
     from alula.schemas.errors import UsageError
     from alula.stages.viewing.files import members
 
@@ -174,14 +223,22 @@ def _inputs(files: tuple[Path, ...]) -> Mapping[str, Path]:
     return found
 
 
-def _read(files: tuple[Path, ...], config: ViewConfig) -> Shown:
+def _read(files: Sequence[Path], config: ViewConfig) -> Shown:
     from alula.stages.viewing.files import read_files
 
     return read_files(files, config.title)
 
 
-def _composer(shown: Shown, config: ViewConfig) -> Callable[[int], Content]:
-    """Function from a number of Gaussians to the content; refuses flights that no log has."""
+def composer(shown: Shown, config: ViewConfig) -> Callable[[int], Content]:
+    """Function from a number of Gaussians to the content.
+
+    Args:
+        shown: what the files hold.
+        config: see `ViewConfig`.
+
+    Raises:
+        UsageError: a flight is asked for that no log has.
+    """
     from alula.schemas.errors import UsageError
     from alula.stages.viewing.compose import content_of
 
@@ -221,7 +278,7 @@ def _serve(files: tuple[Path, ...], config: ViewConfig, port: int, common: Commo
         if flight is not None and not any(flight in run.flights for run in shown.runs):
             return None
         asked = config if flight is None else dataclasses.replace(config, flight=(flight,))
-        return within(_composer(shown, asked), most_gaussians=config.gaussians)[0]
+        return within(composer(shown, asked), most_gaussians=config.gaussians)[0]
 
     with PageServer(make, port) as server:
         if common.json:

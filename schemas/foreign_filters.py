@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -11,11 +12,28 @@ from alula.schemas.world_tables import COMMANDS
 
 ENTRY_POINTS = "alula.filters"
 _FORMER = "alula.splat_filters"  # the group of filters among ellipsoids in former versions
+_provided: dict[str, Any] = {}
+
+
+@contextmanager
+def provided(filters: Mapping[str, Any]) -> Iterator[None]:
+    """Context in which filters exist that no package provides, such as classes of a notebook.
+
+    Args:
+        filters: callables (world, parameters) by name.
+    """
+    before = dict(_provided)
+    _provided.update(filters)
+    try:
+        yield
+    finally:
+        _provided.clear()
+        _provided.update(before)
 
 
 def foreign_names() -> list[str]:
     """Names of the filters that other packages provide, without loading them."""
-    return sorted({point.name for point in entry_points(group=ENTRY_POINTS)})
+    return sorted({*_provided, *(point.name for point in entry_points(group=ENTRY_POINTS))})
 
 
 def foreign_filter(name: str, known: Sequence[str] = ()) -> Any:
@@ -28,6 +46,8 @@ def foreign_filter(name: str, known: Sequence[str] = ()) -> Any:
     Raises:
         UsageError: there is no such entry point, or its package cannot be imported.
     """
+    if name in _provided:
+        return _provided[name]
     points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == name]
     if not points and any(point.name == name for point in entry_points(group=_FORMER)):
         raise UsageError(

@@ -3,6 +3,29 @@
 from __future__ import annotations
 
 PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
+    "import alula": (
+        "Functions named like the commands, for scripts and notebooks; how-to guide: "
+        "[Use alula from Python](../howto/python.md). Keyword arguments are the options of the command; "
+        "`help` lists them.",
+        (
+            "cli.library.verbs.read",
+            "cli.library.verbs.import_splat",
+            "cli.library.verbs.align",
+            "cli.library.verbs.voxelize",
+            "cli.library.verbs.merge",
+            "cli.library.verbs.verify",
+            "cli.library.verbs.plan",
+            "cli.library.flights.simulate",
+            "cli.library.pages.report",
+            "cli.library.pages.view",
+            "cli.library.results.Result",
+            "cli.library.results.Cover",
+            "cli.library.results.Plan",
+            "cli.library.verbs.Proof",
+            "cli.library.flights.Run",
+            "cli.library.pages.Page",
+        ),
+    ),
     "Stages": (
         "Functions from values to values, without files, clock or output. Each is named like its command.",
         (
@@ -40,7 +63,8 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "Safety filters": (
-        "A filter of your own has the methods of `SafetyFilter`; CONTRIBUTING.md has a recipe.",
+        "A filter of your own has the methods of `SafetyFilter`; "
+        "[Write a filter of your own](../howto/own-filter.md). `alula.filtering` has what it is made of.",
         (
             "stages.filtering.registry.make_filter",
             "stages.filtering.protocol.SafetyFilter",
@@ -65,7 +89,7 @@ def interface_page() -> str:
         """# Python interface
 
 Use alula as a library with the functions and classes of this page. `examples/library/fly_a_scene.py` takes a
-splat to judged flights in 40 lines. Array arguments state shape, frame and unit. What is not on this page may
+splat to judged flights in 20 lines. Array arguments state shape, frame and unit. What is not on this page may
 change without notice.
 """
     ]

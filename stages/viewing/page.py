@@ -181,7 +181,7 @@ def _around(
     head = (
         (f"\n<!-- {provenance_line} -->\n" if provenance_line else "")
         + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        + f"<style>{style}</style><script>{before}</script>"
+        + f"<style>{style}</style><script>{before}</script><script>{asset('measure.js')}</script>"
     )
     body = (
         MARKUP.replace("STILL", image).replace("TITLE", escape(content.title), 1)

@@ -278,17 +278,17 @@ def test_flights_of_the_simulated_vehicle_pass_their_checks(words, files, tmp_pa
 
 
 PYTHON = [
-    pytest.param(block, id=page.name)
+    pytest.param("\n".join(blocks), id=page.name)
     for page in sorted((DOCS / "howto").glob("*.md"))
-    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    if (blocks := re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL))
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", PYTHON)
-def test_python_of_how_to_guides_runs(block, files, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("blocks", PYTHON)
+def test_python_of_how_to_guides_runs(blocks, files, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for name in re.findall(r"[\w.]+\.(?:npz|mcap)", block):
+    for name in re.findall(r"[\w.]+\.(?:npz|mcap|ply)", blocks):
         assert files.put(name, tmp_path / name, "garden")
-    exec(compile(block, "how-to", "exec"), {})
+    exec(compile(blocks, "how-to", "exec"), {})
     assert capsys.readouterr().out.strip()

@@ -136,7 +136,11 @@ def test_common_options_come_last_and_in_one_order():
         command = cli.get_command(top, name)
         options = [p.name for p in command.params if isinstance(p, click.Option)]
         shared = [option for option in options if option in common]
-        assert options[len(options) - len(shared) :] == shared == [option for option in common if option in shared], name
+        assert (
+            options[len(options) - len(shared) :]
+            == shared
+            == [option for option in common if option in shared]
+        ), name
         for option in (p for p in command.params if isinstance(p, click.Option)):
             assert (option.help or "").endswith("."), (name, option.name)
 

@@ -1,7 +1,8 @@
-"""Pages of views in Chromium without WebGL or without scripts: a picture of the scene."""
+"""Pages of views in Chromium: a picture without WebGL or scripts, and a length between two clicks."""
 
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from alula.stages.viewing.compose import Shown, content_of
@@ -48,3 +49,26 @@ def test_a_page_is_a_picture_where_webgl_or_scripts_are_missing(lacks, tmp_path)
         seen = Opened(shown).pixels()
     assert requests == []
     assert near(seen, RED) > 0.01
+
+
+def test_two_clicks_measure_the_distance_between_gaussians(tmp_path):
+    scene = make_scene(400, low=(0, 0, 0), high=(0.1, 0.1, 0.1), color=RED)
+    scene["mean"][200:] += np.float32((4, 0, 0))
+    content = content_of(Shown(title="two", scenes=[("s", scene)]))
+    (tmp_path / "page.html").write_text(page(content))
+    with chromium([]) as (shown, _):
+        shown.goto(f"file://{tmp_path}/page.html")
+        shown.wait_for_selector("#alula-measure:not([hidden])", timeout=60_000, state="attached")
+        shown.wait_for_timeout(2500)
+        shown.evaluate("document.getElementById('alula-head').open = true")
+        shown.click("#alula-measure button")
+        shown.evaluate("document.getElementById('alula-head').open = false")
+        found = Opened(shown).pixels()[60:300]
+        seen = (found[..., 0] > found[..., 1] + 60) & (found[..., 0] > found[..., 2] + 60)
+        columns = np.flatnonzero(seen.any(axis=0))
+        for x in (int(columns.min()) + 3, int(columns.max()) - 3):
+            shown.mouse.click(x, 60 + int(np.flatnonzero(seen[:, x]).mean()))
+            shown.wait_for_timeout(200)
+        words = shown.text_content("#alula-measure span")
+    assert words.startswith("distance ")
+    assert float(words.split()[1]) == pytest.approx(4, abs=0.2)

@@ -1,3 +1,77 @@
-"""alula: from a Gaussian splat to a safe flight."""
+"""alula: from a Gaussian splat to a safe flight.
+
+The functions are named like the commands, take files or results, and return results that show what they are:
+
+    scene = alula.align(alula.import_splat("room.ply"), scale=2.7)
+    cover = alula.merge(alula.voxelize(scene, size_m=0.05), hulls=300)
+    alula.verify(cover, scene=scene)
+    start, goal = cover.free_points(2)
+    run = alula.simulate(alula.plan(cover, start=start, goal=goal), map=cover)
+
+They are imported when they are first used, so that `import alula` takes milliseconds.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from alula.cli.library.flights import Run, simulate
+    from alula.cli.library.pages import Page, report, view
+    from alula.cli.library.results import Cover, Plan, Scene, Seen, Voxels
+    from alula.cli.library.verbs import Proof, align, import_splat, merge, plan, read, verify, voxelize
+    from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
+    from alula.stages.filtering import public as filtering
+
+_PLACES = {
+    "cli.library.verbs": ("read", "import_splat", "align", "voxelize", "merge", "verify", "plan", "Proof"),
+    "cli.library.flights": ("simulate", "Run"),
+    "cli.library.pages": ("report", "view", "Page"),
+    "cli.library.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
+    "schemas.errors": ("AlulaError", "UsageError", "InputError", "CheckError", "InfeasibleError"),
+}
+
+__all__ = [
+    "AlulaError",
+    "CheckError",
+    "Cover",
+    "InfeasibleError",
+    "InputError",
+    "Page",
+    "Plan",
+    "Proof",
+    "Run",
+    "Scene",
+    "Seen",
+    "UsageError",
+    "Voxels",
+    "align",
+    "filtering",
+    "import_splat",
+    "merge",
+    "plan",
+    "read",
+    "report",
+    "simulate",
+    "verify",
+    "view",
+    "voxelize",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    from importlib import import_module
+
+    if name == "filtering":
+        found = globals()[name] = import_module("alula.stages.filtering.public")
+        return found
+    for place, names in _PLACES.items():
+        if name in names:
+            found = globals()[name] = getattr(import_module(f"alula.{place}"), name)
+            return found
+    raise AttributeError(f"module 'alula' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, "__version__", "__doc__"})

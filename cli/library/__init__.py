@@ -1,0 +1,1 @@
+"""The Python library: functions and results that `import alula` offers."""

@@ -1,0 +1,383 @@
+"""A first project for a splat: what `init` chooses, and the files that it writes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from alula.cli.project_files import MAKEFILE, README, SCENARIO
+from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, OutputError, UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from alula.cli.library.results import Cover, Scene
+    from alula.stages.reconstruction.look import Up
+
+HULLS = 300
+MOST_VOXELS = 100_000  # of the chosen size: minutes of `merge`
+FINEST_M = 0.05  # a third of the radius of the default vehicle [m]
+_EDGES = 100  # voxels along the diagonal of a small thing, which may then be finer
+_SIZES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # times a power of ten
+_BEYOND_M = 1.0  # around a place that was not cropped, in which flights may go around it [m]
+_CANDIDATES = 12  # free points
+_TRIES = 8  # pairs of them
+_RISE_M = (1.0, 0.7, 0.5, 0.3, 0.0)  # from where the rehearsed vehicle stands to the start of the plan [m]
+
+_KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
+_KEEP_M = 0.25  # radius and margin of the default vehicle
+LEARN_SCALE = (
+    "a splat does not tell its scale; learn it from two points clicked in alula view, which shows their "
+    "distance, and a tape measure (--metres-per-unit), from a known height (--height), or from COLMAP "
+    "cameras with GPS or surveyed positions (alula scale-align --colmap --reference)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """All that a project fixes.
+
+    Attributes:
+        importing: options of `import-splat`.
+        aligning: options of `scale-align`.
+        voxelizing: options of `voxelize` besides the size.
+        size_m: of a voxel [m].
+        bounds_m: box that flights stay in [m].
+        start_m, goal_m: of the plan [m].
+        stand_m: where the rehearsed vehicle stands before it takes off [m].
+        assumed: sentences by subject.
+        is_scale_assumed: nobody gave the scale.
+    """
+
+    importing: str
+    aligning: str
+    voxelizing: str
+    size_m: float
+    bounds_m: tuple[float, ...]
+    start_m: tuple[float, ...]
+    goal_m: tuple[float, ...]
+    stand_m: tuple[float, ...]
+    assumed: dict[str, str]
+    is_scale_assumed: bool
+
+
+def folder_of(splat: Path, output: Path | None) -> Path:
+    """The folder to write, which must be new or empty.
+
+    Args:
+        splat: file or folder of the splat.
+        output: given by the user.
+
+    Raises:
+        OutputError: it cannot be made.
+        UsageError: it has files.
+    """
+    name = re.sub(r"[^\w.-]", "-", splat.resolve().name.split(".")[0], flags=re.ASCII).strip("-.") or "scene"
+    folder = output if output is not None else Path(name)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file, not a folder to write; -o names another")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{folder}: is a folder with files, which are not replaced; -o names another")
+    parent = folder.absolute().parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: the folder {parent} does not exist or is not writable")
+    return folder
+
+
+def look(
+    splat: Path,
+    *,
+    colmap: Path | None = None,
+    up: str | None = None,
+    metres_per_unit: float | None = None,
+    height_m: float | None = None,
+    jobs: int = 0,
+) -> Choices:
+    """Look at a splat and choose; the map is made in memory, so that start and goal are free in it.
+
+    Args:
+        splat: file or folder of the splat.
+        colmap: COLMAP model with cameras in its frame.
+        up: axis that points up, such as "+z".
+        metres_per_unit: scale.
+        height_m: height of all that is shown, instead of the scale [m].
+        jobs: threads; 0 is all processors.
+
+    Raises:
+        UsageError: the scale is out of range or given twice.
+        InputError: the splat or the model cannot be read.
+        InfeasibleError: no way through the scene was found.
+    """
+    from alula.cli.library.verbs import merge, voxelize
+    from alula.stages.reconstruction.look import crop_of, height_of
+
+    if up is not None and colmap is not None:
+        raise UsageError("--up and --colmap both tell up; give one of them")
+    if metres_per_unit is not None and height_m is not None:
+        raise UsageError("--metres-per-unit and --height both give the scale; give one of them")
+    for name, value in (("--metres-per-unit", metres_per_unit), ("--height", height_m)):
+        if value is not None and not (1e-6 <= value <= 1e6):
+            raise UsageError(f"{name} must be between 1e-06 and 1e+06, not {value:g}")
+    assumed: dict[str, str] = {}
+    scene, importing = _imported(splat, assumed)
+    upward = _up(scene, colmap, up, assumed)
+    height = height_of(scene.mean, upward.direction)
+    scale = metres_per_unit
+    if height_m is not None:
+        if not height > 0:
+            raise InputError(f"{splat}: is flat, so that --height gives no scale")
+        scale = float(f"{height_m / height:.6g}")
+        assumed["scale"] = f"1 unit is {scale:g} m, because all that is shown is {height_m:g} m high"
+    elif scale is not None:
+        assumed["scale"] = (
+            f"1 unit is {scale:g} m, as given; all that is shown is {height * scale:.3g} m high"
+        )
+    else:
+        scale = 1.0
+        assumed["scale"] = (
+            f"ASSUMED, not known: 1 unit is 1 m, so that all that is shown is {height:.3g} m high"
+        )
+    metric, aligning = _aligned(scene, upward, scale, assumed)
+    box = crop_of(metric.mean)
+    voxelizing = ""
+    fields: dict[str, Any] = {}
+    low, high = metric.mean.min(axis=0) - _BEYOND_M, metric.mean.max(axis=0) + _BEYOND_M
+    if box is not None and (box[1] - box[0]).min() >= 6 * _KEEP_M:
+        crop = _rounded((*box[0], *box[1]))
+        low, high = box[0] + _KEEP_M, box[1] - _KEEP_M
+        voxelizing, fields["crop"] = "--crop " + " ".join(map(repr, crop)), crop
+        assumed["crop"] = (
+            f"nothing beyond the box {_words(crop)} m counts as an obstacle; {1 - box[2]:.1%} of the "
+            f"Gaussians are outside. Flights stay {_KEEP_M:g} m inside of it"
+        )
+    else:
+        assumed["crop"] = "none; the Gaussians lie close enough together"
+    diagonal_m = math.dist(metric.mean.min(axis=0), metric.mean.max(axis=0))
+    size = _size(metric, min(FINEST_M, diagonal_m / _EDGES), fields, jobs)
+    voxels = voxelize(metric, size_m=size, jobs=jobs, **fields)
+    assumed["voxels"] = (
+        f"{size:g} m, {len(voxels.index):,} of them; coarser ones close narrow passages, finer ones take "
+        f"longer (make VOXEL=...)"
+    )
+    cover = merge(voxels, hulls=HULLS, jobs=jobs)
+    bounds = _rounded((*low, *high))
+    start, goal, stand = _ends(cover, bounds, jobs)
+    assumed["start, goal"] = (
+        f"{_words(start)} and {_words(goal)} m, two free points far apart with a way between them"
+    )
+    assumed["vehicle"] = "a quadrotor of radius 0.15 m with a margin of 0.1 m, at most 1 m/s"
+    return Choices(
+        importing, aligning, voxelizing, size, bounds, start, goal, stand, assumed,
+        metres_per_unit is None and height_m is None,
+    )  # fmt: skip
+
+
+def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> None:
+    """Write the files of a project.
+
+    Args:
+        folder: new or empty.
+        splat: file or folder of the splat.
+        chosen: see `look`.
+        trials: number of random flights.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    from alula.cli.runner import make_escape
+    from alula.schemas.atomic import write_text
+
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
+    relative = Path(os.path.relpath(splat.absolute(), folder.absolute()))
+    values = {
+        "NAME": folder.resolve().name,
+        "SPLAT": make_escape(relative),
+        "WORD": shlex.quote(str(relative)).replace("$", "$$"),
+        "IMPORT": chosen.importing,
+        "ALIGN": chosen.aligning,
+        "VOXELIZE": chosen.voxelizing,
+        "SIZE": f"{chosen.size_m:g}",
+        "HULLS": str(HULLS),
+        "TRIALS": str(trials),
+        "BOUNDS": " ".join(map(repr, chosen.bounds_m)),
+        "BOX": ", ".join(map(repr, chosen.bounds_m)),
+        "START": " ".join(map(repr, chosen.start_m)),
+        "GOAL": " ".join(map(repr, chosen.goal_m)),
+        "STAND": ",".join(map(repr, chosen.stand_m)),
+        "ASSUMED": "\n".join(f"- **{name}**: {sentence}." for name, sentence in chosen.assumed.items())
+        + (f"\n\nTo replace the assumed scale: {LEARN_SCALE}." if chosen.is_scale_assumed else ""),
+    }
+    for name, text in (("scenario.toml", SCENARIO), ("README.md", README), ("Makefile", MAKEFILE)):
+        write_text(folder / name, re.sub(r"@(\w+)@", lambda match: values[match[1]], text))
+
+
+def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
+    """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
+    from alula.cli.library.verbs import import_splat
+    from alula.stages.reconstruction.faint import FAINT
+
+    fields: dict[str, Any] = {}
+    try:
+        whole = import_splat(splat)
+    except InputError as error:
+        if "--drop-nan" not in str(error):
+            raise
+        fields["drop_nan"] = True
+        whole = import_splat(splat, drop_nan=True)
+    words = ["--drop-nan"] if fields else []
+    total, removed = len(whole.mean), []
+    for option, more in (
+        (f"--min-opacity {FAINT:g}", {"min_opacity": FAINT}),
+        ("--drop-floaters", {"drop_floaters": True}),
+    ):
+        try:
+            tried = import_splat(splat, **fields, **more)
+        except AlulaError:
+            continue
+        if len(tried.mean) >= _KEPT * total:
+            removed.append(f"{len(whole.mean) - len(tried.mean):,} by {option}")
+            fields |= more
+            words.append(option)
+            whole = tried
+    assumed["left out"] = f"of {total:,} Gaussians " + (", ".join(removed) or "none")
+    return whole, " ".join(words)
+
+
+def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, str]) -> Up:
+    from alula.stages.reconstruction.look import up_given, up_of, up_of_cameras
+
+    if up is not None:
+        found = up_given(up)
+    elif colmap is None:
+        found = up_of(scene.mean)
+    else:
+        from alula.stages.alignment.colmap import read_model
+
+        axes = read_model(colmap).axes
+        assert axes is not None  # of every COLMAP model
+        found = up_of_cameras(axes)
+    assumed["up"] = f"({_words(found.direction)}) in the frame of the splat: {found.why}"
+    return found
+
+
+def _aligned(scene: Scene, up: Up, scale: float, assumed: dict[str, str]) -> tuple[Scene, str]:
+    """The scene in metres with z up, on its floor if there is one, and the options that make it."""
+    from alula.cli.library.verbs import align
+
+    words = f"--scale {scale!r} --up {' '.join(map(repr, up.direction))}"
+    try:
+        found = align(scene, scale=scale, up=up.direction, floor=True)
+    except (CheckError, InputError):
+        assumed["floor"] = "none was found; z = 0 is that of the splat"
+        return align(scene, scale=scale, up=up.direction), words
+    assumed["floor"] = "the level plane with most of the Gaussians near it; z = 0 lies there"
+    return found, f"{words} --floor"
+
+
+def _size(scene: Scene, finest_m: float, fields: dict[str, Any], jobs: int) -> float:
+    """Smallest size of voxels, at least `finest_m`, of which there are at most `MOST_VOXELS`."""
+    from alula.cli.library.verbs import voxelize
+
+    step = _step_of(max(finest_m, 1e-4))
+    for size in map(_at, range(step, step + 40)):
+        try:
+            if (
+                len(voxelize(scene, size_m=size, jobs=jobs, max_voxels=MOST_VOXELS, **fields).index)
+                <= MOST_VOXELS
+            ):
+                return size
+        except (InputError, InfeasibleError):  # too many; refused before the work where they are far too many
+            continue
+    raise InfeasibleError("no size of voxels leaves few enough of them; crop the splat in an editor first")
+
+
+def _step_of(size_m: float) -> int:
+    step = 0
+    while _at(step) < size_m:
+        step += 1
+    while _at(step - 1) >= size_m:
+        step -= 1
+    return step
+
+
+def _at(step: int) -> float:
+    """The size with a number, 1.0, 1.5, 2.0, ... [m]."""
+    power, digit = divmod(step, len(_SIZES))
+    return float(f"{_SIZES[digit] * 10.0**power:.2g}")
+
+
+def _ends(
+    cover: Cover, bounds: tuple[float, ...], jobs: int
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Start and goal of a plan that exists, and where the vehicle can stand below the start."""
+    import numpy as np
+
+    from alula.cli.library.verbs import plan
+    from alula.schemas.configs.plan import PlanConfig
+    from alula.stages.planning.plan import resolve_plan
+    from alula.stages.planning.space import plan_space
+
+    space = plan_space(resolve_plan(PlanConfig()), cover=cover.artifact, jobs=jobs)
+    points = None
+    for count in (_CANDIDATES, 4, 2):
+        try:
+            points = cover.free_points(count, bounds=bounds, jobs=jobs)
+            break
+        except InfeasibleError:
+            continue
+    if points is None:
+        raise InfeasibleError(
+            f"no free space was found for a ball of {space.keep_m:g} m; is the scale right "
+            "(--metres-per-unit)?"
+        )
+    rises = [_rise(space, point, bounds) for point in points]
+    pairs = sorted(
+        itertools.permutations(range(len(points)), 2),
+        key=lambda pair: (
+            rises[pair[0]] == 0.0,
+            -float(np.linalg.norm((points[pair[0]] - points[pair[1]])[:2])),
+        ),
+    )
+    failure: InfeasibleError | None = None
+    for a, b in pairs[:_TRIES]:
+        start, goal = _rounded(points[a]), _rounded(points[b])
+        try:
+            plan(cover, start=start, goal=goal, bounds=bounds, jobs=jobs)
+        except InfeasibleError as error:
+            failure = error
+            continue
+        return start, goal, _rounded((start[0], start[1], start[2] - rises[a]))
+    raise InfeasibleError(f"no way between free points was found: {failure}")
+
+
+def _rise(space: Any, point: np.ndarray[Any, Any], bounds: tuple[float, ...]) -> float:
+    """Largest of the heights by which a vehicle can rise to a point and stay clear [m]."""
+    import numpy as np
+
+    for rise in _RISE_M:
+        below = point - [0.0, 0.0, rise]
+        if (
+            below[2] >= bounds[2]
+            and space.map.is_clear(
+                np.ascontiguousarray(below[None]), np.ascontiguousarray(point[None]), space.keep_m
+            ).all()
+        ):
+            return rise
+    return 0.0
+
+
+def _rounded(values: Any) -> tuple[float, ...]:
+    return tuple(round(float(value), 3) for value in values)
+
+
+def _words(values: Any) -> str:
+    return " ".join(f"{value:g}" for value in values)

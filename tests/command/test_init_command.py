@@ -1,0 +1,150 @@
+"""`alula init`: a project from a splat, which make takes to a report."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import alula
+from alula.cli.main import run
+from alula.cli.project import LEARN_SCALE
+from alula.schemas.world import read_world
+from support.doc_files import write_garden
+from support.pipeline import COLUMNS
+
+# A street, a robot in a folder of SOG, a house in SPZ, a camera, and a part of an INRIA scene.
+REAL = (
+    "istanbul-outdoor/tile_x001_y000.splat",
+    "playbot-lod-sog/4_0",
+    "fourth-st-spz/fourth_st.spz",
+    "cc0-corpus/leica-sofort-top8192.ply",
+    "inria-ply/train-1000.ply",
+)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """The garden in a folder with a blank in its name, and the project beside it."""
+    place = tmp_path_factory.mktemp("a place")
+    write_garden(place / "my garden.ply")
+    assert run(["init", str(place / "my garden.ply"), "-o", str(place / "garden"), "-q"]) == 0
+    return place / "garden"
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = ["make", "-C", str(folder), f"ALULA={sys.executable} -P -m alula.cli", *words]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def test_a_project_has_what_make_needs_and_says_what_was_assumed(project):
+    assert {path.name for path in project.iterdir()} == {"Makefile", "scenario.toml", "README.md"}
+    readme = (project / "README.md").read_text()
+    for subject in ("left out", "up", "scale", "floor", "crop", "voxels", "start, goal", "vehicle"):
+        assert f"- **{subject}**: " in readme, subject
+    assert "ASSUMED, not known: 1 unit is 1 m" in readme
+    assert LEARN_SCALE in readme
+    assert "@" not in readme + (project / "scenario.toml").read_text()
+    scenario = read_world(project / "scenario.toml")
+    assert (scenario.world.cover, scenario.safety.filters) == ("out/map.cover.npz", ("polytope-cbf",))
+
+
+def test_make_knows_each_step(project):
+    steps = {
+        "verify": ["import-splat", "scale-align", "voxelize", "merge", "verify"],
+        "plan": ["import-splat", "scale-align", "voxelize", "merge", "plan"],
+        "fly-rehearsal": ["import-splat", "scale-align", "voxelize", "merge", "plan", "fly"],
+    }
+    for target, commands in steps.items():
+        done = make(project, "-n", target)
+        assert done.returncode == 0, done.stderr
+        assert re.findall(r"-m alula\.cli ([\w-]+)", done.stdout) == commands
+    assert re.findall(r"-m alula\.cli ([\w-]+)", make(project, "-n").stdout)[-1] == "report"
+
+
+def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
+    done = make(project, "plan")
+    assert done.returncode == 0, done.stderr
+    plan = alula.read(project / "out/path.plan.npz")
+    cover = alula.read(project / "out/map.cover.npz")
+    assert repr(alula.verify(plan, map=cover)).startswith("Proof: proven")
+    assert np.linalg.norm(plan.at(0.0)[:2] - plan.at(plan.time[-1])[:2]) > 3
+    scene = alula.read(project / "out/metric.scene.npz")
+    assert np.percentile(scene.mean[:, 2], 30) == pytest.approx(0, abs=0.1)  # the lawn
+
+
+def test_a_height_or_a_scale_gives_metres(project, tmp_path, capsys):
+    splat = project.parent / "my garden.ply"
+    assert run(["init", str(splat), "-o", str(tmp_path / "a"), "--height", "6", "--up", "+z", "--json"]) == 0
+    sentence = json.loads(capsys.readouterr().out)["assumed"]["scale"]
+    found = float(re.match(r"1 unit is ([\d.]+) m, because", sentence)[1])
+    assert found == pytest.approx(6 / 2.1, rel=0.05)
+    assert f"--scale {found!r} " in (tmp_path / "a/Makefile").read_text()
+    assert LEARN_SCALE not in (tmp_path / "a/README.md").read_text()
+
+
+def test_the_folder_has_the_name_of_the_splat_and_the_scale_is_loud(project, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_garden(tmp_path / "garden.v2.ply")
+    assert run(["init", "garden.v2.ply"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("garden: written\n")
+    assert printed.out.endswith("next: make -C garden\n")
+    assert printed.err == f"note: 1 unit is ASSUMED to be 1 m: {LEARN_SCALE}\n"
+    same = (project / "scenario.toml").read_text()
+    assert (tmp_path / "garden/scenario.toml").read_text() == same
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("--height", "2", "--metres-per-unit", "2"), 2, "give one of them"),
+        (("--up", "+z", "--colmap", "x"), 2, "both tell up"),
+        (("--height", "-2"), 2, "--height must be between"),
+        (("--metres-per-unit", "0"), 2, "--metres-per-unit must be between"),
+        (("-o", "full"), 2, "is a folder with files"),
+        (("-o", "a-file"), 3, "is a file, not a folder"),
+        (("-o", "no/where"), 3, "does not exist"),
+        (("--colmap", "none"), 3, "none"),
+    ],
+)
+def test_what_is_refused_leaves_nothing(words, code, text, project, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/mine.txt").write_text("mine")
+    (tmp_path / "a-file").write_text("mine")
+    assert run(["init", str(project.parent / "my garden.ply"), *words]) == code
+    assert text in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == {"full", "a-file"}
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["mine.txt"]
+
+
+def test_a_splat_without_free_space_is_refused(tmp_path, capsys):
+    rows = np.zeros(60, [(name, "<f4") for name in COLUMNS])
+    rows["opacity"], rows["rot_0"] = 3.0, 1.0
+    for axis in range(3):
+        rows[f"scale_{axis}"] = np.log(0.5)
+    header = ["ply", "format binary_little_endian 1.0", "element vertex 60"]
+    header += [f"property float {name}" for name in COLUMNS] + ["end_header", ""]
+    (tmp_path / "dot.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    assert run(["init", str(tmp_path / "dot.ply"), "-o", str(tmp_path / "dot"), "--height", "1"]) == 3
+    assert "is flat" in capsys.readouterr().err
+    assert not (tmp_path / "dot").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("splat", REAL)
+def test_a_real_splat_becomes_a_report_without_a_question(splat, data, tmp_path, capsys):
+    folder = tmp_path / "project"
+    assert run(["init", str(data / splat), "-o", str(folder), "--trials", "5"]) == 0, capsys.readouterr().err
+    done = make(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "- obstacles covered: yes" in done.stdout
+    assert (folder / "out/report.html").is_file()
+    for name in ("path", "pairs"):
+        found = alula.read(folder / f"out/{name}.run.mcap")
+        assert found.summary["static_collisions"] == 0
+    assert found.summary["trials"] == 5

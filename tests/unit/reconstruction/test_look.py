@@ -1,0 +1,71 @@
+"""The first look at a splat: up, height and crop."""
+
+import numpy as np
+import pytest
+
+from alula.stages.reconstruction.look import CONVENTION, crop_of, height_of, up_given, up_of, up_of_cameras
+
+AXES = {
+    "+x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "+y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "+z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}
+
+
+def place(up):
+    """A floor of 10 m x 8 m with posts, its z turned to an axis."""
+    rng = np.random.default_rng(3)
+    floor = np.column_stack([rng.uniform(-5, 5, 3000), rng.uniform(-4, 4, 3000), rng.normal(0, 0.01, 3000)])
+    posts = np.column_stack([rng.normal(2, 0.5, 1500), rng.normal(1, 0.5, 1500), rng.uniform(0, 3, 1500)])
+    points = np.concatenate([floor, posts])
+    axis = int(np.argmax(np.abs(AXES[up])))
+    sign = AXES[up][axis]
+    turned = np.empty_like(points)
+    turned[:, axis], turned[:, (axis + 1) % 3], turned[:, (axis + 2) % 3] = (
+        sign * points[:, 2],
+        *points[:, :2].T,
+    )
+    return turned
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_up_is_the_axis_that_leads_away_from_the_floor(up):
+    found = up_of(place(up))
+    assert found.direction == AXES[up]
+    assert f"{up} leads up from it" in found.why
+    assert up_given(up).direction == found.direction
+    assert height_of(place(up), found.direction) == pytest.approx(3, abs=0.1)
+
+
+@pytest.mark.parametrize(("axis", "direction"), [(0, (1, 0, 0)), (1, (0, -1, 0)), (2, (0, 0, 1))])
+def test_between_two_equal_sides_of_a_layer_the_axis_of_most_writers_is_up(axis, direction):
+    points = np.random.default_rng(4).uniform(-1, 1, (4000, 3))
+    points[:1500, axis] *= 0.001
+    assert up_of(points).direction == direction
+
+
+def test_without_a_floor_up_is_that_of_most_trainers():
+    ball = np.random.default_rng(1).normal(size=(2000, 3))
+    assert up_of(ball).direction == CONVENTION
+    assert "no floor" in up_of(ball).why
+
+
+def test_up_of_cameras_is_opposite_to_the_mean_of_their_downward_axes():
+    level = np.array([[[1.0, 0, 0], [0, 0, 1], [0, -1, 0]], [[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]]])
+    found = up_of_cameras(np.stack([np.column_stack([x, (0, -0.6, -0.8), z]) for x, _, z in level]))
+    assert found.direction == pytest.approx((0, 0.6, 0.8))
+    opposed = np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])])
+    assert up_of_cameras(opposed).direction == CONVENTION
+
+
+def test_the_crop_holds_the_matter_and_leaves_far_outliers_out():
+    points = np.random.default_rng(2).uniform(0, 4, (5000, 3))
+    assert crop_of(points) is None
+    far = np.concatenate([points, [[400.0, 0, 0], [0, -300, 50]]])
+    low, high, inside = crop_of(far)
+    assert (low > -0.5).all()
+    assert (high < 4.5).all()
+    assert 0.97 < inside < 1
