@@ -28,13 +28,16 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
         InfeasibleError: the tiles are too many or too small.
         OutputError: the folder cannot be written.
     """
+    import hashlib
+
     import msgspec
 
     from alula.cli.runner import run
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifact import encode_artifact
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.errors import AlulaError
     from alula.schemas.kinds import COVER
+    from alula.schemas.parts_join import read_whole
     from alula.schemas.signing_key import read_key
     from alula.schemas.tiles import (
         BINARY,
@@ -53,8 +56,9 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
     parameters = config.tile_parameters() | {"key_id": key_id(key)}
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        cover = read_artifact(path, COVER)
-        (source,) = provenance.inputs
+        cover = read_whole(path, COVER)
+        whole = path.read_bytes() if path.is_file() else encode_artifact(cover)
+        sha256 = hashlib.sha256(whole).hexdigest()
         try:
             cut = cut_map(
                 cover,
@@ -62,13 +66,15 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
                 reach_m=parameters["reach_m"],
                 hysteresis_m=parameters["hysteresis_m"],
                 largest_normal=config.largest_normal,
-                cover_sha256=source.sha256,
+                cover_sha256=sha256,
                 jobs=common.jobs,
             )
         except AlulaError as error:
             raise type(error)(f"{path}: {error}") from error
         index = sealed(cut, key_id=key_id(key), provenance=provenance)
         facts = {"format": "tiles", **tiles_facts(index), "notes": []}
+        if not path.is_file():
+            facts["cover_sha256"] = sha256
         facts["fastest_m_s"] = round(fastest_m_s(cut.images[0], index.reach_m) - 5e-4, 3)
         if key is None:
             facts["notes"] = ["the index is not signed: readers cannot tell who made it; sign it with --sign"]
@@ -85,7 +91,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
                 (folder / BINARY).write_bytes(binary)
                 if key is not None:
                     (folder / SIGNATURE).write_bytes(sign(binary, key))
-                (folder / WHOLE).write_bytes(path.read_bytes())
+                (folder / WHOLE).write_bytes(whole)
                 text = msgspec.json.format(msgspec.json.encode(recorded, order="sorted"), indent=1)
                 (folder / TILES).write_bytes(text + b"\n")
 

@@ -283,7 +283,9 @@ def read_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
         ):
             raise DamagedError(f"{folder / tile.file}: is not the image that {TILES} lists")
         images.append(raw)
+    whole = file_hash(folder / WHOLE)
     made_from = [ref.sha256 for ref in index.provenance.inputs if ref.role == "cover"]
-    if made_from != [file_hash(folder / WHOLE)] or made_from[0][:16] != index.cover_hash:
+    listed = index.provenance.summary.get("cover_sha256", *made_from)  # of a cover in parts: joined
+    if whole != listed or whole[:16] != index.cover_hash:
         raise DamagedError(f"{folder / WHOLE}: is not the cover that {TILES} lists")
     return TileFiles(index, binary, signature, tuple(images), folder / WHOLE, key is not None)

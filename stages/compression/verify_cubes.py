@@ -138,7 +138,9 @@ def _rows(level: LevelManifest, cube: Index, scene: Parted | None) -> tuple[Inde
         like = next(part[name] for part in kept if name in part)
         none = [np.zeros((len(part["mean"]), *like.shape[1:]), like.dtype) for part in kept]
         arrays[name] = np.concatenate([part.get(name, zero) for part, zero in zip(kept, none, strict=True)])
-    return np.concatenate(numbers), Artifact(msgspec.structs.replace(scene.manifest, arrays={}), arrays)
+    return np.concatenate(numbers), Artifact(
+        msgspec.structs.replace(scene.manifest, arrays={}, requires=[]), arrays
+    )
 
 
 def _slices(scene: Artifact) -> Iterator[tuple[int, Artifact]]:
