@@ -27,7 +27,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -193,6 +193,9 @@ man: setup ## write the man pages into build/man/
 schemas: setup ## regenerate what follows from the schemas, and the type stub of the native module
 	$(BIN)/python -P -m alula.schemas.generate .
 	$(BIN)/python -P -m nanobind.stubgen -q -m alula._core -o native/python/alula/_core.pyi
+
+lock: ## pin every package with the hashes of its files, after a change of dependencies; needs uv
+	.ci/lock
 
 clean: ## remove everything that was made
 	rm -rf build dist .venv examples/*/out .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,6 +1,7 @@
 """The shape of the project: import directions, circles, sizes, generated files, a quick command line."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -200,3 +201,14 @@ def test_the_top_level_is_as_the_design_card_says():
     }
     top = {line.split("/")[0] for line in tracked.stdout.splitlines()}
     assert {name for name in top if not name.startswith(".")} <= allowed
+
+
+def test_the_lock_has_the_versions_of_the_constraints():
+    def pins(name):
+        text = (ROOT / ".ci" / name).read_text()
+        found = re.findall(r"^([A-Za-z0-9._-]+)==([^\s;\\]+)", text, re.MULTILINE)
+        return {re.sub(r"[._-]+", "-", package).lower(): version for package, version in found}
+
+    locked, constrained = pins("requirements.lock"), pins("constraints.txt")
+    assert len(locked) > 100
+    assert {name: constrained.get(name, version) for name, version in locked.items()} == locked

@@ -1,0 +1,341 @@
+"""From the files of a city to verified tile maps: time, memory and bytes by size, and on several workers.
+
+Each size is a city of repeated tiles with jitter (`city.py`), written file by file. Every step is a command
+in a process of its own, as a user runs it. Figures of each step: elapsed and processor seconds, the latter of
+all its processes, and the peak of the memory of all of them together and of the largest one.
+
+- `seconds_per_million`: processor seconds of all steps for each million Gaussians, at the largest size;
+- `growth_exponent`: slope of the logarithm of processor seconds over that of the number of Gaussians;
+- `peak_mb`, `peak_mb_at_four_times`: peak memory of the processes of a command, at a size and at four times;
+- `excess_blocks_over_single`: volume outside the voxels of the cover that was merged by blocks, over that of
+  the cover that was merged at once, at equal numbers of hulls;
+- `uncovered_voxels`: voxels and ellipsoids that `verify` finds outside the cover or outside a tile;
+- `efficiency_2_workers`: elapsed time with one worker over twice that with two, of the steps with workers;
+- `tile_switch_mismatches`: commands of a filter in the tiles that differ in a bit from those in the whole
+  map, on ways across the city.
+
+    python benchmarks/scale.py --quick --json            # a generated city, under a minute
+    python benchmarks/scale.py --millions 1 3 10 --folder build/scale --markdown docs/scale.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parent))
+
+import city
+import numpy as np
+from scale_page import page
+
+from alula import _core
+from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.kinds import VOXELS
+from alula.schemas.parts_join import read_whole
+from alula.schemas.tiles import WHOLE, read_tiles
+from alula.stages.compression.block_tree import OnePart
+from alula.stages.compression.merge import merge
+from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks
+from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.filtering.obstacles import tile_set
+
+PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+GAUSSIANS_PER_HULL = 500
+STEPS = ("import-splat", "scale-align", "voxelize", "merge", "verify", "export", "verify tiles")
+WITH_WORKERS = ("import-splat", "voxelize", "merge", "verify")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """What a city is made into.
+
+    Attributes:
+        voxel_m: edge of a voxel [m].
+        block_m: edge of a block of the merge [m].
+        tile_m: edge of a tile [m].
+        reach_m: how far a tile reaches beyond its border [m].
+    """
+
+    voxel_m: float = 0.5
+    block_m: float = 72.0
+    tile_m: float = 36.0
+    reach_m: float = 5.0
+
+
+@dataclass(slots=True, kw_only=True)
+class Cost:
+    """Figures of one command."""
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    peak_mb: float = 0.0
+    largest_mb: float = 0.0
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def run_command(words: Sequence[str], accept: tuple[int, ...] = (0,)) -> Cost:
+    """Run a command of alula with --json, and measure all processes of its session.
+
+    Raises:
+        SystemExit: the command fails.
+    """
+    before = os.times()
+    begin = time.monotonic()
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "alula.cli", *words, "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    cost, done = Cost(), threading.Event()
+
+    def watch() -> None:
+        while not done.wait(0.05):
+            sizes = _resident_mb(process.pid)
+            cost.peak_mb = max(cost.peak_mb, sum(sizes))
+            cost.largest_mb = max(cost.largest_mb, max(sizes, default=0.0))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    out, err = process.communicate()
+    done.set()
+    watcher.join()
+    after = os.times()
+    cost.wall_s = time.monotonic() - begin
+    cost.cpu_s = after.children_user + after.children_system - before.children_user - before.children_system
+    if process.returncode not in accept:
+        raise SystemExit(f"alula {' '.join(map(str, words))}: exit code {process.returncode}: {err.strip()}")
+    cost.facts = json.loads(out)
+    return cost
+
+
+def _resident_mb(session: int) -> list[float]:
+    """Memory of each process of a session [MB], shared pages counted in each."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit():
+            continue
+        try:
+            state = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(state[3]) == session:
+                resident = int((folder / "statm").read_text().split()[1])
+                found.append(resident * PAGE_BYTES / 1e6)
+        except (OSError, IndexError):  # it has ended
+            continue
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A city that went through all steps."""
+
+    gaussians: int
+    area_km2: float
+    workers: int
+    cost: dict[str, Cost]
+
+    def total(self, name: str) -> float:
+        """Sum of a figure over the steps."""
+        return float(sum(getattr(cost, name) for cost in self.cost.values()))
+
+    @property
+    def peak_mb(self) -> float:
+        """Maximum over the steps [MB]."""
+        return max(cost.peak_mb for cost in self.cost.values())
+
+
+def pass_through(folder: Path, made: city.City, setting: Setting, workers: int, *, tiles: bool = True) -> Row:
+    """Take a city from its files to verified tile maps."""
+    jobs = ("--jobs", str(workers))
+    scene, metric, voxels, cover, tiled = (
+        str(folder / name)
+        for name in ("city.scene", "city.metric.scene", "city.voxels", "city.cover", "city.tiles")
+    )
+    steps: dict[str, list[str]] = {
+        "import-splat": [
+            *("import-splat", *map(str, made.files), "-o", scene, "--min-opacity", "0.1", *jobs)
+        ],
+        "scale-align": ["scale-align", scene, "-o", metric, "--scale", "1", *jobs],
+        "voxelize": [
+            *("voxelize", metric, "-o", voxels, "--size", str(setting.voxel_m), "--ignore-loss", *jobs)
+        ],
+        "merge": [
+            *("merge", voxels, "-o", cover, "--block", str(setting.block_m), *jobs),
+            *("--hulls", str(max(1, made.gaussians // GAUSSIANS_PER_HULL))),
+        ],
+        "verify": ["verify", cover, "--voxels", voxels, "--scene", metric, *jobs],
+        "export": [
+            *("export", cover, "-o", tiled, "--tiles", str(setting.tile_m), "--reach", str(setting.reach_m))
+        ],
+        "verify tiles": ["verify", tiled, "--voxels", voxels, "--scene", metric, *jobs],
+    }
+    cost = {}
+    for name, words in steps.items():
+        if not tiles and name in ("export", "verify tiles"):
+            continue
+        cost[name] = run_command([*words, "-f"] if name not in ("verify", "verify tiles") else words)
+    return Row(made.gaussians, made.area_km2, workers, cost)
+
+
+def mismatches(folder: Path, ways: int, seed: int = 0) -> dict[str, int]:
+    """Fly points behind polytope-cbf across the tiles of a folder, and compare with the whole map.
+
+    Returns:
+        `tile_switch_mismatches`, `commands` that were compared, and `switches` of the tile.
+    """
+    tiles = read_tiles(folder)
+    whole = encode_map(read_artifact(folder / WHOLE), indexed=True)
+    low, high = _bounds(folder)
+    extent_m = float(np.abs([low, high]).max()) + 20.0
+    options = {"extent_m": extent_m, "radius_m": 0.3, "beta": 2.0, "kappa": 100.0, "dt_s": 0.05, "v_max": 4.0}
+    by_whole = _core.PolytopeCbf.from_image(whole, **options)
+    by_tile = _core.PolytopeCbf.from_tiles(tile_set(tiles), 0, **options)
+    rng = np.random.default_rng(seed)
+    found = {"tile_switch_mismatches": 0, "commands": 0, "switches": 0}
+    for _ in range(ways):
+        x, goal = (np.append(rng.uniform(low[:2], high[:2]), rng.uniform(6, 10)) for _ in range(2))
+        last = None
+        for _ in range(4000):
+            way = goal - x
+            if np.linalg.norm(way) < 1.0:
+                break
+            u_nom = (4.0 * way / np.linalg.norm(way)).tolist()
+            one, other = by_whole.filter(x.tolist(), u_nom), by_tile.filter(x.tolist(), u_nom)
+            found["tile_switch_mismatches"] += one[:2] != other[:2]
+            found["commands"] += 1
+            row, _ = by_tile.tile()
+            found["switches"] += last not in (None, row)
+            last = row
+            if np.linalg.norm(one[0]) < 0.05:
+                break
+            x = x + 0.05 * np.array(one[0])
+    return found
+
+
+def _bounds(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    cover = read_artifact(folder / WHOLE)
+    corner = np.asarray(cover["vertex"]) * cover.manifest.voxel_size_m  # type: ignore[attr-defined]
+    return corner.min(axis=0), corner.max(axis=0)
+
+
+def excess_ratio(voxels: Path, block_m: float, hulls: int) -> float:
+    """Excess volume of the cover by blocks over that of the cover at once, at equal numbers of hulls."""
+    artifact = read_whole(voxels, VOXELS)
+    config = MergeConfig(hulls=hulls, block_m=block_m)
+    (blocks,) = merge_blocks(config, plan_blocks(config, OnePart(artifact)), jobs=1)
+    at_once = merge(MergeConfig(hulls=int(blocks.manifest.summary["hulls"])), artifact, jobs=1)
+    by_blocks, once = (made.manifest.conservativeness - 1 for made in (blocks, at_once))  # type: ignore[attr-defined]
+    return float(by_blocks / once)
+
+
+def uncovered(row: Row) -> int:
+    """Failures that both verifications counted."""
+    return sum(
+        int(check["failed"])
+        for name, cost in row.cost.items()
+        if name.startswith("verify")
+        for check in cost.facts.get("checks", [])
+    )
+
+
+def slope(rows: Sequence[Row]) -> float:
+    """Slope of log processor seconds over log Gaussians; 0 for a single size."""
+    if len({row.gaussians for row in rows}) < 2:
+        return 0.0
+    count, seconds = (
+        np.log([getter(row) for row in rows])
+        for getter in (lambda r: r.gaussians, lambda r: r.total("cpu_s"))
+    )
+    return float(np.polyfit(count, seconds, 1)[0])
+
+
+def efficiency(one: Row, two: Row) -> float:
+    """Elapsed time with one worker over twice that with two, of the steps that have workers."""
+    return sum(one.cost[name].wall_s for name in WITH_WORKERS) / (
+        2 * sum(two.cost[name].wall_s for name in WITH_WORKERS)
+    )
+
+
+def measured(
+    folder: Path, sizes: Sequence[float], setting: Setting, *, quick: bool
+) -> tuple[list[Row], dict[str, Any], str]:
+    """Make cities of the given numbers of Gaussians, and measure them."""
+    data = os.environ.get("ALULA_DATA")
+    source = "three real tiles of a street" if data and not quick else "pieces of the generated garden"
+    sources = city.templates(Path(data) if data and not quick else None)
+    rows: list[Row] = []
+    for count in sizes:
+        for workers in (2,) if count != sizes[0] else (1, 2):
+            place = folder / f"{count / 1e6:g}-{workers}"
+            shutil.rmtree(place, ignore_errors=True)
+            made = city.write_city(place / "files", int(count), sources)
+            rows.append(pass_through(place, made, setting, workers))
+            print(
+                f"{count / 1e6:g} million, {workers} workers: {rows[-1].total('wall_s'):.0f} s",
+                file=sys.stderr,
+            )
+            if count != sizes[0]:
+                shutil.rmtree(place / "files")
+    first = folder / f"{sizes[0] / 1e6:g}-2"
+    on_two = [row for row in rows if row.workers == 2]
+    figures: dict[str, Any] = {
+        "seconds_per_million": on_two[-1].total("cpu_s") / on_two[-1].gaussians * 1e6,
+        "growth_exponent": slope(on_two),
+        "peak_mb": on_two[0].peak_mb,
+        "peak_mb_at_four_times": on_two[-1].peak_mb,
+        "excess_blocks_over_single": excess_ratio(
+            first / "city.voxels", setting.block_m / 2, max(1, on_two[0].gaussians // GAUSSIANS_PER_HULL)
+        ),
+        "uncovered_voxels": sum(uncovered(row) for row in rows),
+        "efficiency_2_workers": efficiency(rows[0], rows[1]),
+        **mismatches(first / "city.tiles", 10 if quick else 60),
+    }
+    return rows, figures, source
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="two small generated cities")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument(
+        "--millions", type=float, nargs="+", default=[1, 4], metavar="M", help="sizes of the cities"
+    )
+    parser.add_argument("--voxel", type=float, default=0.5, help="edge of a voxel [m]")
+    parser.add_argument("--folder", type=Path, help="keep all files there")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to FILE")
+    options = parser.parse_args()
+    sizes = [5e4, 2e5] if options.quick else [1e6 * each for each in options.millions]
+    setting = Setting(voxel_m=0.5 if options.quick else options.voxel)
+    with tempfile.TemporaryDirectory(prefix="alula-scale-") as name:
+        folder = options.folder or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        rows, figures, source = measured(folder, sizes, setting, quick=options.quick)
+    if options.markdown is not None:
+        options.markdown.write_text(
+            page(rows, figures, setting, source, GAUSSIANS_PER_HULL), encoding="utf-8"
+        )
+    if options.json:
+        print(json.dumps(figures, indent=1))
+    else:
+        print(page(rows, figures, setting, source, GAUSSIANS_PER_HULL))
+    if figures["uncovered_voxels"] or figures["tile_switch_mismatches"]:
+        raise SystemExit("a voxel is not covered, or a command in tiles differs")
+
+
+if __name__ == "__main__":
+    main()
