@@ -296,7 +296,7 @@ def measured(
         "seconds_per_million": on_two[-1].total("cpu_s") / on_two[-1].gaussians * 1e6,
         "growth_exponent": slope(on_two),
         "peak_mb": on_two[0].peak_mb,
-        "peak_mb_at_four_times": on_two[-1].peak_mb,
+        "peak_mb_at_four_times" if sizes[-1] == 4 * sizes[0] else "peak_mb_at_largest": on_two[-1].peak_mb,
         "excess_blocks_over_single": excess_ratio(
             first / "city.voxels", setting.block_m / 2, max(1, on_two[0].gaussians // GAUSSIANS_PER_HULL)
         ),
@@ -316,6 +316,7 @@ def main() -> None:
         "--millions", type=float, nargs="+", default=[1, 4], metavar="M", help="sizes of the cities"
     )
     parser.add_argument("--voxel", type=float, default=0.5, help="edge of a voxel [m]")
+    parser.add_argument("--note", default="", help="sentence about this run, for the page")
     parser.add_argument("--folder", type=Path, help="keep all files there")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to FILE")
     options = parser.parse_args()
@@ -327,12 +328,12 @@ def main() -> None:
         rows, figures, source = measured(folder, sizes, setting, quick=options.quick)
     if options.markdown is not None:
         options.markdown.write_text(
-            page(rows, figures, setting, source, GAUSSIANS_PER_HULL), encoding="utf-8"
+            page(rows, figures, setting, source, GAUSSIANS_PER_HULL, options.note), encoding="utf-8"
         )
     if options.json:
         print(json.dumps(figures, indent=1))
     else:
-        print(page(rows, figures, setting, source, GAUSSIANS_PER_HULL))
+        print(page(rows, figures, setting, source, GAUSSIANS_PER_HULL, options.note))
     if figures["uncovered_voxels"] or figures["tile_switch_mismatches"]:
         raise SystemExit("a voxel is not covered, or a command in tiles differs")
 

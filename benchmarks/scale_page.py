@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def page(rows: Sequence[Any], figures: dict[str, Any], setting: Any, source: str, per_hull: int) -> str:
+def page(
+    rows: Sequence[Any], figures: dict[str, Any], setting: Any, source: str, per_hull: int, note: str
+) -> str:
     """Write the page."""
     biggest = rows[-1]
     exponent, per_million = figures["growth_exponent"], figures["seconds_per_million"]
@@ -24,6 +26,7 @@ def page(rows: Sequence[Any], figures: dict[str, Any], setting: Any, source: str
         f"repeated with jitter; voxels of {setting.voxel_m:g} m, blocks of {setting.block_m:g} m, tiles of",
         f"{setting.tile_m:g} m with a reach of {setting.reach_m:g} m, a hull for every {per_hull} Gaussians.",
         "Memory is that of all processes of a command together, shared pages counted in each.",
+        *([note] if note else []),
         "",
         "| million Gaussians | km² | workers | step | CPU s | elapsed s | peak MB | largest process, MB |"
         " result |",
