@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from alula.cli import options
+from alula.cli import grouped, options
 
 if TYPE_CHECKING:
     from alula.cli.project import Choices
@@ -21,7 +21,7 @@ Examples:
 """
 
 
-@click.command("init", epilog=EXAMPLES)
+@grouped.command("init", epilog=EXAMPLES)
 @click.argument("splat", type=options.input_path())
 @click.option("--colmap", type=options.PATH, help="COLMAP model (folder) of the splat: its cameras tell up.")
 @click.option("--up", type=click.Choice(UPS), help="Axis of the splat that points up; default: by its floor.")
@@ -31,7 +31,9 @@ Examples:
     "--trials", type=options.Whole(1, 100_000), default=20, show_default=True, help="Random flights."
 )
 @click.option("-o", "--output", type=options.PATH, help="Folder to write; default: the name of the splat.")
-@click.option("--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True)
+@options.common(
+    "--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True
+)
 @options.reporting
 def command(
     splat: Path,

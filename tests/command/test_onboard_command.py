@@ -106,7 +106,7 @@ def test_a_map_of_something_else_fails_with_a_place(here, capsys):
     [
         ("verify tiny.map.bin", "--voxels or --cover"),
         ("verify tiny.cover.npz --cover tiny.cover.npz", "is not an onboard map"),
-        ("export tiny.voxels.npz -o x.bin", "is alula/voxels"),
+        ("export tiny.voxels.npz -o x.bin", "voxels are exported as"),
         ("export tiny.metric.scene.npz -o x.bin", "a scene is exported as ply, splat, spz, glb, obj"),
     ],
 )

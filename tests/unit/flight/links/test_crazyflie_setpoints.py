@@ -144,6 +144,6 @@ def test_what_a_controller_flies_is_what_the_link_accepts() -> None:
 
 
 def test_without_cflib_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "cflib.crtp", None)
-    with pytest.raises(LinkError, match=r"pip install alula\[crazyflie\]"):
-        open_link("udp://127.0.0.1:19850").open(0.1)
+    monkeypatch.setitem(__import__("sys").modules, "cflib", None)
+    with pytest.raises(UsageError, match=r"pip install 'alula\[crazyflie\]'"):
+        open_link("udp://127.0.0.1:19850")
