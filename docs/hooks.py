@@ -31,7 +31,7 @@ def on_startup(**_: Any) -> None:
 
 
 def on_files(files: Files, *, config: Any) -> Files:
-    """Add what is not in docs/: generated pages, and source files that a page links to."""
+    """Add pages from outside docs/: generated ones, and source files that a page links to."""
     for uri, text in generated_pages().items():
         files.append(File.generated(config, uri, content=text))
     for page in [file for file in files.documentation_pages() if file.generated_by is None]:

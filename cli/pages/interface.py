@@ -89,8 +89,8 @@ def interface_page() -> str:
         """# Python interface
 
 Use alula as a library with the functions and classes of this page. `examples/library/fly_a_scene.py` takes a
-splat to judged flights in 20 lines. Array arguments state shape, frame and unit. What is not on this page may
-change without notice.
+splat to judged flights in 20 lines. Array arguments state shape, frame and unit. Other functions may change
+without notice.
 """
     ]
     for subject, (what, names) in PUBLIC.items():

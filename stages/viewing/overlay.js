@@ -98,7 +98,7 @@
   let before = null, isBegun = window.parent === window;
   const step = () => {
     const t = time();
-    if (t !== null && !isBegun) { // in a report it rests at the worst moment, and plays when it is told to
+    if (t !== null && !isBegun) { // in a report it rests at the worst moment, until somebody presses play
       isBegun = true; seek(flights[0].begin + Math.max(0.01, flights[0].worst));
     }
     if (t === null || (t === before && canvases.length && canvases[0].width === Math.round(canvases[0].clientWidth * (window.devicePixelRatio || 1)))) return;

@@ -42,6 +42,10 @@ def test_from_files_to_verified_tiles(tmp_path, monkeypatch, capsys):
     checks = {check["name"]: check for check in proven["checks"]}
     assert checks["every ellipsoid lies in the voxels"]["checked"] >= 900
     assert json.loads((tmp_path / "tiles.certificate.json").read_text())["covered"]
+    part = f"city.cover/{proven['parts'][0]['name']}"
+    words = ["verify", part, "--certificate", "city.certificate.json", "--voxels", "city.voxels"]
+    words += ["--scene", "metric.scene"]
+    assert run([*words, "-q"]) == 0
     assert run(["export", "city.cover", "-o", "city.tiles", "--tiles", "4", "--reach", "1.5"]) == 0
     assert "unchanged" in capsys.readouterr().out
     (tmp_path / "city.tiles" / "whole.cover.npz").write_bytes(b"another cover")

@@ -8,7 +8,7 @@
  *   every hull with a box that meets the region grown by `reach` along x and y, and after them
  *   at most four walls: the rest of the box of all hulls, as boxes.
  *
- * So what is not in the image is an obstacle of it. Two facts follow for all filters of this library:
+ * So everything outside of the image is an obstacle in it. Two facts follow for all filters of this library:
  *
  *   safety    Every hull of the cover lies in a hull or a wall of every image. A filter that keeps its distance from
  *             the hulls of the resident image keeps it from the cover, wherever the vehicle is and however late the

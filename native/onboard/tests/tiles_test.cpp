@@ -367,7 +367,7 @@ void test_a_tile_that_never_comes_is_a_wall() {
     for (int k = 0; k < 3; ++k) x[k] += kDt * result.u[k];
   }
   const float wall = -0.25F * (kReach + kHysteresis);
-  CHECK(x[0] >= wall + c.radius_m && x[0] < 0);  // beyond the border, and in front of what is not loaded
+  CHECK(x[0] >= wall + c.radius_m && x[0] < 0);  // beyond the border, and in front of the wall of the next tile
   CHECK(alula_tiles_select(&tiles, x, start, &map) == ALULA_TILES_OUTSIDE);
 }
 

@@ -1,4 +1,4 @@
-"""Tiles of an onboard map: one whole map per tile, in which what is not loaded is an obstacle."""
+"""Tiles of an onboard map: one whole map per tile, in which all that is not loaded is an obstacle."""
 
 from __future__ import annotations
 
