@@ -66,13 +66,7 @@ def verify_map(
     Raises:
         UsageError: neither cover nor voxels are given.
     """
-    source = voxels if voxels is not None else cover
-    if source is None:
-        raise UsageError("an onboard map is checked against --voxels or --cover; give one")
-    level = source.manifest
-    assert isinstance(level, LevelManifest)
-    occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
-    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
+    level, occupied = occupied_by(cover, voxels)
     checks = [files_agree(image, cover, voxels, scene), margin_holds(image)]
     held = 1.0 if scene is None else 0.5
     checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))
@@ -172,6 +166,27 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
         for hull in outside[:LISTED].tolist()
     ]
     return _check("hulls contain the cover's", len(start) - 1, first, len(outside), "all vertices, integers")
+
+
+def occupied_by(cover: Artifact | None, voxels: Artifact | None) -> tuple[LevelManifest, NDArray[np.int32]]:
+    """Level and voxels (M, 3) that an onboard map must contain: those of a file, or the members of a cover.
+
+    Args:
+        cover: the `alula/cover` that the map was made from.
+        voxels: an `alula/voxels`.
+
+    Raises:
+        UsageError: neither is given.
+        InputError: there are more voxels than a proof takes.
+    """
+    source = voxels if voxels is not None else cover
+    if source is None:
+        raise UsageError("an onboard map is checked against --voxels or --cover; give one")
+    level = source.manifest
+    assert isinstance(level, LevelManifest)
+    occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
+    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
+    return level, occupied
 
 
 def notes_of(image: MapImage, cover_sha256: str | None) -> list[str]:

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import ArtifactError, UsageError
-from alula.schemas.manifest import LevelManifest
+from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
 from alula.schemas.tiles import Tile, TileFiles, TilesIndex
-from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.onboard.image import MapImage, decode_map
-from alula.stages.compression.onboard.verify import files_agree, margin_holds, notes_of
+from alula.stages.compression.onboard.verify import files_agree, margin_holds, notes_of, occupied_by
 from alula.stages.compression.verify import (
     LISTED,
     Certificate,
@@ -67,13 +65,7 @@ def verify_tiles(
     Raises:
         UsageError: neither cover nor voxels are given.
     """
-    source = voxels if voxels is not None else cover
-    if source is None:
-        raise UsageError("tiles are checked against --voxels or --cover; give one")
-    level, index = source.manifest, tiles.index
-    assert isinstance(level, LevelManifest)
-    occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
-    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
+    (level, occupied), index = occupied_by(cover, voxels), tiles.index
     held = 1.0 if scene is None else 0.5
     reports = share(progress, 0, held)
     found: list[list[Check]] = []
