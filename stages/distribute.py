@@ -26,7 +26,7 @@ Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
 _ADDRESS = re.compile(r"(?:tcp|tls|ucx|ws|wss)://(\S+):\d{1,5}")
 TIMEOUT_S = 10.0  # maximum time for a scheduler to answer and to have a worker
-MOST_LOSSES = 5  # of processes, one after the other without a result in between
+MOST_LOSSES = 3  # of processes, one after the other without a result in between
 
 
 class _Future(Protocol):

@@ -1,10 +1,7 @@
 """Distributed chunks: the same results in the same order on all workers, and clear messages on failure."""
 
-import os
-import signal
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +18,7 @@ from alula.stages.compression.voxelize_parts import BlockVoxelizer, voxelize_who
 from alula.stages.distribute import check_scheduler, distribute
 from support.clusters import Cluster
 from support.fabricate import make_scene
+from support.killers import kill, kill_once
 
 
 def square(x):
@@ -49,21 +47,6 @@ def test_results_come_in_order_and_chunks_are_taken_one_by_one():
 
 def test_processes_give_the_same():
     assert list(distribute(abs, range(-5, 5), jobs=2, processes=True)) == [abs(i) for i in range(-5, 5)]
-
-
-def kill_once(task):
-    """Double the number, in a process that kills itself the first time that it gets 2."""
-    folder, number, _ = task
-    mark = Path(folder) / f"{number}"
-    if number == 2 and not mark.exists():
-        mark.touch()
-        time.sleep(0.2)  # the next chunk fills the pipe meanwhile
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 2 * number
-
-
-def kill(_):
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_another_process_repeats_the_chunk_of_a_killed_one(tmp_path):
