@@ -179,7 +179,7 @@ class ControlLoop:
         self._rested_s = 0.0
         self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
-        self._beat_s, self._stalled_s, self._is_unwatched = 0.0, 0.0, False
+        self._beat_s, self._gap_s, self._stalled_s, self._is_unwatched = 0.0, 0.0, 0.0, False
         self._taken_s: float | None = None  # when it was found that the watchdog had taken over
         self._cause: Event | None = None
         self._cause_detail = ""  # reason of the cause in words
@@ -218,7 +218,7 @@ class ControlLoop:
         """
         gc.collect()
         gc.disable()
-        self._begin_s = self._clock()
+        self._begin_s = self._beat_s = self._clock()
         try:
             self._loop()
         except BaseException:
@@ -268,7 +268,8 @@ class ControlLoop:
         """
         self._sent = None
         if self._watchdog is not None and self._taken_s is None and self._watchdog.has_taken_over:
-            self._taken_s, self._stalled_s = now_s, now_s - self._beat_s
+            # What stops the program within a tick lets it beat once more before it sees what was done.
+            self._taken_s, self._stalled_s = now_s, max(self._gap_s, now_s - self._beat_s)
             self._supervise(now_s, late_s)  # before an order that is still pending is repeated
         self._poll(now_s)
         state = self.link.state
@@ -287,12 +288,13 @@ class ControlLoop:
         watchdog, status = self._watchdog, self.link.status
         if watchdog is None:
             return
-        self._beat_s = self._clock()
+        beat_s = self._clock()
+        self._beat_s, self._gap_s = beat_s, beat_s - self._beat_s
         is_in_control = self.state in _WATCHED and (status.obeys or not status.mode)
-        watchdog.beat(self._beat_s, is_in_control=is_in_control)
+        watchdog.beat(beat_s, is_in_control=is_in_control)
         if watchdog.has_ended and not self._is_unwatched:
             self._is_unwatched = True
-            self.say(self._beat_s, WARNING, "the watchdog has ended; the vehicle's own failsafes remain")
+            self.say(beat_s, WARNING, "the watchdog has ended; the vehicle's own failsafes remain")
 
     def _poll(self, now_s: float) -> None:
         try:

@@ -87,6 +87,24 @@ def test_a_loop_that_stalls_finds_its_vehicle_stopped_and_landing(by_rates):
     assert not flown.copter.failsafe  # heartbeats went on
 
 
+def test_a_loop_that_stalls_within_a_tick_knows_for_how_long(short):
+    """It beats once more before it asks whether it was replaced."""
+
+    def stop(flown):
+        record = flown.loop._record
+
+        def stopped(*words):
+            flown.loop._record = record
+            flown.time.sleep(1.5)
+            record(*words)
+
+        flown.loop._record = stopped
+
+    flown = Modes(short, [Upset(State.FLY, 0.5, stop)]).fly()
+    assert flown.names[-2:] == ["GUIDED", "LAND"]
+    assert flown.loop.ending.startswith("watchdog took over (the loop stalled for 1.5")
+
+
 def test_a_loop_that_stalls_without_control_changes_nothing(short):
     checks, arming = (Upset(state, 0.1, stall(0.6)) for state in (State.CHECKS, State.ARMING))
     landing = [Upset(State.FLY, 0.3, interrupt(1)), Upset(State.LAND, 0.5, stall(0.6))]
