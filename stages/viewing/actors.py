@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.drawing.content import Body, Color, Faces, Lines, Part, Play, segments_of
+from alula.stages.drawing.content import Body, Color, Decides, Faces, Lines, Part, Play, segments_of
 from alula.stages.rotation import matrix_from_quat_wxyz
+from alula.stages.viewing.active import DECIDES_COLOR
+from alula.stages.viewing.corridor import NEW_PLAN_COLOR
 from alula.stages.viewing.shapes import ball_mesh, disc_mesh, frame_mesh
 
 BODY_COLOR, ROTOR_COLOR = (45, 50, 60), (250, 200, 40)
@@ -85,6 +87,41 @@ def nearest_line(name: str, play: Play, row: int) -> Lines:
     )
 
 
+def deciding_part(name: str, one: Decides, *, visible: bool = True) -> Faces:
+    """An obstacle while it decides what is sent.
+
+    Args:
+        name: in the scene tree.
+        one: the obstacle.
+        visible: shown at first.
+    """
+    return Faces(
+        name=f"{name}/deciding/{one.name}",
+        corners=one.corners,
+        triangles=one.triangles,
+        color=DECIDES_COLOR,
+        visible=visible,
+    )
+
+
+def new_plan_part(name: str, number: int, points: FloatArray, *, visible: bool = True) -> Lines:
+    """A new plan that a flight joined on its way.
+
+    Args:
+        name: in the scene tree.
+        number: of the plan, from 1.
+        points: along it, shape (k, 3) [m].
+        visible: shown at first.
+    """
+    return Lines(
+        name=f"{name}/new plan {number}",
+        segments=segments_of(points),
+        color=NEW_PLAN_COLOR,
+        width_px=4.0,
+        visible=visible,
+    )
+
+
 def moment(play: Play, time_s: float, *, color: Color = PASSES_COLOR, vehicle: bool = True) -> list[Part]:
     """All of it at one time, in the world's frame: the path so far is thick, the rest of it thin.
 
@@ -109,6 +146,12 @@ def moment(play: Play, time_s: float, *, color: Color = PASSES_COLOR, vehicle: b
     )
     rest = Lines(name="/rest", segments=path.segments[row:], color=PASSES_COLOR, width_px=1.5)
     parts: list[Part] = [rest, flown]
+    parts += [deciding_part("", one) for one in play.decides if one.rows[row]]
+    parts += [
+        new_plan_part("", number, points)
+        for number, (joined_s, points) in enumerate(play.plans, 1)
+        if time_s >= joined_s
+    ]
     if vehicle:
         parts += [_moved(part, place, turn) for part in vehicle_parts("", play.body)]
         line = nearest_line("", play, row)

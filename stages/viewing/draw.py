@@ -16,18 +16,21 @@ from alula.stages.drawing.content import (
     Camera,
     Content,
     Copies,
-    Decides,
     Faces,
     Gaussians,
     Lines,
     Part,
     Play,
-    segments_of,
 )
 from alula.stages.drawing.sight import FIELD_RAD
-from alula.stages.viewing.active import DECIDES_COLOR
-from alula.stages.viewing.actors import ball_parts, nearest_line, path_part, vehicle_parts
-from alula.stages.viewing.corridor import NEW_PLAN_COLOR
+from alula.stages.viewing.actors import (
+    ball_parts,
+    deciding_part,
+    nearest_line,
+    new_plan_part,
+    path_part,
+    vehicle_parts,
+)
 
 PLAYBACK = "Playback"
 GAP_S = 1.0  # a flight stays at its end so long before the next one begins
@@ -215,28 +218,15 @@ class _Actor:
         scene.add_label(f"/{name}/vehicle/name", ascii(play.label)[1:-1], anchor="bottom-left")
         self.obstacles = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=False)]
         self.tracks = [draw_part(scene, ball) for ball in ball_parts(name, play, tracks=True)]
-        self.decides = [self._deciding(scene, one) for one in play.decides]
-        self.plans = [self._new_plan(scene, k, points) for k, (_, points) in enumerate(play.plans, 1)]
+        self.decides = [draw_part(scene, deciding_part(name, one, visible=False)) for one in play.decides]
+        self.plans = [
+            draw_part(scene, new_plan_part(name, number, points, visible=False))
+            for number, (_, points) in enumerate(play.plans, 1)
+        ]
         self.nearest: Any = None
         self.acts: bool | None = None
         if np.isfinite(play.nearest_world).any():
             self.nearest = draw_part(scene, nearest_line(name, play, 0))
-
-    def _deciding(self, scene: Any, one: Decides) -> Any:
-        faces = Faces(
-            name=f"{self.name}/deciding/{one.name}",
-            corners=one.corners,
-            triangles=one.triangles,
-            color=DECIDES_COLOR,
-            visible=False,
-        )
-        return draw_part(scene, faces)
-
-    def _new_plan(self, scene: Any, number: int, points: FloatArray) -> Any:
-        name, color = f"{self.name}/new plan {number}", NEW_PLAN_COLOR
-        return draw_part(
-            scene, Lines(name=name, segments=segments_of(points), color=color, width_px=4.0, visible=False)
-        )
 
     def show(self, is_shown: bool) -> None:
         """Show or hide all of it."""

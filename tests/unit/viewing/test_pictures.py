@@ -10,7 +10,7 @@ from PIL import Image
 from alula.schemas.configs.view import PictureConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.flight_samples import Moving
-from alula.stages.drawing.content import CUT, Camera, Copies, Faces, Gaussians, Lines
+from alula.stages.drawing.content import CUT, Camera, Copies, Decides, Faces, Gaussians, Lines
 from alula.stages.drawing.picture import BACKGROUND, model_of, picture
 from alula.stages.drawing.sight import Sight, sight_of, turned_to
 from alula.stages.viewing import encode
@@ -136,6 +136,23 @@ def test_the_path_so_far_is_thick_and_the_vehicle_at_its_end():
     assert tuple(flown.color[-1, 1]) == (1, 2, 3)
     body = next(part for part in vehicle if part.name.endswith("body"))
     assert body.corners.mean(axis=0) == pytest.approx([2.03, 0, 1], abs=0.05)
+
+
+def test_a_moment_has_the_obstacle_that_decides_then_and_the_plans_joined_until_then():
+    (play,) = content_of(Shown(title="t", runs=[run_of([make_trial(0)])])).plays
+    corners, triangles = np.eye(3), np.array([[0, 1, 2]])
+    rows = (play.time_s > 0.99) & (play.time_s < 2)
+    decides = (Decides(name="hull 12", corners=corners, triangles=triangles, rows=rows),)
+    plans = ((1.5, np.eye(3)), (3.0, 2 * np.eye(3)))
+    play = replace(play, decides=decides, plans=plans)
+    extra = {"/deciding/hull 12", "/new plan 1", "/new plan 2"}
+    drawn = {at_s: {part.name for part in moment(play, at_s)} & extra for at_s in (0.5, 1.2, 1.7, 3.5)}
+    assert drawn == {
+        0.5: set(),
+        1.2: {"/deciding/hull 12"},
+        1.7: {"/deciding/hull 12", "/new plan 1"},
+        3.5: {"/new plan 1", "/new plan 2"},
+    }
 
 
 def test_a_pose_between_samples_turns_the_short_way():
