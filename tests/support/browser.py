@@ -53,8 +53,10 @@ class Opened:
         frames = self.page.locator("iframe")
         if frames.count() == 0:
             return self.page
-        frames.first.scroll_into_view_if_needed()
-        return frames.first.element_handle().content_frame()
+        # Without a handle: Playwright describes one by its attributes, of which one is the whole view.
+        self.page.evaluate("document.querySelector('iframe').scrollIntoView()")
+        self.until(lambda: [one.url for one in self.page.frames][1:] == ["about:srcdoc"], "no frame")
+        return self.page.frames[1]
 
     def pixels(self):
         """What is seen, shape (height, width, 3)."""
