@@ -11,10 +11,10 @@ from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 
 EXAMPLES = """\b
 Examples:
-  alula import-voxels hall.obj -o hall.voxels.npz --size 0.1 --margin 0.05
-  alula import-voxels house.stl -o house.voxels.npz --size 0.05 --solid --scale 0.001
-  alula import-voxels scan.ply -o scan.voxels.npz --size 0.05 --radius 0.04 --min-points 2
-  alula import-voxels field.bt -o field.voxels.npz --size 0.2 --unknown occupied
+  alula import-voxels shed.obj -o shed.voxels.npz --size 0.1 --margin 0.05
+  alula import-voxels shed.stl -o shed.voxels.npz --size 0.05 --solid --scale 0.001
+  alula import-voxels shed.xyz -o shed.voxels.npz --size 0.05 --radius 0.04 --min-points 2
+  alula import-voxels shed.bt -o shed.voxels.npz --size 0.2 --unknown occupied
 """
 
 

@@ -26,7 +26,7 @@ Examples:
   alula verify among.plan.npz --map room.scene.npz
   alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify city.cover --voxels city.voxels --scene city.metric.scene -o city.certificate.json
-  alula verify hall.cover.npz --voxels hall.voxels.npz --source hall.obj
+  alula verify shed.cover.npz --voxels shed.voxels.npz --source shed.obj
   alula verify city.cover/part-00003.cover.npz --certificate city.certificate.json --voxels city.voxels
 """
 

@@ -368,7 +368,7 @@ VoxelCounts with_inside(const VoxelCounts& touched, std::span<const double> corn
     const Gap& gap = gaps.gap[enclosed[begin]];
     const double g = voxel_size;
     const double found = winding(corners, {(gap.x + 0.5) * g, (gap.y + 0.5) * g, (gap.first + 0.5) * g}, stop);
-    require(std::abs(found - std::round(found)) < 0.1, "the surface is not closed");
+    require(std::abs(found - std::round(found)) < 1e-6, "the surface is not closed");
     is_inside[enclosed[begin]] = std::round(found) != 0;
   });
 
