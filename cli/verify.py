@@ -151,11 +151,11 @@ def command(
     is_map = not is_plan and (cover is not None or _is_map(proven))
     known_as = None if is_plan or is_map else read_provenance(proven)
     is_seen = known_as is not None and known_as.schema == SEEN.name
-    is_voxels = known_as is not None and known_as.schema == VOXELS.name
+    is_voxels = source is not None and known_as is not None and known_as.schema == VOXELS.name
     if source is not None and (is_plan or is_map or is_seen or proven.is_dir() or listed is not None):
         raise UsageError("--source is for a cover or voxels, each one file")
-    if is_voxels and (source is None or voxels is not None or scene is not None):
-        raise UsageError("voxels alone are proven against --source; leave out other files")
+    if is_voxels and (voxels is not None or scene is not None):
+        raise UsageError("voxels are proven against --source alone; leave out other files")
     if is_plan and (map_path is None or cover is not None or voxels is not None):
         raise UsageError(
             "a plan is proven against the map of --map, --scene and --within; leave out other files"

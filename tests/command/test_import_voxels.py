@@ -190,7 +190,8 @@ def test_the_cover_is_proven_against_the_mesh(solid, capsys):
     assert run(["verify", cover, "--voxels", voxels]) == 0
     assert "the source was not given: no triangle was checked" in capsys.readouterr().out
     assert run(["verify", cover, "--scene", str(solid / "none.scene.npz")]) == 3
-    assert run(["verify", voxels]) == 2
+    assert run(["verify", voxels, "--source", mesh, "--voxels", voxels]) == 2
+    assert run(["verify", voxels]) == 3
     capsys.readouterr()
     for command in (["info", cover], ["info", voxels]):
         assert run(command) == 0
@@ -213,18 +214,7 @@ def test_an_obj_leads_to_a_plan_and_a_flight(tmp_path, capsys):
     ends = ("--start", "-2 -1 1", "--goal", "2 -1 1")
     lines = (
         ["merge", f("yard.voxels.npz"), "-o", f("yard.cover.npz"), "--hulls", "4"],
-        [
-            "plan",
-            f("yard.cover.npz"),
-            "-o",
-            f("yard.plan.npz"),
-            "--radius",
-            "0.2",
-            "--start",
-            "-2 -1 1",
-            "--goal",
-            "2 -1 1",
-        ],
+        ["plan", f("yard.cover.npz"), "-o", f("yard.plan.npz"), "--radius", "0.2", *ends],
         ["verify", f("yard.plan.npz"), "--map", f("yard.cover.npz")],
         ["simulate", f("yard.plan.npz"), "--map", f("yard.cover.npz"), "-o", f("yard.run.mcap")],
     )
@@ -278,3 +268,17 @@ def test_files_with_nothing_to_mark_are_refused_in_one_line(tmp_path, capsys):
         (tmp_path / name).write_bytes(content)
         refused(capsys, tmp_path / name, code=3, says=name)
     refused(capsys, tmp_path / "none.obj", code=3, says="none.obj: cannot read")
+
+
+def test_the_library_writes_the_bytes_of_the_command_and_proves_them(solid, tmp_path):
+    import alula
+
+    voxels = alula.import_voxels(solid / "box.obj", size_m=SIZE, solid=True, margin_m=0.05)
+    voxels.save(tmp_path / "same.voxels.npz")
+    assert (tmp_path / "same.voxels.npz").read_bytes() == (solid / "box.voxels.npz").read_bytes()
+    assert repr(voxels).endswith("of a mesh")
+    proof = alula.verify(voxels, source=solid / "box.obj")
+    assert proof.statement.startswith("covered: every triangle of the mesh")
+    with pytest.raises(alula.InputError, match="those of a mesh, but the source is a cloud"):
+        trimesh.PointCloud(np.eye(3)).export(tmp_path / "a.ply")
+        alula.verify(voxels, source=tmp_path / "a.ply")
