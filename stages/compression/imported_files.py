@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError, InputError
 from alula.schemas.files import check_no_stream
+from alula.stages.alignment.cloud_counts import check_cloud
 from alula.stages.alignment.cloud_files import SUFFIXES as CLOUDS
 from alula.stages.alignment.cloud_files import read_cloud
 from alula.stages.compression.imported import Cloud, ImportedSource, Mesh, Octree
@@ -51,14 +52,33 @@ def read_imported(path: Path) -> ImportedSource:
         raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
     if suffix in OCTREES:
         return _octree(path)
-    if suffix in MESHES and not (suffix == ".ply" and _is_cloud(head)):
-        return _mesh(path, suffix)
-    return Cloud(read_cloud(path))
+    if suffix == ".ply" and _is_cloud(head):
+        return _ply_cloud(path)
+    return _mesh(path, suffix) if suffix in MESHES else Cloud(read_cloud(path))
 
 
 def _is_cloud(head: bytes) -> bool:
     found = re.search(rb"^element face (\d+)", head.partition(b"end_header")[0], re.MULTILINE)
     return found is None or int(found[1]) == 0
+
+
+def _ply_cloud(path: Path) -> Cloud:
+    """Read points with trimesh, so that the most common format needs no extra."""
+    import trimesh
+
+    check_cloud(path)
+    try:
+        loaded = trimesh.load(path, process=False)
+        points = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+    except Exception as error:
+        words = (str(error) or repr(error)).splitlines()[0][:200]
+        raise InputError(f"{path}: is no readable cloud: {words}") from error
+    if len(points) == 0:
+        raise InputError(f"{path}: holds no points")
+    if not np.isfinite(points).all():
+        row = int(np.argwhere(~np.isfinite(points))[0][0])
+        raise InputError(f"{path}: point {row} is not finite")
+    return Cloud(points)
 
 
 def _mesh(path: Path, suffix: str) -> Mesh:

@@ -257,6 +257,9 @@ def test_files_with_nothing_to_mark_are_refused_in_one_line(tmp_path, capsys):
         "nan.obj": b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
         "lines.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nl 1 2\n",
         "noise.glb": bytes(range(256)),
+        "noise.ply": b"ply" + bytes(range(256)),
+        "nan.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        b"property float z\nend_header\n0 nan 0\n",
         "noise.bt": bytes(range(256)),
         "cut.bt": b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n\xff",
         "size.bt": b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n\x02\x00",
@@ -279,6 +282,6 @@ def test_the_library_writes_the_bytes_of_the_command_and_proves_them(solid, tmp_
     assert repr(voxels).endswith("of a mesh")
     proof = alula.verify(voxels, source=solid / "box.obj")
     assert proof.statement.startswith("covered: every triangle of the mesh")
-    with pytest.raises(alula.InputError, match="those of a mesh, but the source is a cloud"):
-        trimesh.PointCloud(np.eye(3)).export(tmp_path / "a.ply")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "a.ply")
+    with pytest.raises(alula.InputError, match="a cloud, but the voxels are those of a mesh"):
         alula.verify(voxels, source=tmp_path / "a.ply")
