@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
     "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
     "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
+    "import-voxels": ("import_voxels", "Mark every voxel that a mesh, a cloud or an OctoMap touches."),
     "observe": ("observe", "Mark the space that cameras saw to be free and that a vehicle can reach."),
     "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
     "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),

@@ -26,6 +26,7 @@ Examples:
   alula verify among.plan.npz --map room.scene.npz
   alula verify room.seen.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify city.cover --voxels city.voxels --scene city.metric.scene -o city.certificate.json
+  alula verify shed.cover.npz --voxels shed.voxels.npz --source shed.obj
   alula verify city.cover/part-00003.cover.npz --certificate city.certificate.json --voxels city.voxels
 """
 
@@ -39,6 +40,11 @@ Examples:
 @click.option("--within", type=options.input_path(), help="Seen space (.seen.npz) that a plan stays in.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
+@click.option(
+    "--source",
+    type=options.input_path(),
+    help="The mesh, cloud or OctoMap that the voxels of import-voxels must contain.",
+)
 @click.option(
     "--key", "key_path", type=options.input_path(), help="Key that must have signed the index of tiles."
 )
@@ -70,6 +76,7 @@ def command(
     within: Path | None,
     voxels: Path | None,
     scene: Path | None,
+    source: Path | None,
     key_path: Path | None,
     listed: Path | None,
     scheduler: str | None,
@@ -96,7 +103,9 @@ def command(
     touch no obstacle of the voxels or the scene, and to be reached by their ball; what the cameras saw is
     not proven again. A plan is proven against the map of --map, a cover or the scene that it was made in:
     clearance, corridor, limits of the motion, continuity; with --scene beside a cover, against its
-    ellipsoids, too; with --within against the space that was not seen.
+    ellipsoids, too; with --within against the space that was not seen. The voxels of import-voxels are proven
+    to contain the map of --source, the file that they were made from, alone or with the cover: again by
+    separating planes, by rays for the inside of a solid mesh, in rational numbers for an OctoMap.
 
     The parts of a cover that merge --block made are proven one by one, each with the voxels and ellipsoids of
     its cube; --jobs processes or the workers of --scheduler share them. The certificate lists the hashes of
@@ -120,6 +129,7 @@ def command(
     from alula.schemas.provenance import Provenance, read_provenance
     from alula.schemas.signing_key import read_key
     from alula.schemas.tiles import TILES, WHOLE, is_tiles, read_tiles
+    from alula.stages.compression.imported_files import read_imported
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
     from alula.stages.compression.verify import SCHEMA, VERSION
@@ -141,6 +151,11 @@ def command(
     is_map = not is_plan and (cover is not None or _is_map(proven))
     known_as = None if is_plan or is_map else read_provenance(proven)
     is_seen = known_as is not None and known_as.schema == SEEN.name
+    is_voxels = source is not None and known_as is not None and known_as.schema == VOXELS.name
+    if source is not None and (is_plan or is_map or is_seen or proven.is_dir() or listed is not None):
+        raise UsageError("--source is for a cover or voxels, each one file")
+    if is_voxels and (voxels is not None or scene is not None):
+        raise UsageError("voxels are proven against --source alone; leave out other files")
     if is_plan and (map_path is None or cover is not None or voxels is not None):
         raise UsageError(
             "a plan is proven against the map of --map, --scene and --within; leave out other files"
@@ -161,13 +176,15 @@ def command(
         if scene is not None:
             raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
         map_path, scene = None, map_path
-    inputs = {"plan" if is_plan else "map" if is_map else "seen" if is_seen else "cover": proven}
+    role = "plan" if is_plan else "map" if is_map else "seen" if is_seen else "cover"
+    inputs = {"voxels" if is_voxels else role: proven}
     inputs = {"map": proven / TILES} if is_tiles(proven) else inputs
     inputs |= {"cover": map_path} if map_path is not None else {}
     inputs |= {"within": within} if within is not None else {}
     inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
+    inputs |= {"source": source} if source is not None else {}
     if output is not None:
         runner.check_output(output, inputs)
     version = VERSION_OF_PARTS if is_parted else VERSION
@@ -186,8 +203,10 @@ def command(
                 **{"within": SEEN, "voxels": VOXELS, "scene": SCENE},
             }
             read: dict[str, Any] = {
-                role: read_whole(path, kinds[role]) for role, path in inputs.items() if role != "map"
+                role: read_whole(path, kinds[role]) for role, path in inputs.items() if role in kinds
             }
+            if source is not None:
+                read["source"] = read_imported(source)
             if is_tiles(proven):
                 tiles = read_tiles(proven, None if key_path is None else read_key(key_path))
                 certificate = verify_tiles(tiles, **read, sha256=sha256, jobs=jobs, progress=progress)
@@ -222,7 +241,8 @@ def prove(
     """Prove the first of the files against the others, by the stage for its kind.
 
     Args:
-        files: artifacts by role, the proven one first: `plan`, `seen`, `cover`, or `map`, an onboard map.
+        files: artifacts by role, the proven one first: `plan`, `seen`, `cover`, `voxels`, or `map`, an
+            onboard map; `source` is a map as `read_imported` returns it.
         sha256: of the files, by role.
         jobs: threads; 0 is all processors.
         progress: called with (done, total).
@@ -231,7 +251,7 @@ def prove(
         InputError: a file has another frame, or is too large.
     """
     from alula.stages.compression.onboard.verify import verify_map
-    from alula.stages.compression.verify import verify
+    from alula.stages.compression.verify import verify, verify_voxels
     from alula.stages.planning.verify import verify_plan
     from alula.stages.planning.verify_seen import verify_seen
 
@@ -239,7 +259,8 @@ def prove(
     against = dict(rest)
     if role == "plan":
         return verify_plan(proven, **against, sha256=sha256, jobs=jobs)
-    stage: Any = {"map": verify_map, "seen": verify_seen, "cover": verify}[role]
+    stages = {"map": verify_map, "seen": verify_seen, "cover": verify, "voxels": verify_voxels}
+    stage: Any = stages[role]
     certificate: Certificate = stage(proven, **against, sha256=sha256, jobs=jobs, progress=progress)
     return certificate
 

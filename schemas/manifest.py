@@ -19,7 +19,8 @@ VERSION = "1.0"
 OUTER_POLYTOPES = "outer-polytopes"
 SPLAT_LOSS = "splat-loss"
 UNPROVEN_PLAN = "unproven-plan"
-FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS, UNPROVEN_PLAN})
+IMPORTED_MAP = "imported-map"
+FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS, UNPROVEN_PLAN, IMPORTED_MAP})
 
 # Ranges that readers accept: wide enough for everything that the commands write, narrow enough that lengths
 # in double precision neither overflow nor lose their sign.
@@ -175,6 +176,24 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
         contents.check(self.alignment, contents.SceneAlignment, "alignment")
 
 
+class ImportedMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Map without Gaussians that voxels were made from, and what of it is an obstacle.
+
+    Attributes:
+        kind: triangles, points, or OctoMap's octree.
+        scale: metres per unit of the file.
+        up: axis of the file that points up and that became z.
+        solid: of a mesh, what it encloses is an obstacle, too.
+        unknown: of an octree, what space is that it does not describe, within the box of what it describes.
+    """
+
+    kind: Literal["mesh", "cloud", "octree"]
+    scale: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 1.0
+    up: Literal["y", "z"] = "z"
+    solid: bool = False
+    unknown: Literal["free", "occupied"] = "free"
+
+
 class LevelManifest(Manifest, frozen=True, kw_only=True):
     """Definition of an obstacle on the lattice, shared by voxels and the cover made from them.
 
@@ -182,28 +201,50 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`. Each
     ellipsoid is also grown by the scene's `loss`, unless `ignore_loss`.
 
+    Where the obstacles are not Gaussians, `imported` says what they are, `sigma` is null, and `requires`
+    names this. A voxel then counts when it touches `crop` and at least `min_overlap` triangles or points,
+    each grown by `inflation_m`, touch it, or a leaf of an octree shares more than its surface with it.
+
     Attributes:
         voxel_size_m: edge of a voxel [m].
-        sigma: level of the ellipsoids, in standard deviations.
+        sigma: level of the ellipsoids, in standard deviations; null where the obstacles are no ellipsoids.
         min_overlap: minimum number of ellipsoids that touch a voxel that counts.
         inflation_m: radius of the ball added to each ellipsoid [m].
         crop: box XMIN YMIN ZMIN XMAX YMAX ZMAX beyond which nothing counts [m]; null for none.
         min_opacity: minimum opacity of a Gaussian that counts.
         ignore_loss: the ellipsoids were not grown by the loss of the splat file's format.
+        imported: the obstacles, where they are no ellipsoids of Gaussians; null where they are.
     """
 
     unit: Literal["m"]
     voxel_size_m: Length
-    sigma: Level
+    sigma: Level | None
     min_overlap: Count
     inflation_m: Margin = 0.0
     crop: Box | None = None
     min_opacity: Fraction = 0.0
     ignore_loss: bool = False
+    imported: ImportedMap | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an empty crop."""
+        """Refuse an empty crop, and obstacles that older readers would take for ellipsoids."""
         _check_crop(self.crop)
+        if len({self.sigma is None, self.imported is not None, IMPORTED_MAP in self.requires}) != 1:
+            raise ValueError("`sigma`, `imported` and `requires` do not agree")
+
+
+LEVEL = tuple(name for name in LevelManifest.__struct_fields__ if name not in Manifest.__struct_fields__)
+"""Fields that define an obstacle."""
+
+
+def level_fields(manifest: LevelManifest) -> dict[str, Any]:
+    """Fields that define an obstacle, and what a reader must know of them, for another manifest.
+
+    Args:
+        manifest: of voxels, seen space or a cover.
+    """
+    requires = [need for need in manifest.requires if need == IMPORTED_MAP]
+    return {name: getattr(manifest, name) for name in LEVEL} | {"requires": requires}
 
 
 class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):

@@ -58,7 +58,8 @@ def source_tree(
     world: dict[str, Any] = {role: str(files[role]) for role in ("cover", "tiles", "scene") if role in files}
     if {"cover", "scene"} <= files.keys():
         manifest: Any = read_manifest(files["cover"])
-        world["sigma"] = float(manifest.sigma)
+        if manifest.sigma is not None:  # the obstacles of the cover are ellipsoids, too
+            world["sigma"] = float(manifest.sigma)
     return {
         "vehicle": flown,
         "world": world,

@@ -262,9 +262,14 @@ class Voxels(Result):
 
     def _line(self) -> str:
         manifest = cast(LevelManifest, self.artifact.manifest)
+        obstacles = (
+            f"of {'an' if manifest.imported.kind == 'octree' else 'a'} {manifest.imported.kind}"
+            if manifest.imported is not None
+            else f"ellipsoids at {manifest.sigma:.3g} sigma"
+        )
         return (
             f"{len(self.artifact['index']):,} occupied of edge {manifest.voxel_size_m:g} m, "
-            f"{self.summary['volume_m3']:.3g} m^3, ellipsoids at {manifest.sigma:.3g} sigma"
+            f"{self.summary['volume_m3']:.3g} m^3, {obstacles}"
         )
 
 

@@ -13,6 +13,7 @@ from alula.cli.library.bar import shown
 from alula.cli.library.keywords import configured, keywords
 from alula.cli.library.results import RESULTS, Cover, File, Plan, Result, Scene, Seen, Voxels
 from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.configs.scale_align import ScaleAlignConfig
@@ -182,6 +183,31 @@ def voxelize(
         return Voxels(_named(scene, lambda: stage(config, source.artifact, **how)), {"scene": source})
 
 
+@keywords(ImportVoxelsConfig)
+def import_voxels(source: str | Path, *, jobs: int = 0, **fields: Any) -> Voxels:
+    """Mark every voxel that a mesh, a point cloud or the octree of an OctoMap touches.
+
+    Args:
+        source: the file.
+        jobs: threads; 0 is all processors.
+        **fields: as in the signature.
+
+    Raises:
+        InputError: the file cannot be read, a mesh is not watertight, or there are far more voxels than
+            `max_voxels`.
+        InfeasibleError: nothing of it touches the crop.
+    """
+    from alula.stages.compression.import_voxels import import_voxels as stage
+    from alula.stages.compression.imported_files import read_imported
+
+    config = configured("import_voxels", ImportVoxelsConfig, fields)
+    path = Path(source).expanduser()
+    inputs = {"source": File.at(path)}
+    with shown("import_voxels") as progress:
+        read_in = read_imported(path)
+        return Voxels(_named(source, lambda: stage(config, read_in, jobs=jobs, progress=progress)), inputs)
+
+
 @keywords(MergeConfig)
 def merge(source: Source, *, jobs: int = 0, **fields: Any) -> Cover:
     """Cover voxels with a limited number of convex polytopes.
@@ -257,6 +283,7 @@ def verify(
     *,
     voxels: Source | None = None,
     scene: Source | None = None,
+    source: str | Path | None = None,
     map: Source | None = None,
     within: Source | None = None,
     jobs: int = 0,
@@ -264,9 +291,10 @@ def verify(
     """Prove a cover, a plan or seen space independently, by other algorithms than those that made it.
 
     Args:
-        proven: a cover or seen space, which voxels and scene must agree with; or a plan.
+        proven: a cover or seen space, which voxels and scene must agree with; voxels of a source; or a plan.
         voxels: that the cover must contain.
         scene: that the voxels must contain, or that a plan keeps away from.
+        source: mesh, cloud or OctoMap that the voxels of `import_voxels` must contain.
         map: cover or scene that a plan keeps away from.
         within: seen space that a plan stays in.
         jobs: threads; 0 is all processors.
@@ -280,8 +308,12 @@ def verify(
 
     found = proven if isinstance(proven, Result) else read(proven)
     role = type(found).__name__.lower()
-    if not isinstance(found, Cover | Seen | Plan):
-        raise WrongKindError("verify proves a cover, seen space or a plan")
+    if not isinstance(found, Cover | Seen | Plan | Voxels):
+        raise WrongKindError("verify proves a cover, voxels of a source, seen space or a plan")
+    if source is not None and role not in ("cover", "voxels"):
+        raise UsageError("`source` is for covers and voxels")
+    if role == "voxels" and (voxels is not None or scene is not None):
+        raise UsageError("voxels are proven against `source`")
     if role == "plan" and (map is None or voxels is not None):
         raise UsageError("a plan is proven against `map`, `scene` and `within`")
     if role != "plan" and (map is not None or within is not None):
@@ -296,9 +328,16 @@ def verify(
     files |= {} if voxels is None else {"voxels": Voxels.of(voxels)}
     files |= {} if scene is None else {"scene": Scene.of(scene)}
     refs = [one.ref(name) for name, one in files.items()]
+    against: dict[str, Any] = {}
+    if source is not None:
+        from alula.stages.compression.imported_files import read_imported
+
+        path = Path(source).expanduser()
+        against = {"source": read_imported(path)}
+        refs.append(File.at(path).ref("source"))
     with shown("verify") as progress:
         certificate = prove(
-            {name: one.artifact for name, one in files.items()},
+            {name: one.artifact for name, one in files.items()} | against,
             sha256={ref.role: ref.sha256 for ref in refs},
             jobs=jobs,
             progress=progress,

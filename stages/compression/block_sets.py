@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.kinds import COVER
-from alula.schemas.manifest import LevelManifest, Manifest
+from alula.schemas.manifest import Manifest, level_fields
 from alula.stages.compression.merge import merge, merge_sets
 
 Ints = NDArray[Any]
 Floats = NDArray[np.float64]
-LEVEL = tuple(name for name in LevelManifest.__struct_fields__ if name not in Manifest.__struct_fields__)
 _SETS = ("member_index", "member_start")
 
 
@@ -79,7 +78,8 @@ def sets_of(task: BlockTask) -> Artifact:
     none = {"vertex": np.empty((0, 3)), "plane_normal": np.empty((0, 3)), "plane_offset": np.empty(0)}
     arrays = {name: source[name] for name in _SETS} | none
     arrays |= {"history": history, "vertex_start": np.zeros(n), "plane_start": np.zeros(n)}
-    fields = {name: getattr(source.manifest, name) for name in ("frame", "unit", "guarantee", *LEVEL)}
+    fields = {name: getattr(source.manifest, name) for name in ("frame", "unit", "guarantee")}
+    fields |= level_fields(source.manifest)  # type: ignore[arg-type]
     summary = {"excess_voxels": float(excess[0])}
     return make_artifact(
         COVER, arrays, **fields, parameters={}, summary=summary, conservativeness=1.0, certificate={}

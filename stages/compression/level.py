@@ -1,10 +1,13 @@
-"""The level of ellipsoids in words: the part of a Gaussian that counts as an obstacle."""
+"""What counts as an obstacle, in words: the part of a Gaussian, or what of another map."""
 
 from __future__ import annotations
 
 import math
+import re
 
 from alula.schemas.decimals import at_least, at_most, exact
+from alula.schemas.errors import UsageError
+from alula.schemas.manifest import ImportedMap, LevelManifest
 
 
 def mass_within(sigma: float) -> float:
@@ -37,3 +40,83 @@ def beyond_words(sigma: float) -> str:
     """
     mass = at_most(100 * (1 - mass_within(sigma)))
     return f"what of each Gaussian lies beyond {exact(sigma)} sigma ({mass} % of its mass)"
+
+
+def imported_words(imported: ImportedMap, margin_m: float) -> str:
+    """Name an obstacle of a map without Gaussians, after "every voxel that" or "contain".
+
+    Args:
+        imported: definition of the obstacles.
+        margin_m: radius of the ball around each triangle or point [m].
+    """
+    grown = f", thickened by {exact(margin_m)} m," if margin_m else ""
+    if imported.kind == "mesh":
+        return f"a triangle of the mesh{grown}" + (" or the inside of the mesh" if imported.solid else "")
+    if imported.kind == "cloud":
+        return (
+            f"a ball of {exact(margin_m)} m around a point of the cloud"
+            if margin_m
+            else "a point of the cloud"
+        )
+    unknown = " and all unknown space within the box of its leaves" if imported.unknown == "occupied" else ""
+    return f"every occupied leaf of the octree{unknown}"
+
+
+def obstacles_words(level: LevelManifest) -> str:
+    """Name all obstacles of voxels or a cover: "every ellipsoid of the scene at 1 sigma ...".
+
+    Args:
+        level: definition of an obstacle.
+    """
+    if level.imported is not None:
+        words = imported_words(level.imported, level.inflation_m).rstrip(",")
+        return re.sub(r"^a ", "every ", words).replace(" or the inside of", " and the inside of")
+    what = "retained ellipsoid" if level.min_opacity > 0 else "ellipsoid"
+    assert level.sigma is not None
+    return f"every {what} of the scene at {level_words(level.sigma)}"
+
+
+def require_sigma(level: LevelManifest) -> float:
+    """Level of the ellipsoids that the obstacles are.
+
+    Args:
+        level: definition of an obstacle.
+
+    Raises:
+        UsageError: they are no ellipsoids of a scene.
+    """
+    if level.sigma is None:
+        assert level.imported is not None
+        raise UsageError(
+            f"the obstacles are those of a {level.imported.kind}, not of a scene; leave out --scene, and "
+            "verify with --source and its file"
+        )
+    return level.sigma
+
+
+def obstacle_of(level: LevelManifest) -> str:
+    """Noun for one obstacle: ellipsoid, triangle, point or leaf.
+
+    Args:
+        level: definition of an obstacle.
+    """
+    kind = "" if level.imported is None else level.imported.kind
+    return {"": "ellipsoid", "mesh": "triangle", "cloud": "point", "octree": "leaf"}[kind]
+
+
+def outside_words(level: LevelManifest) -> str:
+    """State what the obstacles themselves leave out.
+
+    Args:
+        level: definition of an obstacle.
+    """
+    if level.imported is None:
+        assert level.sigma is not None
+        return beyond_words(level.sigma)
+    if level.imported.kind == "mesh":
+        return "what the mesh does not show" + ("" if level.imported.solid else "; its inside")
+    if level.imported.kind == "cloud":
+        return f"what lies more than {exact(level.inflation_m)} m from the points of the cloud"
+    if level.imported.unknown == "free":
+        return "space that the octree does not know"
+    return "space that the octree does not know, outside of the box of its leaves"

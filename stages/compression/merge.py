@@ -14,7 +14,7 @@ from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.merge import BOX_PLANES, MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
-from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
+from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest, level_fields
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.block_budgets import HEADER_BYTES, HULL_BYTES
@@ -122,6 +122,7 @@ def merge(
         ),
     }
     earlier = manifest.guarantee or Guarantee("", {})
+    level = level_fields(manifest)
     return make_artifact(
         COVER,
         {name: found[name] for name in _ARRAYS},
@@ -141,14 +142,7 @@ def merge(
             {**earlier.claims, "covered_voxels": len(voxels), "uncovered_voxels": 0},
         ),
         polytopes="outer" if is_outer else "hull",
-        requires=[OUTER_POLYTOPES] if is_outer else [],
-        voxel_size_m=manifest.voxel_size_m,
-        sigma=manifest.sigma,
-        min_overlap=manifest.min_overlap,
-        inflation_m=manifest.inflation_m,
-        crop=manifest.crop,
-        min_opacity=manifest.min_opacity,
-        ignore_loss=manifest.ignore_loss,
+        **level | {"requires": [*[OUTER_POLYTOPES] * is_outer, *level["requires"]]},
         conservativeness=growth,
         certificate={
             "containment": "normal . v + sum of positive normal components <= offset, for each member v",

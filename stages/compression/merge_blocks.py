@@ -12,7 +12,7 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest
+from alula.schemas.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest, level_fields
 from alula.schemas.progress import Progress
 from alula.stages.compression.block_budgets import (
     Curve,
@@ -22,7 +22,7 @@ from alula.stages.compression.block_budgets import (
     to_begin,
     to_end,
 )
-from alula.stages.compression.block_sets import LEVEL, BlockTask, last_cover, sets_of
+from alula.stages.compression.block_sets import BlockTask, last_cover, sets_of
 from alula.stages.compression.block_tree import (
     Node,
     Place,
@@ -226,9 +226,8 @@ def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]
     summary: dict[str, Any] = {name: sum(each.summary[name] for each in manifests) for name in sums}
     most = "most_half_planes_of_a_hull"
     summary |= {most: max(each.summary[most] for each in manifests), "conservativeness": growth}
-    level = {name: getattr(first, name) for name in LEVEL}
     statement = f"Each of the {plan.voxels} occupied voxels lies in {kind} that lists it as a member, {mark}"
-    return level | {
+    return level_fields(first) | {
         "frame": first.frame,
         "unit": first.unit,
         "summary": summary | plan.summary(),

@@ -16,13 +16,28 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most, exact
-from alula.schemas.errors import ArtifactError, InputError
-from alula.schemas.manifest import CoverManifest, LevelManifest, Manifest, SceneManifest, VoxelsManifest
+from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.schemas.manifest import (
+    LEVEL,
+    CoverManifest,
+    LevelManifest,
+    Manifest,
+    SceneManifest,
+    VoxelsManifest,
+)
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import excluded_errors, recorded_lacks, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
-from alula.stages.compression.level import beyond_words, level_words, mass_within
+from alula.stages.compression.imported import ImportedSource
+from alula.stages.compression.level import (
+    mass_within,
+    obstacle_of,
+    obstacles_words,
+    outside_words,
+    require_sigma,
+)
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
+from alula.stages.compression.verify_imported import imported_checks
 from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.1"
@@ -39,7 +54,6 @@ _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # maximum coordinate for the measurement of volumes; the other checks have no limit
 _VOLUME_TOLERANCE = 1e-6  # of the volume; rounding errors are far smaller
 _VOLUME_BEGINS, _SCENE_BEGINS = 0.1, 0.5  # approximate fractions of the time at which these checks begin
-LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity", "ignore_loss")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
@@ -138,6 +152,7 @@ def verify(
     *,
     voxels: Artifact | None = None,
     scene: Artifact | None = None,
+    source: ImportedSource | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
@@ -152,12 +167,14 @@ def verify(
     be a member. Merges recorded in `history` must refer to earlier elements, and `conservativeness` must be
     the volume of the union, which is measured again. With a scene, each ellipsoid
     {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the occupied
-    voxels, except where the recorded crop, overlap and opacity exclude it.
+    voxels, except where the recorded crop, overlap and opacity exclude it. For the mesh, cloud or octree
+    that the voxels were imported from see `imported_checks`.
 
     Args:
         cover: an `alula/cover`.
         voxels: the `alula/voxels` that the cover must contain; without it, the union of its members.
         scene: the `alula/scene` that the voxels must contain.
+        source: the mesh, cloud or octree that the voxels must contain, instead of a scene.
         sha256: hashes of the files "voxels" and "scene"; a difference from the inputs that the manifests
             record becomes a note.
         jobs: threads, 0 for all processors; the result does not depend on it.
@@ -168,7 +185,9 @@ def verify(
 
     Raises:
         InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls, hulls with more
-            half-planes and vertices than can be checked, or ellipsoids that `voxelize` would refuse.
+            half-planes and vertices than can be checked, or ellipsoids that `voxelize` would refuse; or the
+            source is not of the kind that the voxels were made from.
+        UsageError: a scene is given for voxels of another source, or a source for voxels of a scene.
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
@@ -176,25 +195,99 @@ def verify(
     require_at_most(VERIFY_VOXELS, 0 if voxels is None else len(voxels["index"]), "alula/voxels lists")
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
     proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_BEGINS)), _occupied_check(cover, voxels)]
-    measured = 1.0 if scene is None else _SCENE_BEGINS
+    measured = 1.0 if scene is None and source is None else _SCENE_BEGINS
     if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
         checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_BEGINS, measured)))
     checks += proof
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
         checks.append(_scene_check(manifest, scene, index, jobs, share(progress, measured, 1)))
+    if source is not None:
+        index = cover["member_index"] if voxels is None else voxels["index"]
+        checks += source_checks(manifest, source, index, jobs, share(progress, measured, 1))
     return certificate_of(
         manifest,
-        {"cover": cover, "voxels": voxels, "scene": scene},
+        {"cover": cover, "voxels": voxels, "scene": scene, "source": source},
         checks,
         "members in hulls" if voxels is None else "every voxel in a hull",
-        notes_of(cover, voxels, scene, sha256 or {}),
+        notes_of(cover, voxels, scene, sha256 or {})
+        + ([] if voxels is None else _source_notes(voxels.manifest, sha256 or {})),
     )
+
+
+def verify_voxels(
+    voxels: Artifact,
+    *,
+    source: ImportedSource | None = None,
+    sha256: Mapping[str, str] | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> Certificate:
+    """Check voxels against the mesh, cloud or octree that they were imported from.
+
+    Args:
+        voxels: an `alula/voxels`.
+        source: what they must contain.
+        sha256: see `verify`.
+        jobs: threads; the result does not depend on it.
+        progress: called with (done, total) from time to time.
+
+    Raises:
+        UsageError: there is no source, or the voxels are those of a scene.
+        InputError: there are more than `VERIFY_VOXELS` voxels, or see `imported_checks`.
+    """
+    level = voxels.manifest
+    assert isinstance(level, VoxelsManifest)
+    if source is None:
+        raise UsageError("voxels alone are proven against --source; give it, or a cover to prove")
+    require_at_most(VERIFY_VOXELS, len(voxels["index"]), "alula/voxels lists")
+    offences = unclaimed(level, "voxels")
+    checks = [_check("files agree", len(LEVEL), offences, len(offences), "size, level, frame and unit")]
+    checks += source_checks(level, source, voxels["index"], jobs, progress)
+    files = {"voxels": voxels, "source": source}
+    return certificate_of(level, files, checks, "", _source_notes(level, sha256 or {}))
+
+
+def source_checks(
+    level: LevelManifest,
+    source: ImportedSource,
+    index: NDArray[np.int32],
+    jobs: int,
+    progress: Progress | None,
+) -> list[Check]:
+    """Results of `imported_checks`.
+
+    Args:
+        level: definition of an obstacle.
+        source: the map that the voxels were made from.
+        index: the voxels, shape (M, 3).
+        jobs: threads.
+        progress: called with (done, total).
+
+    Raises:
+        UsageError: the voxels are those of a scene.
+        InputError: see `imported_checks`.
+    """
+    if level.imported is None:
+        raise UsageError("the obstacles are those of a scene; give --scene instead of --source")
+    return [
+        _check(
+            found.name,
+            found.checked,
+            [
+                Offence(fault=fault, voxel=_voxel(v), place_m=_position_m(v + 0.5, level.voxel_size_m))
+                for fault, v in zip(found.fault, found.voxel, strict=True)
+            ],
+            found.failed,
+            found.detail,
+        )
+        for found in imported_checks(level, source, index, jobs=jobs, progress=progress)
+    ]
 
 
 def certificate_of(
     level: LevelManifest,
-    files: Mapping[str, Artifact | None],
+    files: Mapping[str, Any],
     checks: list[Check],
     proven: str,
     notes: list[str],
@@ -209,35 +302,46 @@ def certificate_of(
         notes: see `Certificate`.
     """
     voxels, scene = files.get("voxels"), files.get("scene")
-    links = []
-    if scene is None:
-        links.append("that the voxels contain the ellipsoids")
+    origin = "scene" if level.imported is None else "source"
+    links, one = [], obstacle_of(level)
+    if files.get(origin) is None:
+        links.append(f"that the voxels contain the {'leaves' if one == 'leaf' else one + 's'}")
         if voxels is None:
             links.append("that the members of the hulls are all voxels")
     covered = all(check.ok for check in checks)
     if not covered:
         statement = "not covered"
-    elif scene is not None:
-        what = "retained ellipsoid" if level.min_opacity > 0 else "ellipsoid"
-        inside = proven if voxels is None else f"voxels, {proven}"
-        statement = f"covered: every {what} of the scene at {level_words(level.sigma)} in {inside}"
+    elif files.get(origin) is not None:
+        inside = ", ".join((["voxels"] if voxels is not None else []) + ([proven] if proven else []))
+        words = obstacles_words(level)
+        statement = f"covered: {words}{',' * (', ' in words)} in {inside}"
     elif voxels is not None:
-        statement = f"covered: {proven} (the scene was not given: no ellipsoid was checked)"
+        statement = f"covered: {proven} (the {origin} was not given: no {one} was checked)"
     else:
         statement = (
-            f"covered: {proven} (neither voxels nor scene were given: no ellipsoid was checked, nor whether "
+            f"covered: {proven} (neither voxels nor {origin} were given: no {one} was checked, nor whether "
             "the members are all voxels)"
         )
     return Certificate(
         covered=covered,
         checks=checks,
-        left_out=_left_out(level, voxels, scene),
+        left_out=_left_out(level, voxels, scene, has_source=files.get("source") is not None),
         notes=notes,
         statement=statement,
-        level={name: getattr(level, name) for name in LEVEL} | {"mass_fraction": mass_within(level.sigma)},
+        level=recorded_level(level),
         given=[role for role, file in files.items() if file is not None],
         not_checked=links,
     )
+
+
+def recorded_level(level: LevelManifest) -> dict[str, Any]:
+    """Definition of an obstacle for a certificate, with the fraction of a Gaussian's mass inside.
+
+    Args:
+        level: definition of an obstacle.
+    """
+    found: dict[str, Any] = msgspec.to_builtins({name: getattr(level, name) for name in LEVEL})
+    return found if level.sigma is None else found | {"mass_fraction": mass_within(level.sigma)}
 
 
 def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
@@ -397,7 +501,7 @@ def _scene_check(
         scene,
         index,
         voxel_size_m=manifest.voxel_size_m,
-        sigma=manifest.sigma,
+        sigma=require_sigma(manifest),
         inflation_m=manifest.inflation_m,
         crop=manifest.crop,
         min_overlap=manifest.min_overlap,
@@ -417,6 +521,14 @@ def _scene_check(
     ]
     count = len(retained(scene, manifest.min_opacity))
     return _check("every ellipsoid lies in the voxels", count, first, missing.total, "separating planes")
+
+
+def _source_notes(level: Manifest, sha256: Mapping[str, str]) -> list[str]:
+    """Note about a source that is not the recorded one."""
+    made_from = [ref for ref in level.inputs if ref.role == "source"]
+    if not made_from or sha256.get("source", made_from[0].sha256) == made_from[0].sha256:
+        return []
+    return [f"the voxels were made from another source file, {made_from[0].name}"]
 
 
 def _fault_check(
@@ -474,17 +586,22 @@ def _position_m(lattice: NDArray[Any], size: float) -> tuple[float, float, float
     return x, y, z
 
 
-def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
+def _left_out(
+    manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None, *, has_source: bool
+) -> str:
     """Obstacles and errors that the files themselves exclude, in words."""
-    parts = [beyond_words(manifest.sigma)]
+    parts = [outside_words(manifest)]
     if manifest.min_overlap > 1:
-        parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
+        parts.append(f"voxels that fewer than {manifest.min_overlap} {obstacle_of(manifest)}s touch")
     if manifest.min_opacity > 0:
         some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
         parts.append(f"{some}Gaussians of opacity below {exact(manifest.min_opacity)}")
     if manifest.crop is not None:
         parts.append(f"what lies outside the crop {exact(manifest.crop)} m")
-    if scene is None:
+    if manifest.imported is not None:
+        if not has_source:
+            parts.append("the source itself, which was not given")
+    elif scene is None:
         parts.append("the scene itself, which was not given")
         parts += recorded_lacks(manifest)
     else:

@@ -15,6 +15,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import LevelManifest, Manifest
 from alula.schemas.parts import PartRef
 from alula.stages.compression.ellipsoids import unproven_voxels
+from alula.stages.compression.level import require_sigma
 from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, certificate_of, verify
 
 SCENE_CHECK = "every ellipsoid lies in the voxels"
@@ -125,7 +126,9 @@ def _rows(level: LevelManifest, cube: Index, scene: Parted | None) -> tuple[Inde
         return np.empty(0, np.int64), None
     lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
     first = np.cumsum([0, *(ref.count for ref in scene.refs)])
-    near = scene.touching(lower.tolist(), upper.tolist(), sigma=level.sigma, inflation=level.inflation_m)
+    near = scene.touching(
+        lower.tolist(), upper.tolist(), sigma=require_sigma(level), inflation=level.inflation_m
+    )
     numbers, kept = [np.empty(0, np.int64)], []
     for number in near or [0]:
         for begin, some in _slices(scene[number]):
@@ -197,7 +200,7 @@ def _scene_check(task: CubeTask) -> Check:
         scene,
         task.near,
         voxel_size_m=size,
-        sigma=level.sigma,
+        sigma=require_sigma(level),
         inflation_m=level.inflation_m,
         crop=crop,
         min_overlap=level.min_overlap,

@@ -11,11 +11,10 @@ from alula.schemas import merkle
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
-from alula.schemas.manifest import CoverManifest
+from alula.schemas.manifest import LEVEL, CoverManifest
 from alula.schemas.parts import PartRef
 from alula.schemas.progress import Progress
 from alula.stages.compression.verify import (
-    LEVEL,
     LISTED,
     Certificate,
     Check,

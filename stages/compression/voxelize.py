@@ -235,10 +235,6 @@ def _too_many(
     ellipsoids: Ellipsoids, rows: NDArray[np.intp], about: float, config: VoxelizeConfig, scene: SceneManifest
 ) -> str:
     """Message with the number of voxels, and with the size and the filter that would fit."""
-    number = "far more than" if math.isinf(about) else f"about {rounded(about)}, more than"
-    words = f"voxels of {config.size_m:g} m: {number} the {config.max_voxels:,} of --max-voxels"
-    if config.max_voxels == MERGE_VOXELS:
-        words += ", which merge can take"
     remedies = []
     if fits := fitting_size(ellipsoids, config.max_voxels):
         remedies.append(f"--size {fits[0]:g} makes about {rounded(fits[1])}")
@@ -251,8 +247,23 @@ def _too_many(
             f"{rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
             f"semi-axes above {few.limit:.3g} m"
         )
-    remedies.append("--crop marks less")
-    return f"{words}; {'; '.join(remedies)}"
+    return too_many(config.size_m, about, config.max_voxels, remedies)
+
+
+def too_many(size_m: float, about: float, limit: int, remedies: list[str]) -> str:
+    """Message with the number of voxels, and with what would fit.
+
+    Args:
+        size_m: edge of a voxel [m].
+        about: their number, roughly; infinite for one that is not known.
+        limit: their maximum number.
+        remedies: phrases, besides the crop.
+    """
+    number = "far more than" if math.isinf(about) else f"about {rounded(about)}, more than"
+    words = f"voxels of {size_m:g} m: {number} the {limit:,} of --max-voxels"
+    if limit == MERGE_VOXELS:
+        words += ", which merge can take"
+    return "; ".join([words, *remedies, "--crop marks less"])
 
 
 def _notes(ellipsoids: Ellipsoids, rows: NDArray[np.intp], voxels: int) -> dict[str, Any]:

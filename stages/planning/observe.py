@@ -21,7 +21,7 @@ from alula.schemas.manifest import Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
-from alula.stages.compression.level import level_words
+from alula.stages.compression.level import level_words, require_sigma
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.planning.pinholes import Pinholes
 from alula.stages.planning.reach import (
@@ -137,7 +137,7 @@ def _with_level_of(config: ObserveConfig, voxels: Artifact) -> ObserveConfig:
     return dataclasses.replace(
         config,
         size_m=level.voxel_size_m,
-        sigma=level.sigma,
+        sigma=require_sigma(level),
         confidence=None,
         min_overlap=level.min_overlap,
         crop=None if level.crop is None else tuple(level.crop),

@@ -17,6 +17,7 @@ from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.level import require_sigma
 from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, require_solid_hulls
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
@@ -426,7 +427,7 @@ def _ellipsoids(scene: Artifact, level: CoverManifest) -> _core.EllipsoidSet:
         mean=np.ascontiguousarray(rows.mean),
         scale=np.ascontiguousarray(rows.scale),
         quat_wxyz=np.ascontiguousarray(rows.quat_wxyz),
-        k=level.sigma,
+        k=require_sigma(level),
         loss=rows.loss,
     )
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import SeenManifest
+from alula.schemas.manifest import LEVEL, SeenManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import unproven_voxels
-from alula.stages.compression.level import level_words, mass_within
+from alula.stages.compression.level import level_words, require_sigma
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
-from alula.stages.compression.verify import LEVEL, LISTED, Certificate, Check, Offence
+from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, recorded_level
 
 Mask = NDArray[np.bool_]
 
@@ -65,7 +65,9 @@ def verify_seen(
         checks.append(_untouched(manifest, marked, scene, jobs, progress))
     covered = all(check.ok for check in checks)
     given = [role for role, file in files.items() if file is not None]
-    what = f"touched by no obstacle at {level_words(manifest.sigma)} of the {' and the '.join(given)}"
+    what = (
+        f"touched by no obstacle at {level_words(require_sigma(manifest))} of the {' and the '.join(given)}"
+    )
     statement = "free: every seen voxel is " + (f"{what}, and " if given else "")
     statement += f"reached by a ball of {exact(manifest.radius_m)} m"
     if not given:
@@ -76,8 +78,7 @@ def verify_seen(
         left_out="what the cameras saw: the file says why its voxels were taken for free",
         notes=_notes(manifest, files, sha256 or {}),
         statement=statement if covered else "not free",
-        level={name: getattr(manifest, name) for name in LEVEL}
-        | {"mass_fraction": mass_within(manifest.sigma)},
+        level=recorded_level(manifest),
         given=["seen", *given],
         not_checked=["what the cameras saw"] + ["that no obstacle touches the voxels"] * (not given),
     )
@@ -152,7 +153,7 @@ def _untouched(
         scene,
         rest.astype(np.int32),
         voxel_size_m=g,
-        sigma=manifest.sigma,
+        sigma=require_sigma(manifest),
         inflation_m=manifest.inflation_m,
         crop=crop,
         min_overlap=manifest.min_overlap,

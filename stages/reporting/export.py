@@ -82,6 +82,7 @@ def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
         "frame": manifest.frame,
         "voxel_size_m": manifest.voxel_size_m,
         "sigma": manifest.sigma,
+        "imported": manifest.imported,
         "conservativeness": manifest.conservativeness,
         "certificate": manifest.certificate,
         "guarantee": manifest.guarantee,

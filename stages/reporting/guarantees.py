@@ -17,9 +17,13 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if covered is True:
         level = material.certificate.get("level") if material.certificate is not None else None
         sigma = level.get("sigma") if isinstance(level, dict) else None
+        imported = level.get("imported") if isinstance(level, dict) else None
         known = isinstance(sigma, int | float)
         size = f" up to {text(sigma)} standard deviation{'' if sigma == 1 else 's'}" if known else ""
-        proofs.append(f"Proven: every Gaussian of the scan{size} lies inside the map.")
+        what = f"every Gaussian of the scan{size}"
+        if isinstance(imported, dict):
+            what = f"the whole {text(imported.get('kind'))} that was imported"
+        proofs.append(f"Proven: {what} lies inside the map.")
     elif covered == "voxels only":
         proofs.append("Proven: every voxel of the scan lies inside the map. The scan itself was not checked.")
     elif covered is False:

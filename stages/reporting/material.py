@@ -99,9 +99,13 @@ def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:
 
 
 def checks_ellipsoids(certificate: Mapping[str, Any] | None) -> bool:
-    """Return whether a certificate's checks include the ellipsoids of a scene."""
+    """Return whether a certificate's checks include the ellipsoids of a scene, or another source."""
     checks = certificate.get("checks", []) if certificate is not None else []
-    return any(isinstance(check, dict) and "ellipsoid" in str(check.get("name")) for check in checks)
+    return any(
+        isinstance(check, dict)
+        and ("ellipsoid" in (name := str(check.get("name"))) or name.endswith("lies in the voxels"))
+        for check in checks
+    )
 
 
 def coverage(certificate: Mapping[str, Any] | None) -> bool | str:

@@ -18,6 +18,7 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import PLAN_OUTCOMES, FenceResult, TrialResult
+from alula.stages.compression.level import obstacle_of
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import (
     OUTCOMES,
@@ -336,8 +337,9 @@ def cover_table(material: Material) -> Table:
         planes = np.diff(np.asarray(cover["plane_start"]))
         rows += [
             ("voxel edge [m]", manifest.voxel_size_m),
+            ("obstacles", f"every {obstacle_of(manifest)}"),
             ("level of the ellipsoids [σ]", manifest.sigma),
-            ("ellipsoids that occupy a voxel, minimum", manifest.min_overlap),
+            (f"number of {obstacle_of(manifest)}s that occupy a voxel, minimum", manifest.min_overlap),
             ("inflation [m]", manifest.inflation_m),
             ("conservativeness (volume of hulls / voxels)", manifest.conservativeness),
             ("half-planes per hull, mean", float(planes.mean()) if len(planes) else None),

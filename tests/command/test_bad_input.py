@@ -68,6 +68,11 @@ CASES = {
         {"tiny.metric.scene.npz": FLOATS},
         wrong_kind={"tiny.metric.scene.npz": "tiny.cover.npz"},
     ),
+    "import-voxels": Case(
+        "import-voxels tiny.bt --size 0.2 -o OUT",
+        {"tiny.bt": LOG},
+        wrong_kind={"tiny.bt": "tiny.ply"},
+    ),
     "observe": Case(
         "observe tiny.metric.scene.npz --voxels tiny.voxels.npz --cameras cameras.csv --radius 0.15 -o OUT",
         {

@@ -210,7 +210,8 @@ def inputs(words: tuple[str, ...]) -> list[str]:
 
 
 def place_of(line: CommandLine) -> str:
-    return "garden" if any(word.startswith("garden") for word in line.words) else "room"
+    places = [place for place in ("garden", "shed") if any(word.startswith(place) for word in line.words)]
+    return places[0] if places else "room"
 
 
 def cases():

@@ -39,6 +39,17 @@ def write_garden(path: Path) -> None:
     path.write_bytes("\n".join(header).encode() + rows.tobytes())
 
 
+def write_shed(path: Path) -> None:
+    """A hollow box of 4 m x 3 m x 2 m as a mesh, or points of it."""
+    import trimesh
+
+    shed = trimesh.creation.box((4, 3, 2))
+    if path.suffix == ".xyz":
+        np.savetxt(path, trimesh.sample.sample_surface_even(shed, 3000, seed=1)[0])
+    else:
+        shed.export(path)
+
+
 class DocFiles:
     """Makes files by their commands, each once.
 
@@ -89,6 +100,9 @@ class DocFiles:
         if kind == ".ply" and place == "garden":
             write_garden(target)
             return target
+        if kind in (".obj", ".stl", ".xyz"):
+            write_shed(target)
+            return target
         if kind in ("sparse/0", "colmap", "reference.csv", "surveyed_cameras.csv"):
             self.made("room", ".ply")
             return self.folder / ("cameras" if kind in ("sparse/0", "colmap") else "cameras.csv")
@@ -123,6 +137,10 @@ class DocFiles:
                 return ["import-splat", of(".ply")]
             case ".voxels":
                 return ["voxelize", of(".metric.scene"), "--size", SIZE]
+            case ".bt":
+                return ["export", of(".voxels.npz")]
+            case ".voxels.npz" if place == "shed":
+                return ["import-voxels", of(".obj"), "--size", "0.1", "--margin", "0.05"]
             case ".voxels.npz":
                 return ["voxelize", of(".metric.scene.npz"), "--size", SIZE]
             case ".cover.npz":
@@ -169,6 +187,10 @@ _KINDS = (
         ".spz",
         ".key",
         ".tiles",
+        ".obj",
+        ".stl",
+        ".xyz",
+        ".bt",
     ),
     *("sparse/0", "colmap", "surveyed_cameras.csv", "reference.csv", "pairs.csv"),
 )

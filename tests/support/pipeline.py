@@ -70,6 +70,7 @@ def write_pipeline(folder: Path) -> None:
             *("observe", f("tiny.metric.scene.npz"), "-o", f("tiny.seen.npz"), "--radius", "0.15"),
             *("--voxels", f("tiny.voxels.npz"), "--cameras", f("cameras.csv")),
         ],
+        ["export", f("tiny.voxels.npz"), "-o", f("tiny.bt")],
         ["merge", f("tiny.voxels.npz"), "-o", f("tiny.cover.npz"), "--hulls", "12"],
         ["verify", f("tiny.cover.npz"), "--voxels", f("tiny.voxels.npz"), "-o", f("tiny.certificate.json")],
         ["export", f("tiny.cover.npz"), "-o", f("tiny.map.bin")],

@@ -4,6 +4,7 @@
 namespace nb = nanobind;
 
 void bind_voxelize(nb::module_& m);
+void bind_touch(nb::module_& m);
 void bind_observe(nb::module_& m);
 void bind_separation(nb::module_& m);
 void bind_merge(nb::module_& m);
@@ -39,6 +40,7 @@ NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
   m.def("commit", [] { return ALULA_COMMIT; }, "The commit that a wheel was built from; empty in an editable build.");
   bind_voxelize(m);
+  bind_touch(m);
   bind_observe(m);
   bind_separation(m);
   bind_merge(m);

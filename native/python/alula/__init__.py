@@ -19,12 +19,24 @@ if TYPE_CHECKING:
     from alula.cli.library.flights import Run, simulate
     from alula.cli.library.pages import Page, report, view
     from alula.cli.library.results import Cover, Plan, Scene, Seen, Voxels
-    from alula.cli.library.verbs import Proof, align, import_splat, merge, plan, read, verify, voxelize
+    from alula.cli.library.verbs import (
+        Proof,
+        align,
+        import_splat,
+        import_voxels,
+        merge,
+        plan,
+        read,
+        verify,
+        voxelize,
+    )
     from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
     from alula.stages.filtering import public as filtering
 
 _PLACES = {
-    "cli.library.verbs": ("read", "import_splat", "align", "voxelize", "merge", "verify", "plan", "Proof"),
+    "cli.library.verbs": (
+        *("read", "import_splat", "import_voxels", "align", "voxelize", "merge", "verify", "plan", "Proof"),
+    ),
     "cli.library.flights": ("simulate", "Run"),
     "cli.library.pages": ("report", "view", "Page"),
     "cli.library.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
@@ -48,6 +60,7 @@ __all__ = [
     "align",
     "filtering",
     "import_splat",
+    "import_voxels",
     "merge",
     "plan",
     "read",

@@ -38,6 +38,49 @@ def joined_voxels(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Merge disjoint sorted lists of voxels into one sorted list (index, count): rows start[i] ... start[i + 1] - 1.
     """
 
+def touched_by_triangles(corners: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], radius: float, voxel_size: float, crop: Sequence[float] | None = None, min_count: int = 1, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+    """
+    Find the voxels that triangles (T, 3, 3), each plus a ball, touch: (index i32 (M, 3) sorted, number of
+    triangles u32 (M,), voxels that fewer than min_count touch and that are left out, the highest number).
+    Voxel i is the closed cube [i g, (i + 1) g]. Every touched voxel is marked; one that is farther than the
+    radius by 1e-13 of the coordinates' size is not. Raises ValueError for malformed input, OverflowError when
+    the voxels exceed the memory budget.
+    """
+
+def touched_by_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, voxel_size: float, crop: Sequence[float] | None = None, min_count: int = 1, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+    """
+    Find the voxels that balls around points (N, 3) touch, as `touched_by_triangles`.
+    """
+
+def voxels_of_blocks(lower: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], voxel_size: float, crop: Sequence[float] | None = None, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+    """
+    List the voxels of blocks lower ... upper, inclusive, as `touched_by_triangles`.
+    """
+
+def with_inside(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], count: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], corners: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], voxel_size: float, crop: Sequence[float] | None = None, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+    """
+    Add to the voxels that a closed oriented surface touches all that it encloses, with a count of 0, and keep
+    those that touch the crop; as `touched_by_triangles`. Raises ValueError if the surface is not closed.
+    """
+
+def unproven_triangles(corners: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], radius: float, voxel_size: float, crop: Sequence[float] | None, min_count: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
+    """
+    Prove by planes that voxels outside of `index` are touched by fewer than min_count triangles, each plus a
+    ball: (number without a proof, the first of them i32 (K, 3), the first triangle of each i64 (K,)).
+    """
+
+def unproven_outside(corners: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], voxel_size: float, crop: Sequence[float] | None, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
+    """
+    Prove by rays that voxels outside of `index`, none of which a closed oriented surface touches, lie outside
+    of it; as `unproven_triangles`, with -1 for the triangle.
+    """
+
+def octree_leaves(body: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], is_binary: bool, payload: int = 0) -> tuple[NDArray[numpy.int32], NDArray[numpy.int32], NDArray[numpy.uint8], int]:
+    """
+    Read the nodes of OctoMap's trees: cubes (lower i32 (N, 3) from -2^15, edge i32 (N,), state u8 (N,): 0
+    unknown, 1 free, 2 occupied; number of nodes). Raises ValueError if the bytes are no tree.
+    """
+
 class Occluders:
     """
     Ellipsoids at level sigma, grown by a ball of radius inflation (outer bounds) and by

@@ -13,12 +13,11 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
+from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.onboard.image import MARGIN_OF_EXTENT, MapImage
 from alula.stages.compression.verify import (
-    LEVEL,
     LISTED,
     Certificate,
     Check,

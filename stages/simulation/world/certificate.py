@@ -10,11 +10,18 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.filters.values import Options
+from alula.schemas.manifest import CoverManifest, LevelManifest
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.schemas.world_tables import WorldTable
 from alula.stages.clearance import is_collision
-from alula.stages.compression.level import level_words, mass_within
+from alula.stages.compression.level import (
+    level_words,
+    mass_within,
+    obstacle_of,
+    obstacles_words,
+    require_sigma,
+)
 from alula.stages.simulation.world.parts import plant_steps_of
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
@@ -150,6 +157,14 @@ def claims_of(run: WorldRun, cover: Artifact | None, left: list[str]) -> dict[st
     return claims | world.claims
 
 
+def _contained_words(level: LevelManifest) -> str:
+    """Name what a cover contains."""
+    if level.imported is not None:
+        return obstacles_words(level)
+    grown = f"grown by {exact(level.inflation_m)} m"
+    return f"the ellipsoids of the scene at {level_words(require_sigma(level))}, {grown}"
+
+
 def not_covered(level: Any) -> list[str]:
     """What a cover leaves out of the scene by its own parameters, in words.
 
@@ -157,7 +172,7 @@ def not_covered(level: Any) -> list[str]:
         level: manifest of the cover.
     """
     found = {
-        f"voxels that fewer than {level.min_overlap} ellipsoids touch": level.min_overlap > 1,
+        f"voxels that fewer than {level.min_overlap} {obstacle_of(level)}s touch": level.min_overlap > 1,
         f"Gaussians of opacity below {exact(level.min_opacity)}": level.min_opacity > 0,
         "everything outside of its crop": level.crop is not None,
         "the loss of the splat file's format": level.ignore_loss,
@@ -206,15 +221,16 @@ def _chain(run: WorldRun, cover: Artifact | None, left: list[str], *, complete: 
             "statement": "There is no cover, so nothing chains to a scene.",
             "assumptions": [],
         }
-    level: Any = cover.manifest
+    level = cover.manifest
+    assert isinstance(level, CoverManifest)
+    origin = "scene" if level.imported is None else level.imported.kind
     table, rules, missing = run.scenario.vehicle, run.scenario.rules, not_covered(level)
     delay, lag = table.assumed.delay_s or 0.0, table.assumed.motor_time_constant_s or 0.0
     tested = _tested(_shield_of(run.scenario))
     beyond = f" The cover leaves out {', '.join(missing)}." if missing else ""
     assumptions = [
-        "Cover: alula verify proves that its hulls contain the ellipsoids of the scene at "
-        f"{level_words(level.sigma)}, grown by {exact(level.inflation_m)} m; the run does not check this."
-        + beyond,
+        f"Cover: alula verify proves that its hulls contain {_contained_words(level)}; the run does not "
+        "check this." + beyond,
         "Model: the vehicle is a rigid body with the limits of its rotors, commanded by "
         + ("thrust and torque" if table.interface == "wrench" else "thrust and body rates")
         + f" that are held for {exact(rules.dt_s * rules.filter_ticks)} s"
@@ -224,14 +240,15 @@ def _chain(run: WorldRun, cover: Artifact | None, left: list[str], *, complete: 
         + (f"; it is {exact(delay)} s old, and the model predicts the present one." if delay else "."),
         f"Delay: the filter assumes {exact(delay)} s, which must be the true one.",
         f"Inflation: {exact(run.world.hull_keep_m - run.world.radius_m)} m beyond the vehicle's radius and "
-        f"{exact(level.inflation_m)} m in the cover bound the error of the scene's alignment and whatever "
+        f"{exact(level.inflation_m)} m in the cover bound the error of the {origin}'s alignment and whatever "
         "else the model leaves out.",
         *([f"Rest:{tested}"] if tested else []),
-        "World: the static obstacles do not move, and the scene contains the real ones.",
+        f"World: the static obstacles do not move, and the {origin} contains the real ones.",
     ]
     words = (
-        "Every step was certified against the hulls of the cover. Where alula verify proves that the scene "
-        "lies in the cover, the vehicle met no ellipsoid of the scene, under the assumptions listed."
+        "Every step was certified against the hulls of the cover. Where alula verify proves that the "
+        f"{origin} lies in the cover, the vehicle met no {obstacle_of(level)} of the {origin}, under the "
+        "assumptions listed."
         if complete
         else "Not every step was certified against the hulls of the cover, so the chain is broken."
     )

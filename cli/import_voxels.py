@@ -1,0 +1,54 @@
+"""`alula import-voxels`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from alula.cli import grouped, options
+from alula.schemas.configs.import_voxels import ImportVoxelsConfig
+
+EXAMPLES = """\b
+Examples:
+  alula import-voxels shed.obj -o shed.voxels.npz --size 0.1 --margin 0.05
+  alula import-voxels shed.stl -o shed.voxels.npz --size 0.05 --solid --scale 0.001
+  alula import-voxels shed.xyz -o shed.voxels.npz --size 0.05 --radius 0.04 --min-points 2
+  alula import-voxels shed.bt -o shed.voxels.npz --size 0.2 --unknown occupied
+"""
+
+
+@grouped.command("import-voxels", epilog=EXAMPLES)
+@click.argument("source", metavar="FILE", type=options.input_path())
+@options.from_config(ImportVoxelsConfig)
+@options.output(".voxels.npz")
+def command(source: Path, config: ImportVoxelsConfig, common: options.Common) -> None:
+    """Mark every voxel that a mesh, a cloud or an OctoMap touches.
+
+    FILE is a mesh (.obj, .stl, .glb, .ply with faces), a point cloud (.ply without faces, .pcd, .xyz, .pts,
+    .npz) or the octree of an OctoMap (.bt, .ot). The voxels go through merge, verify, plan and all other
+    commands like those of a splat; verify --source proves them against FILE by other algorithms.
+
+    A voxel is a closed cube. It is marked when a triangle or a point, grown by the ball of --margin, touches
+    it; of an OctoMap, when it shares more than its surface with an occupied leaf. Rounding is outward, so no
+    touched voxel is missed. Only the surface of a mesh is marked, unless --solid is given.
+
+    Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel. An estimate of voxels
+    far above --max-voxels ends the command before the work.
+    """
+    from alula.cli.runner import run_stage
+    from alula.schemas.artifact import Artifact
+    from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
+    from alula.schemas.kinds import VOXELS
+    from alula.schemas.progress import Progress
+    from alula.stages.compression.import_voxels import import_voxels
+    from alula.stages.compression.imported_files import read_imported
+
+    def build(progress: Progress) -> Artifact:
+        found = read_imported(source)
+        try:
+            return import_voxels(config, found, jobs=common.jobs, progress=progress)
+        except (ArtifactError, InputError, InfeasibleError) as error:
+            raise type(error)(f"{source}: {error}") from error
+
+    run_stage(common, VOXELS, config, {"source": source}, build)
