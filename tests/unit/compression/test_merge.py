@@ -170,6 +170,17 @@ def test_far_parts_are_joined_only_when_they_must():
             assert_covers(cover, voxels)
 
 
+@pytest.mark.parametrize("place", [300, 400_000])
+def test_a_far_voxel_changes_no_other_hull(place):
+    """Columns are found in a dense grid, and in a hash table where a far voxel makes it too large."""
+    near = furniture()[:-5]
+    alone = cover_of(voxels_of(near), hulls=20)
+    both = cover_of(voxels_of(np.vstack([near, 3 * [place]])), hulls=21)
+    for name in ("plane_normal", "plane_offset", "vertex", "member_index", "member_start"):
+        assert np.array_equal(both[name][: len(alone[name])], alone[name])
+    assert both["vertex"][-1].tolist() == 3 * [place + 1]
+
+
 def test_the_default_leaves_less_excess_than_the_paper():
     for hulls in (10, 30, 60):
         ours, theirs = (cover_of(SCENE, method=m, hulls=hulls) for m in ("default", "paper"))

@@ -1,9 +1,14 @@
 #include "alula/cover/lattice_hull.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cstdlib>
+#include <cstring>
+#include <limits>
 #include <numeric>
 #include <stdexcept>
+
+#include "alula/base/wide.hpp"
 
 // The incremental convex hull, one algorithm from top to bottom: the choice and order of the points, the insertion of
 // points, and the conversion to polytopes and meshes.
@@ -50,64 +55,49 @@ void extremes_first(std::vector<Point>& points) {
   for (auto it = chosen.begin(); it != end; ++it) std::swap(points[front++], points[*it]);
 }
 
-// The corners of voxels sorted by x, y, z, without those that cannot be extreme: only the lowest and the highest
-// corner of each lattice column, and only the corners on the 2-D hull of each row of columns.
-void extreme_corners(std::span<const Lattice> voxels, std::vector<Lattice>& corners) {
-  struct Span {
-    std::int32_t y, low, high;
-  };
-  corners.clear();
-  std::vector<Span> row, previous, merged;
-  std::vector<std::array<std::int32_t, 2>> chain;
+// Lists the facets below `count` that the point (x, y, z) lies strictly above, ascending. The arrays of planes have
+// a multiple of kBlock elements.
+constexpr std::int32_t kBlock = 32;
 
-  // Emits the corners with x = plane that the columns of two neighbouring rows of voxels have.
-  auto emit = [&](std::int32_t plane) {
-    merged.clear();
-    for (const auto* rows : {&previous, &row})
-      for (const Span& s : *rows) merged.push_back(s), merged.push_back({s.y + 1, s.low, s.high});
-    std::sort(merged.begin(), merged.end(), [](const Span& a, const Span& b) { return a.y < b.y; });
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < merged.size(); ++i) {
-      if (kept > 0 && merged[kept - 1].y == merged[i].y) {
-        merged[kept - 1].low = std::min(merged[kept - 1].low, merged[i].low);
-        merged[kept - 1].high = std::max(merged[kept - 1].high, merged[i].high);
-      } else {
-        merged[kept++] = merged[i];
-      }
+template <class T>
+[[gnu::always_inline]] inline std::int32_t list_above(const T* nx, const T* ny, const T* nz, const T* offset,
+                                                      std::int32_t count, T x, T y, T z, std::int32_t* above) {
+  using Vector __attribute__((vector_size(32))) = T;
+  using Flags = decltype(Vector{} > Vector{});
+  constexpr int kWidth = 32 / static_cast<int>(sizeof(T));
+  Flags lane;
+  for (int i = 0; i < kWidth; ++i) lane[i] = 1 << i;
+  std::int32_t found = 0;
+  for (std::int32_t f = 0; f < count; f += kBlock) {
+    Flags flags{};
+    for (int v = 0; v < kBlock; v += kWidth) {
+      Vector a, b, c, d;
+      std::memcpy(&a, nx + f + v, sizeof a), std::memcpy(&b, ny + f + v, sizeof b);
+      std::memcpy(&c, nz + f + v, sizeof c), std::memcpy(&d, offset + f + v, sizeof d);
+      flags |= (a * x + b * y + c * z - d > 0) & (lane << v);
     }
-    for (const int side : {-1, 1}) {
-      chain.clear();
-      for (std::size_t i = 0; i < kept; ++i) {
-        const std::array<std::int32_t, 2> p{merged[i].y, side > 0 ? merged[i].high : merged[i].low};
-        while (chain.size() >= 2) {
-          const auto &a = chain[chain.size() - 2], &b = chain.back();
-          const std::int64_t turn =
-              std::int64_t{b[0] - a[0]} * (p[1] - a[1]) - std::int64_t{b[1] - a[1]} * (p[0] - a[0]);
-          if (side * turn < 0) break;
-          chain.pop_back();
-        }
-        chain.push_back(p);
-      }
-      for (const auto& p : chain) corners.push_back({plane, p[0], p[1]});
-    }
-  };
-
-  for (std::size_t i = 0; i < voxels.size();) {
-    const std::int32_t x = voxels[i][0];
-    row.clear();
-    for (; i < voxels.size() && voxels[i][0] == x; ++i) {
-      const std::int32_t y = voxels[i][1], z = voxels[i][2];
-      if (row.empty() || row.back().y != y) row.push_back({y, z, z + 1});
-      row.back().high = z + 1;
-    }
-    emit(x);
-    previous.swap(row);
-    if (i == voxels.size() || voxels[i][0] != x + 1) {
-      row.clear();
-      emit(x + 1);
-      previous.clear();
-    }
+    std::uint32_t bits = 0;
+    for (int i = 0; i < kWidth; ++i) bits |= static_cast<std::uint32_t>(flags[i]);
+    if (count - f < kBlock) bits &= (1u << (count - f)) - 1;
+    for (; bits != 0; bits &= bits - 1) above[found++] = f + std::countr_zero(bits);
   }
+  return found;
+}
+
+ALULA_WIDE std::int32_t facets_above(const float* nx, const float* ny, const float* nz, const float* offset,
+                                     std::int32_t count, const std::array<float, 4>& p, std::int32_t* above) {
+  return list_above(nx, ny, nz, offset, count, p[0], p[1], p[2], above);
+}
+
+ALULA_WIDE std::int32_t facets_above(const double* nx, const double* ny, const double* nz, const double* offset,
+                                     std::int32_t count, const std::array<double, 4>& p, std::int32_t* above) {
+  return list_above(nx, ny, nz, offset, count, p[0], p[1], p[2], above);
+}
+
+std::int32_t facets_above(const std::int64_t* nx, const std::int64_t* ny, const std::int64_t* nz,
+                          const std::int64_t* offset, std::int32_t count, const std::array<std::int64_t, 4>& p,
+                          std::int32_t* above) {
+  return list_above(nx, ny, nz, offset, count, p[0], p[1], p[2], above);
 }
 
 }  // namespace
@@ -128,27 +118,40 @@ void HullBuilder::with_planes(Run&& run) {
 // Reserves memory for the maximum number of facets: 2 n - 4, and n new ones beside the visible ones.
 template <class T>
 void HullBuilder::reserve(Planes<T>& planes) {
-  const std::size_t points = point_.size(), slots = 3 * points + 8;
+  const std::size_t points = point_.size(), slots = (3 * points + 8 + kBlock - 1) / kBlock * kBlock;
   if (facet_.size() < slots) facet_.resize(slots), stamp_.resize(slots);
   if (visible_.size() < slots) visible_.resize(slots);
   if (planes.x.size() < slots)
-    for (auto* values : {&planes.x, &planes.y, &planes.z, &planes.offset, &planes.height}) values->resize(slots);
+    for (auto* values : {&planes.x, &planes.y, &planes.z, &planes.offset}) values->resize(slots);
   if (first_facet_.size() < points) first_facet_.resize(points);
   free_.clear();
-  std::fill(stamp_.begin(), stamp_.begin() + static_cast<std::ptrdiff_t>(slots), 0);
-  round_ = 0;
+  if (round_ > std::numeric_limits<std::int32_t>::max() / 2) {  // stamps of earlier hulls are below the next round
+    std::fill(stamp_.begin(), stamp_.end(), 0);
+    round_ = 0;
+  }
   facets_ = 0;
+}
+
+template <class T>
+void HullBuilder::put_points(Planes<T>& planes) {
+  planes.point.resize(point_.size());
+  for (std::size_t p = 0; p < point_.size(); ++p)
+    for (std::size_t i = 0; i < 3; ++i) planes.point[p][i] = static_cast<T>(static_cast<std::int32_t>(point_[p][i]));
 }
 
 template <class T>
 void HullBuilder::put_plane(Planes<T>& planes, std::int32_t f) {
   const auto& [a, b, c] = facet_[f].vertex;
-  const Point &p = point_[a], &q = point_[b], &r = point_[c];
-  const auto edge = [&p](const Point& to, int i) { return static_cast<T>(static_cast<std::int32_t>(to[i] - p[i])); };
-  const T ux = edge(q, 0), uy = edge(q, 1), uz = edge(q, 2), vx = edge(r, 0), vy = edge(r, 1), vz = edge(r, 2);
+  put_plane(planes, f, planes.point[a], planes.point[b], planes.point[c]);
+}
+
+template <class T>
+[[gnu::always_inline]] inline void HullBuilder::put_plane(Planes<T>& planes, std::int32_t f, const Corner<T>& q,
+                                                          const Corner<T>& r, const Corner<T>& p) {
+  const T ux = q[0] - p[0], uy = q[1] - p[1], uz = q[2] - p[2], vx = r[0] - p[0], vy = r[1] - p[1], vz = r[2] - p[2];
   const T x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
   planes.x[f] = x, planes.y[f] = y, planes.z[f] = z;
-  planes.offset[f] = x * static_cast<T>(p[0]) + y * static_cast<T>(p[1]) + z * static_cast<T>(p[2]);
+  planes.offset[f] = x * p[0] + y * p[1] + z * p[2];
 }
 
 // Builds a large first tetrahedron; its points are moved to slots 0 to 3.
@@ -185,21 +188,15 @@ void HullBuilder::start(Planes<T>& planes) {
   facet_[1] = {{1, 0, 3}, {0, 3, 2}};
   facet_[2] = {{2, 1, 3}, {0, 1, 3}};
   facet_[3] = {{0, 2, 3}, {0, 2, 1}};
+  put_points(planes);
   for (std::int32_t f = 0; f < 4; ++f) put_plane(planes, f);
 }
 
 template <class T>
 void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
-  const T x = static_cast<T>(point_[p][0]), y = static_cast<T>(point_[p][1]), z = static_cast<T>(point_[p][2]);
-  const std::int32_t count = facets_;
-  const T *nx = planes.x.data(), *ny = planes.y.data(), *nz = planes.z.data(), *offset = planes.offset.data();
-  T* height = planes.height.data();
-  for (std::int32_t f = 0; f < count; ++f) height[f] = nx[f] * x + ny[f] * y + nz[f] * z - offset[f];
-  std::int32_t visible = 0;
-  for (std::int32_t f = 0; f < count; ++f) {
-    visible_[visible] = f;
-    visible += height[f] > 0;
-  }
+  const Corner<T> point = planes.point[p];
+  const std::int32_t visible = facets_above(planes.x.data(), planes.y.data(), planes.z.data(), planes.offset.data(),
+                                            facets_, point, visible_.data());
   if (visible == 0) return;
   ++round_;
   for (std::int32_t i = 0; i < visible; ++i) stamp_[visible_[i]] = round_;
@@ -220,7 +217,7 @@ void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
       stamp_[made] = 0;
       facet_[made].vertex = {a, b, p};
       facet_[made].neighbour[0] = outer;
-      put_plane(planes, made);
+      put_plane(planes, made, planes.point[a], planes.point[b], point);
       int back = 0;
       while (facet_[outer].vertex[back] != b) ++back;
       facet_[outer].neighbour[back] = made;
@@ -241,6 +238,12 @@ void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
   }
 }
 
+// The vertex of the neighbour across an edge that is not on that edge.
+std::int32_t HullBuilder::far_vertex(const HullFacet& facet, int edge) const {
+  const auto& [a, b, c] = facet_[facet.neighbour[edge]].vertex;
+  return a ^ b ^ c ^ facet.vertex[edge] ^ facet.vertex[edge == 2 ? 0 : edge + 1];
+}
+
 // Lists one plane per facet, except facets in the same plane as an earlier neighbour.
 template <class T>
 void HullBuilder::list_planes(const Planes<T>& planes) {
@@ -251,14 +254,10 @@ void HullBuilder::list_planes(const Planes<T>& planes) {
     const T x = planes.x[f], y = planes.y[f], z = planes.z[f], offset = planes.offset[f];
     is_box_ = is_box_ && (x != 0) + (y != 0) + (z != 0) == 1;
     bool is_new = true;
-    for (int e = 0; e < 3; ++e) {
-      const std::int32_t g = facet_[f].neighbour[e];
-      if (g > f) continue;
-      const auto& corner = facet_[g].vertex;
-      const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[e == 2 ? 0 : e + 1];
-      const std::int32_t far = corner[0] ^ corner[1] ^ corner[2] ^ a ^ b;  // the vertex off the common edge
-      const Point& q = point_[far];
-      is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
+    for (int e = 0; e < 3 && is_new; ++e) {
+      if (facet_[f].neighbour[e] > f) continue;
+      const Corner<T>& q = planes.point[far_vertex(facet_[f], e)];
+      is_new = x * q[0] + y * q[1] + z * q[2] != offset;
     }
     if (is_new)
       local_.push_back(
@@ -278,6 +277,71 @@ void HullBuilder::set_points(std::span<const Lattice> points, std::span<const La
   for (const auto& list : {points, more})
     for (const Lattice& p : list)
       point_.push_back({p[0] - box_.lower[0], p[1] - box_.lower[1], p[2] - box_.lower[2]});
+}
+
+// Adds the corners of voxels sorted by x, y, z, without those that cannot be extreme: only the lowest and the highest
+// corner of each lattice column, and only the corners on the 2-D hull of each row of columns.
+void HullBuilder::add_corners(std::span<const Lattice> voxels) {
+  row_.clear(), previous_.clear();
+  for (std::size_t i = 0; i < voxels.size();) {
+    const std::int32_t x = voxels[i][0];
+    row_.clear();
+    for (; i < voxels.size() && voxels[i][0] == x; ++i) {
+      const std::int32_t y = voxels[i][1], z = voxels[i][2];
+      if (row_.empty() || row_.back().y != y) row_.push_back({y, z, z + 1});
+      row_.back().high = z + 1;
+    }
+    add_plane(x);
+    previous_.swap(row_);
+    if (i == voxels.size() || voxels[i][0] != x + 1) {
+      row_.clear();
+      add_plane(x + 1);
+      previous_.clear();
+    }
+  }
+}
+
+// Adds the corners with x = plane that the columns of two neighbouring rows of voxels have.
+void HullBuilder::add_plane(std::int32_t plane) {
+  lines_.clear();
+  const auto add = [this](const Span& s) {
+    if (lines_.empty() || lines_.back().y != s.y) {
+      lines_.push_back(s);
+    } else {
+      lines_.back().low = std::min(lines_.back().low, s.low),
+      lines_.back().high = std::max(lines_.back().high, s.high);
+    }
+  };
+  for (std::size_t i = 0, j = 0; i < previous_.size() || j < row_.size();) {
+    Span s;
+    if (j == row_.size() || (i < previous_.size() && previous_[i].y < row_[j].y)) {
+      s = previous_[i++];
+    } else {
+      s = row_[j++];
+      if (i < previous_.size() && previous_[i].y == s.y) {
+        s.low = std::min(s.low, previous_[i].low), s.high = std::max(s.high, previous_[i].high);
+        ++i;
+      }
+    }
+    add(s);
+    ++s.y;
+    add(s);
+  }
+  for (const int side : {-1, 1}) {
+    chain_.clear();
+    for (const Span& line : lines_) {
+      const std::array<std::int32_t, 2> p{line.y, side > 0 ? line.high : line.low};
+      while (chain_.size() >= 2) {
+        const auto &a = chain_[chain_.size() - 2], &b = chain_.back();
+        const std::int64_t turn =
+            std::int64_t{b[0] - a[0]} * (p[1] - a[1]) - std::int64_t{b[1] - a[1]} * (p[0] - a[0]);
+        if (side * turn < 0) break;
+        chain_.pop_back();
+      }
+      chain_.push_back(p);
+    }
+    for (const auto& p : chain_) corner_.push_back({plane, p[0], p[1]});
+  }
 }
 
 void HullBuilder::build(std::span<const Lattice> points) {
@@ -308,6 +372,7 @@ void HullBuilder::build_union(const HullMesh& mesh, std::span<const Lattice> poi
   if (!points.empty()) std::swap(point_[static_cast<std::size_t>(known)], point_[best]);
   with_planes([&](auto& planes) {
     reserve(planes);
+    put_points(planes);
     facets_ = static_cast<std::int32_t>(mesh.facet.size());
     std::copy(mesh.facet.begin(), mesh.facet.end(), facet_.begin());
     for (std::int32_t f = 0; f < facets_; ++f) put_plane(planes, f);
@@ -317,13 +382,14 @@ void HullBuilder::build_union(const HullMesh& mesh, std::span<const Lattice> poi
 }
 
 void HullBuilder::build_voxels(std::span<const Lattice> voxels) {
-  extreme_corners(voxels, corner_);
+  corner_.clear();
+  add_corners(voxels);
   build(corner_);
 }
 
 std::vector<Lattice> HullBuilder::build_more(std::span<const Lattice> points, std::span<const Lattice> voxels) {
-  extreme_corners(voxels, corner_);
-  corner_.insert(corner_.begin(), points.begin(), points.end());
+  corner_.assign(points.begin(), points.end());
+  add_corners(voxels);
   build(corner_);
   return outline().vertex;
 }
@@ -378,8 +444,8 @@ void HullBuilder::group_facets(const Planes<T>& planes) {
     const std::int32_t id = static_cast<std::int32_t>(group_facet_.size());
     const T x = planes.x[seed], y = planes.y[seed], z = planes.z[seed], offset = planes.offset[seed];
     const auto is_on = [&](std::int32_t v) {
-      const Point& p = point_[v];
-      return x * static_cast<T>(p[0]) + y * static_cast<T>(p[1]) + z * static_cast<T>(p[2]) == offset;
+      const Corner<T>& p = planes.point[v];
+      return x * p[0] + y * p[1] + z * p[2] == offset;
     };
     group_facet_.push_back(seed);
     group_[seed] = id;
@@ -387,13 +453,11 @@ void HullBuilder::group_facets(const Planes<T>& planes) {
     while (!stack_.empty()) {
       const HullFacet& facet = facet_[stack_.back()];
       stack_.pop_back();
-      for (const std::int32_t g : facet.neighbour) {
-        if (group_[g] >= 0) continue;
-        const auto& [a, b, c] = facet_[g].vertex;
-        if (is_on(a) && is_on(b) && is_on(c)) {
-          group_[g] = id;
-          stack_.push_back(g);
-        }
+      for (int e = 0; e < 3; ++e) {
+        const std::int32_t g = facet.neighbour[e];
+        if (group_[g] >= 0 || !is_on(far_vertex(facet, e))) continue;
+        group_[g] = id;
+        stack_.push_back(g);
       }
     }
   }
@@ -406,14 +470,9 @@ std::vector<Lattice> HullBuilder::extreme_points() {
   for (std::int32_t f = 0; f < facets_; ++f) {
     if (facet_[f].vertex[0] < 0) continue;
     for (const std::int32_t v : facet_[f].vertex) {
-      std::array<std::int32_t, 3>& known = seen_[static_cast<std::size_t>(v)];
-      for (std::int32_t& slot : known) {
-        if (slot == group_[f]) break;
-        if (slot < 0) {
-          slot = group_[f];
-          break;
-        }
-      }
+      auto& [first, second, third] = seen_[static_cast<std::size_t>(v)];
+      if (third >= 0 || first == group_[f] || second == group_[f]) continue;
+      (first < 0 ? first : second < 0 ? second : third) = group_[f];
     }
   }
   for (std::size_t v = 0; v < point_.size(); ++v) {

@@ -1,6 +1,8 @@
 #include "alula/cover/occupancy.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cstring>
 #include <limits>
 #include <stdexcept>
 
@@ -14,6 +16,8 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
   const std::uint64_t key = std::uint64_t{static_cast<std::uint32_t>(x)} << 32 | static_cast<std::uint32_t>(y);
   return static_cast<std::size_t>((key * 0x9E3779B97F4A7C15u) >> 20);
 }
+
+constexpr std::size_t kDense = 4;  // cells of the bounding rectangle per column, up to which each cell has an entry
 
 }  // namespace
 
@@ -54,14 +58,29 @@ Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), v
     i = column.end;
     column_.push_back(column);
   }
-  const std::size_t rows =
-      column_.empty() ? 0 : static_cast<std::size_t>(std::int64_t{column_.back().x} - column_[0].x) + 1;
-  if (rows <= 4 * column_.size() + 1024) {
-    row_.assign(rows + 1, static_cast<std::uint32_t>(column_.size()));
-    for (std::size_t c = column_.size(); c-- > 0;)
-      row_[static_cast<std::size_t>(column_[c].x - column_[0].x)] = static_cast<std::uint32_t>(c);
-    for (std::size_t r = rows; r-- > 0;) row_[r] = std::min(row_[r], row_[r + 1]);
+  index_columns();
+}
+
+void Occupancy::index_columns() {
+  if (column_.empty()) return;
+  std::int32_t low = column_[0].y, high = low;
+  for (const Column& c : column_) low = std::min(low, c.y), high = std::max(high, c.y);
+  low_x_ = column_[0].x, low_y_ = low;
+  rows_ = static_cast<std::size_t>(column_.back().x - low_x_) + 1, width_ = static_cast<std::size_t>(high - low) + 1;
+  if (rows_ * width_ <= kDense * column_.size() + 1024) {
+    table_.assign(rows_ * width_, 0);
+    for (std::uint32_t c = 0; c < column_.size(); ++c)
+      table_[static_cast<std::size_t>(column_[c].x - low_x_) * width_ +
+             static_cast<std::size_t>(column_[c].y - low_y_)] = c + 1;
+    return;
   }
+  if (rows_ <= 4 * column_.size() + 1024) {
+    row_.assign(rows_ + 1, static_cast<std::uint32_t>(column_.size()));
+    for (std::size_t c = column_.size(); c-- > 0;)
+      row_[static_cast<std::size_t>(column_[c].x - low_x_)] = static_cast<std::uint32_t>(c);
+    for (std::size_t r = rows_; r-- > 0;) row_[r] = std::min(row_[r], row_[r + 1]);
+  }
+  rows_ = width_ = 0;
   table_.assign(std::bit_ceil(2 * column_.size() + 1), 0);
   for (std::uint32_t c = 0; c < column_.size(); ++c) {
     std::size_t slot = hash_column(column_[c].x, column_[c].y);
@@ -71,6 +90,14 @@ Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), v
 }
 
 const Occupancy::Column* Occupancy::find(std::int32_t x, std::int32_t y) const {
+  if (column_.empty()) return nullptr;
+  if (rows_ > 0) {
+    const std::size_t row = static_cast<std::size_t>(std::int64_t{x} - low_x_);
+    const std::size_t at = static_cast<std::size_t>(std::int64_t{y} - low_y_);
+    if (row >= rows_ || at >= width_) return nullptr;
+    const std::uint32_t entry = table_[row * width_ + at];
+    return entry == 0 ? nullptr : &column_[entry - 1];
+  }
   for (std::size_t slot = hash_column(x, y);; ++slot) {
     const std::uint32_t entry = table_[slot & (table_.size() - 1)];
     if (entry == 0) return nullptr;
@@ -80,11 +107,21 @@ const Occupancy::Column* Occupancy::find(std::int32_t x, std::int32_t y) const {
 }
 
 void Occupancy::find_row(std::int32_t x, std::int32_t y, std::span<const Column*> found) const {
+  if (rows_ > 0) {
+    const std::size_t row = static_cast<std::size_t>(std::int64_t{x} - low_x_);
+    const std::int64_t first = std::int64_t{y} - low_y_;
+    for (std::size_t k = 0; k < found.size(); ++k) {
+      const std::size_t at = static_cast<std::size_t>(first) + k;  // below zero it is beyond the width
+      const std::uint32_t entry = row < rows_ && at < width_ ? table_[row * width_ + at] : 0;
+      found[k] = entry == 0 ? nullptr : &column_[entry - 1];
+    }
+    return;
+  }
   std::fill(found.begin(), found.end(), nullptr);
   if (column_.empty()) return;
   auto begin = column_.begin(), end = column_.end();
   if (!row_.empty()) {
-    const std::int64_t row = std::int64_t{x} - column_[0].x;
+    const std::int64_t row = std::int64_t{x} - low_x_;
     if (row < 0 || row + 1 >= static_cast<std::int64_t>(row_.size())) return;
     end = begin + row_[static_cast<std::size_t>(row) + 1];
     begin += row_[static_cast<std::size_t>(row)];
@@ -98,6 +135,14 @@ void Occupancy::find_row(std::int32_t x, std::int32_t y, std::span<const Column*
 }
 
 std::uint32_t Occupancy::lower(const Column& column, std::int32_t z) const {
+  if (column.words > 0) {
+    const std::int64_t w = std::int64_t{z >> 6} - column.first_word;
+    if (w < 0) return column.begin;
+    if (w >= column.words) return column.end;
+    const Word& word = word_[column.word + static_cast<std::uint32_t>(w)];
+    const std::uint64_t below = (std::uint64_t{1} << (z & 63)) - 1;
+    return column.begin + word.before + static_cast<std::uint32_t>(std::popcount(word.bits & below));
+  }
   const auto begin = voxel_.begin() + column.begin, end = voxel_.begin() + column.end;
   const auto found = std::partition_point(begin, end, [z](const Lattice& v) { return v[2] < z; });
   return static_cast<std::uint32_t>(found - voxel_.begin());
@@ -149,28 +194,55 @@ void ZBounds::assign(const LatticePolytope& polytope, const LatticeBox& box) {
   }
 }
 
-ALULA_WIDE void ZBounds::row(double x, std::span<const double> y, double* low, double* high) const {
-  const std::size_t count = y.size();
-  std::fill(low, low + count, 0.0);
-  std::fill(high, high + count, height_);
-  for (const Slope& s : upper_) {
+namespace {
+
+using Four __attribute__((vector_size(32))) = double;
+
+// Bounds for `Vectors` times four lines at once, which stay in registers for all planes.
+template <int Vectors, class Slopes>
+[[gnu::always_inline]] inline void bound_lines(const Slopes& upper, const Slopes& lower, const Slopes& upright,
+                                               double height, double x, const double* y, double* low, double* high) {
+  Four at[Vectors], bound[Vectors];
+  std::memcpy(at, y, sizeof at);
+  for (int v = 0; v < Vectors; ++v) bound[v] = Four{} + height;
+  for (const auto& s : upper) {
     const double base = s.offset + s.x * x;
-    for (std::size_t k = 0; k < count; ++k) {
-      const double z = base + s.y * y[k];
-      high[k] = z < high[k] ? z : high[k];
+    for (int v = 0; v < Vectors; ++v) {
+      const Four z = base + s.y * at[v];
+      bound[v] = z < bound[v] ? z : bound[v];
     }
   }
-  for (const Slope& s : lower_) {
-    const double base = s.offset + s.x * x;
-    for (std::size_t k = 0; k < count; ++k) {
-      const double z = base + s.y * y[k];
-      low[k] = z > low[k] ? z : low[k];
-    }
-  }
-  for (const Slope& s : upright_) {
+  for (const auto& s : upright) {
     const double room = s.offset - s.x * x;
-    for (std::size_t k = 0; k < count; ++k) high[k] = s.y * y[k] > room ? -1.0 : high[k];
+    for (int v = 0; v < Vectors; ++v) bound[v] = s.y * at[v] > room ? Four{} - 1.0 : bound[v];
   }
+  std::memcpy(high, bound, sizeof bound);
+  for (int v = 0; v < Vectors; ++v) bound[v] = Four{};
+  for (const auto& s : lower) {
+    const double base = s.offset + s.x * x;
+    for (int v = 0; v < Vectors; ++v) {
+      const Four z = base + s.y * at[v];
+      bound[v] = z > bound[v] ? z : bound[v];
+    }
+  }
+  std::memcpy(low, bound, sizeof bound);
+}
+
+}  // namespace
+
+ALULA_WIDE void ZBounds::row(double x, std::span<const double> y, double* low, double* high) const {
+  const std::size_t whole = y.size() / 4;
+  std::size_t v = 0;
+  const auto at = [&](std::size_t k) { return k * 4; };
+  for (; v + 3 <= whole; v += 3)
+    bound_lines<3>(upper_, lower_, upright_, height_, x, &y[at(v)], low + at(v), high + at(v));
+  for (; v < whole; ++v) bound_lines<1>(upper_, lower_, upright_, height_, x, &y[at(v)], low + at(v), high + at(v));
+  if (at(v) == y.size()) return;
+  std::array<double, 4> rest{}, rest_low, rest_high;
+  std::copy(y.begin() + static_cast<std::ptrdiff_t>(at(v)), y.end(), rest.begin());
+  bound_lines<1>(upper_, lower_, upright_, height_, x, rest.data(), rest_low.data(), rest_high.data());
+  std::copy_n(rest_low.begin(), y.size() - at(v), low + at(v));
+  std::copy_n(rest_high.begin(), y.size() - at(v), high + at(v));
 }
 
 double ExcessMeter::operator()(const HullBuilder& hull) {
@@ -195,6 +267,8 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const double last_y = (ny - 0.5) * step_y;
   column_.resize(static_cast<std::size_t>(last_y) + 1);
   for (int j = 0; j < ny; ++j) y_[static_cast<std::size_t>(j)] = (j + 0.5) * step_y;
+  at_.resize(y_.size()), line_.resize(y_.size());
+  for (std::size_t j = 0; j < y_.size(); ++j) at_[j] = static_cast<std::uint32_t>(y_[j]);
   double total = 0;
   std::int32_t known_x = INT32_MIN;
   for (int i = 0; i < nx; ++i) {
@@ -203,13 +277,14 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
     if (column_x != known_x) {
       known_x = column_x;
       occupancy_->find_row(column_x, box.lower[1], column_);
+      for (std::size_t j = 0; j < y_.size(); ++j) line_[j] = column_[at_[j]];
     }
     bounds_.row(x, y_, low_.data(), high_.data());
     double sum = 0;
     for (std::size_t j = 0; j < y_.size(); ++j) {
       if (high_[j] <= low_[j]) continue;
       sum += high_[j] - low_[j];
-      const Occupancy::Column* column = column_[static_cast<std::size_t>(y_[j])];
+      const Occupancy::Column* column = line_[j];
       if (column != nullptr)
         sum -= occupancy_->filled(*column, box.lower[2] + high_[j]) -
                occupancy_->filled(*column, box.lower[2] + low_[j]);

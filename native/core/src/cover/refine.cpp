@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <map>
+#include <span>
+#include <utility>
 
 #include "alula/base/parallel.hpp"
 #include "alula/cover/box_tree.hpp"
@@ -34,9 +37,10 @@ struct Piece {
   double weight = 0;
   std::size_t planes = 0;
   LatticeBox box{};
-  bool is_fresh = true;  // changed in the round before
+  bool is_new = true;    // changed in the round before
+  bool is_fresh = true;  // changed in the round before, or not looked at with the present effort
   Points vertex;
-  std::array<std::int32_t, 3> step{};
+  std::array<std::int32_t, 3> step{};               // zero: not prepared
   std::array<std::vector<Points>, 3> below, above;  // vertices, for the multiples of step inside the box
 
   // The vertices of one side of a plane, which is a multiple of step[axis] or outside the box.
@@ -81,14 +85,16 @@ class Divider {
     piece.vertex = std::move(outline.vertex);
   }
 
-  // Finds the parts of a measured piece.
+  // Finds the parts of a measured piece, unless it has those of the same planes from a lower effort.
   void prepare(Piece& piece) {
     all_.clear();
     for (const std::uint32_t v : piece.voxels) all_.push_back(occupancy_.voxels()[v]);
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const std::int32_t lower = piece.box.lower[axis], upper = piece.box.upper[axis];
-      piece.step[axis] = 1;
-      while ((upper - lower) / piece.step[axis] > effort_.most_cuts) piece.step[axis] *= 2;
+      std::int32_t step = 1;
+      while ((upper - lower) / step > effort_.most_cuts) step *= 2;
+      if (step == piece.step[axis]) continue;
+      piece.step[axis] = step;
       std::vector<std::int32_t> ends;
       for (std::int32_t plane = piece.first(axis); plane < upper; plane += piece.step[axis]) ends.push_back(plane);
       for (const bool is_below : {true, false}) {
@@ -262,27 +268,41 @@ class Refiner {
         if (j >= i && (piece_[i].is_fresh || piece_[j].is_fresh)) list.push_back({i, j, {}});
     }
     InterruptOnly quiet(control_);
-    parallel_chunks(piece_.size(), 16, jobs_, quiet, [&](std::size_t from, std::size_t to) {
-      Divider divider(occupancy_, *effort_);
-      for (std::size_t i = from; i < to; ++i)
-        if (piece_[i].is_fresh) divider.prepare(piece_[i]);
-    });
     parallel_chunks(list.size(), 64, jobs_, quiet, [&](std::size_t from, std::size_t to) {
       Divider divider(occupancy_, *effort_);
       for (std::size_t i = from; i < to; ++i) {
         Exchange& e = list[i];
-        if (e.left != e.right) e.union_weight = divider.weight(piece_[e.left].vertex, piece_[e.right].vertex, false);
+        if (e.left == e.right) continue;
+        const Piece &a = piece_[e.left], &b = piece_[e.right];
+        e.union_weight = a.is_new || b.is_new ? divider.weight(a.vertex, b.vertex, false)
+                                              : union_weight_.at(std::pair(e.left, e.right));
       }
     });
+    for (const Exchange& e : list)
+      if (piece_[e.left].is_new || piece_[e.right].is_new)
+        union_weight_.insert_or_assign(std::pair(e.left, e.right), e.union_weight);
     const auto cost = [&](const Exchange& e) { return e.left == e.right ? 0 : e.union_weight - sum(e); };
     std::sort(list.begin(), list.end(), [&](const Exchange& a, const Exchange& b) {
       const double x = cost(a), y = cost(b);
       if (x != y) return x < y;
       return a.left != b.left ? a.left < b.left : a.right < b.right;
     });
-    for (Piece& piece : piece_) piece.is_fresh = false;
+    for (Piece& piece : piece_) piece.is_new = piece.is_fresh = false;
     std::erase_if(list, [&](const Exchange& e) { return cost(e) > effort_->most_cost * sum(e); });
     return list;
+  }
+
+  // Finds the parts of the pieces of some exchanges.
+  void prepare(std::span<const Exchange> some) {
+    Numbers wanted;
+    for (const Exchange& e : some) wanted.push_back(e.left), wanted.push_back(e.right);
+    std::sort(wanted.begin(), wanted.end());
+    wanted.erase(std::unique(wanted.begin(), wanted.end()), wanted.end());
+    InterruptOnly quiet(control_);
+    parallel_chunks(wanted.size(), 16, jobs_, quiet, [&](std::size_t from, std::size_t to) {
+      Divider divider(occupancy_, *effort_);
+      for (std::size_t i = from; i < to; ++i) divider.prepare(piece_[wanted[i]]);
+    });
   }
 
   // Measures the exchanges in order until the limit of evaluations; drops the others.
@@ -291,6 +311,7 @@ class Refiner {
     std::size_t done = 0;
     while (done < list.size() && left_ > 0) {
       const std::size_t end = std::min(list.size(), done + kBatch), chunks = (end - done + 15) / 16;
+      prepare(std::span(list).subspan(done, end - done));
       std::vector<std::size_t> spent(chunks, 0);
       parallel_chunks(end - done, 16, jobs_, quiet, [&](std::size_t from, std::size_t to) {
         Divider divider(occupancy_, *effort_);
@@ -389,6 +410,7 @@ class Refiner {
   unsigned jobs_;
   Control& control_;
   std::vector<Piece> piece_;
+  std::map<std::pair<std::uint32_t, std::uint32_t>, double> union_weight_;  // of pairs of pieces that are not new
   const Effort* effort_ = kEfforts.data();
   Divider divider_{occupancy_, *effort_};
 };

@@ -22,8 +22,7 @@ void for_runs(const Occupancy& occupancy, std::uint32_t voxel, int block, Visit&
       const Occupancy::Column* column = occupancy.find(v[0] + dx, v[1] + dy);
       if (column == nullptr) continue;
       const std::uint32_t first = occupancy.lower(*column, v[2] - block);
-      std::uint32_t last = first;
-      while (last < column->end && occupancy.voxels()[last][2] <= v[2] + block) ++last;
+      const std::uint32_t last = occupancy.lower(*column, v[2] + block + 1);
       if (last > first) visit(first, last, dx, dy);
     }
   }
@@ -150,10 +149,12 @@ VoxelSets chosen(const Occupancy& occupancy, int block, std::span<const double> 
       if (u >= begin && u < end) visit(u);
     });
   };
+  std::vector<std::uint32_t> uncovered(end - begin, 0);  // around each voxel
+  for (std::size_t v = begin; v < end; ++v)
+    each(static_cast<std::uint32_t>(v), [&](std::uint32_t) { ++uncovered[v - begin]; });
   const auto candidate = [&](std::uint32_t v) {
-    std::uint32_t uncovered = 0;
-    each(v, [&](std::uint32_t u) { uncovered += covered[u - begin] == 0; });
-    return Candidate{uncovered == 0 ? 0 : weight[v] / uncovered, uncovered, v};
+    const std::uint32_t left = uncovered[v - begin];
+    return Candidate{left == 0 ? 0 : weight[v] / left, left, v};
   };
   std::vector<Candidate> all(end - begin);
   for (std::size_t v = begin; v < end; ++v) all[v - begin] = candidate(static_cast<std::uint32_t>(v));
@@ -169,8 +170,11 @@ VoxelSets chosen(const Occupancy& occupancy, int block, std::span<const double> 
       continue;
     }
     each(now.voxel, [&](std::uint32_t u) {
-      if (!is_disjoint || covered[u - begin] == 0) result.member.push_back(u);
+      const bool is_new = covered[u - begin] == 0;
+      if (!is_disjoint || is_new) result.member.push_back(u);
+      if (!is_new) return;
       covered[u - begin] = 1;
+      each(u, [&](std::uint32_t v) { --uncovered[v - begin]; });
     });
     result.close();
     left -= now.uncovered;

@@ -112,8 +112,16 @@ class HullBuilder {
  private:
   using Point = std::array<std::int64_t, 3>;
   template <class T>
+  using Corner = std::array<T, 4>;  // x, y, z and nothing
+  template <class T>
   struct Planes {
-    std::vector<T> x, y, z, offset, height;  // all zero for a free slot, which is never visible
+    std::vector<T> x, y, z, offset;  // all zero for a free slot, which is never visible
+    std::vector<Corner<T>> point;
+  };
+
+  // A column of voxels of one row.
+  struct Span {
+    std::int32_t y, low, high;
   };
 
   template <class Run>
@@ -121,7 +129,11 @@ class HullBuilder {
   template <class T>
   void reserve(Planes<T>& planes);
   template <class T>
+  void put_points(Planes<T>& planes);
+  template <class T>
   void put_plane(Planes<T>& planes, std::int32_t facet);
+  template <class T>
+  void put_plane(Planes<T>& planes, std::int32_t facet, const Corner<T>& a, const Corner<T>& b, const Corner<T>& c);
   template <class T>
   void start(Planes<T>& planes);
   template <class T>
@@ -130,10 +142,13 @@ class HullBuilder {
   void list_planes(const Planes<T>& planes);
   template <class T>
   void group_facets(const Planes<T>& planes);
+  std::int32_t far_vertex(const HullFacet& facet, int edge) const;
   std::vector<Lattice> extreme_points();
   template <class T>
   LatticePolytope grouped(const Planes<T>& planes);
   void set_points(std::span<const Lattice> points, std::span<const Lattice> more);
+  void add_corners(std::span<const Lattice> voxels);
+  void add_plane(std::int32_t plane);
 
   LatticeBox box_{};
   bool is_box_ = false;
@@ -149,6 +164,8 @@ class HullBuilder {
   std::vector<std::array<std::int32_t, 3>> seen_;  // facets at a point
   std::vector<LocalPlane> local_;
   std::vector<Lattice> corner_;
+  std::vector<Span> row_, previous_, lines_;
+  std::vector<std::array<std::int32_t, 2>> chain_;
 };
 
 }  // namespace alula

@@ -50,10 +50,11 @@ class Occupancy {
     if (w < 0) return 0;
     if (w >= static_cast<std::int32_t>(column.words)) return static_cast<double>(column.end - column.begin);
     const Word& word = word_[column.word + static_cast<std::uint32_t>(w)];
-    const std::uint64_t bit = std::uint64_t{1} << (k & 63);
+    const int bit = k & 63;
+    const std::uint64_t below = (std::uint64_t{1} << bit) - 1;
     const double whole =
-        static_cast<double>(word.before + static_cast<std::uint32_t>(std::popcount(word.bits & (bit - 1))));
-    return (word.bits & bit) != 0 ? whole + (z - base) : whole;
+        static_cast<double>(word.before + static_cast<std::uint32_t>(std::popcount(word.bits & below)));
+    return whole + static_cast<double>(word.bits >> bit & 1) * (z - base);
   }
 
  private:
@@ -61,13 +62,18 @@ class Occupancy {
     std::uint64_t bits;
     std::uint32_t before;  // voxels of the column below this word
   };
+  void index_columns();
   double filled_sparse(const Column& column, std::int32_t k, double fraction) const;
 
   std::vector<Lattice> voxel_;
   std::vector<Column> column_;
   std::vector<Word> word_;
-  std::vector<std::uint32_t> table_;  // open addressing; column + 1
-  std::vector<std::uint32_t> row_;    // first column of each x from that of column_[0]; none when sparse
+  // Numbers of columns plus one: of each cell of the rectangle from (low_x_, low_y_), or in a hash table by open
+  // addressing when most cells are empty.
+  std::vector<std::uint32_t> table_;
+  std::size_t rows_ = 0, width_ = 0;  // of the rectangle; none with a hash table
+  std::int32_t low_x_ = 0, low_y_ = 0;
+  std::vector<std::uint32_t> row_;  // beside a hash table: first column of each x from low_x_; none when sparse
 };
 
 // Lines per axis that sample a box of `extent` voxels: four per voxel up to 3 voxels, two up to 8,
@@ -113,7 +119,8 @@ class ExcessMeter {
   int most_lines_;
   ZBounds bounds_;
   std::vector<double> y_, low_, high_;
-  std::vector<const Occupancy::Column*> column_;
+  std::vector<std::uint32_t> at_;                        // offset of the column at each y
+  std::vector<const Occupancy::Column*> column_, line_;  // of each offset; of each y
 };
 
 }  // namespace alula
