@@ -18,6 +18,7 @@ from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.poses import fit_poses
 from alula.stages.alignment.robust import Fit, fit_similarity
 from alula.stages.alignment.uncertainty import CONFIDENCE, Uncertainty, mapped_corners
+from alula.stages.quantiles import student_quantile
 
 VISIBLE = 0.1  # opacity of Gaussians that are registered to a cloud
 
@@ -207,8 +208,6 @@ def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[FloatArr
 
 def _by_distances(distances: Sequence[Distance], threshold: float, corners: FloatArray) -> Estimate:
     """Scale by least squares of metres = scale * length."""
-    from scipy.stats import t as student
-
     start, end = np.array([d[0] for d in distances]), np.array([d[1] for d in distances])
     metres = np.array([d[2] for d in distances])
     length = np.linalg.norm(end - start, axis=1)
@@ -234,7 +233,7 @@ def _by_distances(distances: Sequence[Distance], threshold: float, corners: Floa
     freedom, error = len(metres) - 1, None
     if freedom:
         sigma = float(np.sqrt((residual @ residual) / freedom / spread))
-        half = float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * sigma
+        half = student_quantile(freedom, (1 + CONFIDENCE) / 2) * sigma
         error = half * float(np.linalg.norm(corners, axis=1).max())
         without = (float(length @ metres) - length * metres) / (spread - length * length)
         found |= {

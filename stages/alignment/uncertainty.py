@@ -11,6 +11,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import transform_points
+from alula.stages.quantiles import fisher_quantile, student_quantile
 
 CONFIDENCE = 0.95
 _WIDEST = 2 / 3  # of the threshold: residuals below the threshold cannot distinguish larger sigmas
@@ -37,9 +38,7 @@ class Uncertainty:
 
     def student(self) -> float:
         """Half width of a two-sided 95 % interval, in standard deviations."""
-        from scipy.stats import t as student
-
-        return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom))
+        return student_quantile(self.freedom, (1 + CONFIDENCE) / 2)
 
     def at(self, points: FloatArray) -> FloatArray:
         """Covariances of the positions of mapped points.
@@ -75,10 +74,8 @@ class Uncertainty:
         Returns:
             The bound [target units].
         """
-        from scipy.stats import f as fisher
-
         largest = float(np.linalg.eigvalsh(self.at(corners))[:, -1].max())
-        factor = 7.0 * float(fisher.ppf(CONFIDENCE, 7, self.freedom))
+        factor = 7.0 * fisher_quantile((7, self.freedom), CONFIDENCE)
         return float(np.sqrt(max(factor * largest, 0.0)))
 
     def record(self, similarity: Similarity) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.quantiles import student_quantile
 
 _CONFIDENCE = 0.95
 
@@ -30,7 +30,7 @@ def mean_of(values: Sequence[float]) -> Estimate:
     mean, n = float(np.mean(values)), len(values)
     if n < 2:
         return Estimate(mean, None)
-    half = float(stats.t.ppf(0.5 + _CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    half = student_quantile(n - 1, 0.5 + _CONFIDENCE / 2) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return Estimate(mean, (mean - half, mean + half))
 
 
@@ -48,7 +48,7 @@ def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) ->
     if degrees < 1:
         return Estimate(float(a), None), Estimate(float(b), None)
     variance = float(((y - A @ (a, b)) ** 2).sum()) / degrees
-    half = float(stats.t.ppf(0.5 + _CONFIDENCE / 2, degrees)) * np.sqrt(
+    half = student_quantile(degrees, 0.5 + _CONFIDENCE / 2) * np.sqrt(
         variance * np.diag(np.linalg.inv(A.T @ A))
     )
     first, second = (

@@ -234,12 +234,13 @@ def _draw_filters(axes: Any, filters: Sequence[FilterAnswers]) -> None:
 
     named: dict[str, str] = {}
     for row, filter_ in enumerate(filters):
-        for span in _spans(filter_):
-            color = _STATUS.get(span.status, GREY)
+        spans = _spans(filter_)
+        colors = [_STATUS.get(span.status, GREY) for span in spans]
+        for span, color in zip(spans, colors, strict=True):
             named.setdefault(_WORDS.get(span.status, span.status), color)
-            axes.broken_barh(
-                [(span.begin_s, span.end_s - span.begin_s)], (row - 0.38, 0.76), facecolors=color, linewidth=0
-            )
+        # All at once: each call looks through all earlier spans for the limits of the axes.
+        times = [(span.begin_s, span.end_s - span.begin_s) for span in spans]
+        axes.broken_barh(times, (row - 0.38, 0.76), facecolors=colors, linewidth=0)
     axes.set(ylim=(len(filters) - 0.4, -0.6), yticks=range(len(filters)))
     axes.set_yticklabels([filter_.name for filter_ in filters], fontsize="small")
     axes.grid(visible=False)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from alula import _core
 from alula.schemas.vehicle import Vehicle
@@ -47,6 +46,8 @@ def shaping_limits(law: tuple[float, float], speeds_m_s: Sequence[float]) -> tup
         law: a [s] and b [s^2/m], see `stop_time_s`.
         speeds_m_s: at which the law was measured; its ends count [m/s].
     """
+    from scipy.optimize import least_squares
+
     ends = (min(speeds_m_s), max(speeds_m_s))
     wanted = [max(stop_time_s(law, speed) - _INNER_S, _LEAST_S) for speed in ends]
 

@@ -235,6 +235,7 @@ def test_an_output_that_is_a_folder_is_refused(name, here, capsys):
     assert not list((here / out).iterdir())
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("parent", ["nowhere", "pairs.csv", "/proc"])
 def test_an_output_in_no_folder_is_refused(name, parent, here, capsys):

@@ -23,25 +23,28 @@ from alula.schemas.manifest import producer
 from alula.schemas.provenance import Provenance, read_provenance
 from alula.stages.compression import merge as stage
 
-VOXEL_COUNT, SIDE = 8_000, 42
 # The command line with a journal that is written at once and often, by a program of the same commit even when
 # somebody commits between two runs.
 EAGER = (
     "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
-    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.2, 0;"
+    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.05, 0;"
     " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
-WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "200"]
+WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "50"]
 JOURNAL = Path("c.cover.npz.journal")
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[bytes, bytes]:
-    """Scattered voxels that merge for a second or two, and their cover."""
-    folder = tmp_path_factory.mktemp("whole")
-    flat = np.random.default_rng(3).choice(SIDE**3, VOXEL_COUNT, replace=False)
-    index = np.stack(np.unravel_index(np.sort(flat), (SIDE,) * 3), axis=1).astype(np.int32)
+    """Scattered voxels that merge for a quarter of a second, and their cover."""
+    return merged(tmp_path_factory.mktemp("whole"), count=1000, side=21)
+
+
+def merged(folder: Path, *, count: int, side: int) -> tuple[bytes, bytes]:
+    """Voxels at random places of a cube, and their cover, as files."""
+    flat = np.random.default_rng(3).choice(side**3, count, replace=False)
+    index = np.stack(np.unravel_index(np.sort(flat), (side,) * 3), axis=1).astype(np.int32)
     voxels = make_artifact(
         VOXELS,
         {"index": index, "overlap": np.ones(len(index))},
@@ -50,7 +53,7 @@ def whole(tmp_path_factory) -> tuple[bytes, bytes]:
     )
     write_artifact(folder / "v.voxels.npz", voxels)
     cover = folder / "c.cover.npz"
-    assert run(["merge", str(folder / "v.voxels.npz"), "-o", str(cover), "--hulls", "200", "-q"]) == 0
+    assert run(["merge", str(folder / "v.voxels.npz"), "-o", str(cover), *WORDS[-2:], "-q"]) == 0
     return (folder / "v.voxels.npz").read_bytes(), cover.read_bytes()
 
 
@@ -66,7 +69,7 @@ def interrupted(here, monkeypatch, capsys) -> Path:
     """A journal of a merge that was interrupted, by an exception where Ctrl-C raises it."""
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     with monkeypatch.context() as patched:
-        patched.setattr(stage, "merge", stopping_when(lambda journal: len(journal) > 3000))
+        patched.setattr(stage, "merge", stopping_when(lambda journal: len(journal) > 300))
         assert run(WORDS) == 130
     error = capsys.readouterr().err.strip()
     assert error.startswith("alula: interrupted; the same command continues from c.cover.npz.journal, ")
@@ -98,7 +101,12 @@ def start(*words: str) -> subprocess.Popen[str]:
 
 @pytest.mark.every(2)
 @pytest.mark.parametrize("signals", [("SIGINT", "SIGTERM"), ("SIGKILL", "SIGKILL")])
-def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(here, whole, signals):
+def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(
+    tmp_path, tmp_path_factory, monkeypatch, signals
+):
+    monkeypatch.chdir(tmp_path)
+    voxels, cover = merged(tmp_path_factory.mktemp("long"), count=5000, side=36)
+    Path("v.voxels.npz").write_bytes(voxels)
     chance = random.Random(signals[0])
     kept = []
     for name in signals:
@@ -106,7 +114,7 @@ def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(here, who
         size = JOURNAL.stat().st_size if JOURNAL.exists() else 0
         while process.poll() is None and not (JOURNAL.exists() and JOURNAL.stat().st_size > size):
             time.sleep(0.01)
-        time.sleep(chance.uniform(0, 0.2))
+        time.sleep(chance.uniform(0, 0.1))
         process.send_signal(getattr(signal, name))
         error = process.communicate()[1]
         if Path("c.cover.npz").exists():  # it was faster
@@ -122,8 +130,8 @@ def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(here, who
         assert process.returncode == 0
         assert error == f"alula: continuing from c.cover.npz.journal: {kept[-1]:,} of its measurements\n"
     assert run([*WORDS, "-q"]) == 0  # nothing is left to do but to remove what a late kill left behind
-    assert Path("c.cover.npz").read_bytes() == whole[1]
-    assert [path.name for path in here.iterdir() if path.name.endswith("journal")] == []
+    assert Path("c.cover.npz").read_bytes() == cover
+    assert [path.name for path in tmp_path.iterdir() if path.name.endswith("journal")] == []
 
 
 def test_measurements_are_taken_from_the_journal(interrupted, whole, monkeypatch, capsys):
@@ -139,7 +147,7 @@ def test_measurements_are_taken_from_the_journal(interrupted, whole, monkeypatch
     monkeypatch.setattr(stage, "merge", watching)
     assert run([*WORDS, "-q"]) == 0
     assert capsys.readouterr().err == ""
-    assert 3000 < taken[0] <= taken[1]
+    assert 300 < taken[0] <= taken[1]
     assert Path("c.cover.npz").read_bytes() == whole[1]
     assert not interrupted.exists()
 
@@ -179,9 +187,9 @@ def test_a_file_that_is_no_journal_is_neither_used_nor_touched(here, whole, monk
 
 def test_the_journal_of_another_merge_is_of_no_use_and_stays(interrupted, capsys):
     before = interrupted.read_bytes()
-    assert run([*WORDS[:-1], "199"]) == 0
+    assert run([*WORDS[:-1], "49"]) == 0
     first = capsys.readouterr().err.splitlines()[0]  # a slow machine adds lines of progress
-    assert first == "alula: ignoring c.cover.npz.journal: it is of another merge: hulls was 200, now 199"
+    assert first == "alula: ignoring c.cover.npz.journal: it is of another merge: hulls was 50, now 49"
     assert interrupted.read_bytes() == before
 
 

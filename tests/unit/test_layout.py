@@ -20,9 +20,14 @@ MAY_IMPORT = {
 HEAVY = ("numpy", "scipy", "open3d", "pycolmap", "cvxpy", "trimesh", "matplotlib", "viser", "mcap", "rich")
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def imported_parts(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -49,6 +54,15 @@ def test_imports_point_one_way(path):
     assert imported_parts(path) <= MAY_IMPORT[part]
 
 
+def test_packages_that_import_slowly_are_imported_where_they_are_used():
+    """At the top of a module `scipy.optimize` doubled the start of `alula simulate`."""
+    for path in SOURCES:
+        for node in parsed(path).body:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [f"{node.module}"] if isinstance(node, ast.ImportFrom) else []
+            assert not {"scipy", "matplotlib"} & {name.partition(".")[0] for name in names}, path
+
+
 @cache
 def imported_files() -> dict[str, set[str]]:
     """Modules of the project by name, each with those that it imports, at its top or in a function."""
@@ -59,7 +73,7 @@ def imported_files() -> dict[str, set[str]]:
     found = {}
     for module, path in modules.items():
         names: set[str] = set()
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):

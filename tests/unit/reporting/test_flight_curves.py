@@ -1,10 +1,12 @@
 """Curves of a single flight: clearances from the map and the log, limits, statuses, the worst moment."""
 
+import dataclasses
 import json
 
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from alula.schemas.flight_samples import Commands, Moving
 from alula.schemas.flights import Flight, flights_of
@@ -105,6 +107,21 @@ def test_a_log_tells_what_each_of_several_filters_did():
     (figure,) = flight_figures(Material("t", (run,)))
     assert "dr-acbf: command unchanged in 33 %, changed in 67 %." in figure.alt
     assert "shield" in figure.svg
+
+
+def test_a_status_that_changes_in_every_tick_is_drawn_at_once(monkeypatch):
+    """One call for each change took minutes for flights past a street."""
+    calls, draw = [], Axes.broken_barh
+    monkeypatch.setattr(
+        Axes, "broken_barh", lambda *words, **more: [calls.append(words[1]), draw(*words, **more)]
+    )
+    changing = flight()
+    changing = dataclasses.replace(
+        changing, status=tuple(("ok", "filtered")[i % 2] for i in range(len(changing.status)))
+    )
+    (figure,) = flight_figures(Material("t", (run_of(changing),)))
+    assert [len(spans) for spans in calls] == [len(changing.status)]
+    assert "changed in 49 %" in figure.alt
 
 
 def test_the_figure_marks_the_worst_moment_and_every_colour_has_one_for_the_dark():
