@@ -125,6 +125,37 @@ def test_gazebo_s_model_names_files_that_are_there(room, tmp_path):
         assert all((out / uri).is_file() for uri in uris)
 
 
+def loaded_by_drake(path):
+    """The plant of a model file; whatever Drake's parser, or the SDFormat library in it, warns of is an error."""
+    pytest.importorskip("pydrake")
+    from pydrake.geometry import SceneGraph
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import MultibodyPlant
+
+    plant, scene = MultibodyPlant(0.0), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene)
+    parser = Parser(plant)
+    parser.SetStrictParsing()
+    parser.AddModels(str(path))
+    plant.Finalize()
+    return plant
+
+
+@pytest.mark.parametrize(("kind", "name"), [("gazebo", "model.sdf"), ("urdf", "map.urdf")])
+def test_drake_loads_every_hull_without_a_warning(kind, name, room, tmp_path):
+    out = exported(room, tmp_path / "model", "--format", kind)
+    assert loaded_by_drake(out / name).num_collision_geometries() == 2
+
+
+def test_the_sdformat_library_refuses_what_its_schema_does_not_have(room, tmp_path):
+    sdf = exported(room, tmp_path / "model", "--format", "gazebo") / "model.sdf"
+    text = sdf.read_text()
+    for old, new in [("<collision", "<kollision/><collision"), (' name="hull-00001"', ""), ("true<", "no<")]:
+        sdf.write_text(text.replace(old, new, 1))
+        with pytest.raises(RuntimeError, match=r"not defined in SDF|is not specified in SDF|Error reading"):
+            loaded_by_drake(sdf)
+
+
 def voxels_of(path):
     voxels = read_artifact(path)
     return np.asarray(voxels["index"]), float(voxels.manifest.voxel_size_m)
