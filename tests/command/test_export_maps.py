@@ -126,7 +126,7 @@ def test_gazebo_s_model_names_files_that_are_there(room, tmp_path):
 
 
 def loaded_by_drake(path):
-    """The plant of a model file; a warning of Drake's parser, or of the SDFormat library in it, is an error."""
+    """The plant of a model file; warnings of Drake's parser and its SDFormat library are errors."""
     pytest.importorskip("pydrake")
     from pydrake.geometry import SceneGraph
     from pydrake.multibody.parsing import Parser
