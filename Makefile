@@ -68,6 +68,7 @@ format: setup ## format all sources
 lint: setup ## check style and formatting
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/shellcheck $$(grep -lE '^#!.*sh$$' .ci/*)
 	@$(BIN)/clang-format --dry-run -Werror $(filter-out CMakeLists.txt,$(NATIVE))
 
 typing-view: setup ## link the sources under one namespace for static tools
