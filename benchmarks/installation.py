@@ -135,10 +135,17 @@ class Environment:
     def install(self, what: str, *, constrained: bool = True) -> float:
         """Install a package, at the versions of CI if constrained; return the seconds that it took."""
         begin = time.monotonic()
-        constraints = ["-c", str(ROOT / ".ci" / "constraints.txt")] if constrained else []
+        constraints = ["-c", str(self._versions())] if constrained else []
         options = ["-q", "--disable-pip-version-check", "--no-warn-script-location", *constraints]
         subprocess.run([self.python, "-m", "pip", "install", *options, what], check=True)
         return time.monotonic() - begin
+
+    def _versions(self) -> Path:
+        """The locked versions without their hashes: the wheel that is installed with them has none."""
+        path = self.folder / "versions.txt"
+        lines = (ROOT / ".ci" / "runtime.lock").read_text().splitlines()
+        path.write_text("\n".join(line.removesuffix("\\") for line in lines if not line.startswith(" ")))
+        return path
 
     def packages(self) -> dict[str, tuple[str, float]]:
         """Version and size [MB] of each installed distribution."""

@@ -38,6 +38,13 @@ def filter_files(root: Path) -> dict[str, str]:
     return files | {page: emit_docs.with_tables((root / page).read_text(), structs) for page in PAGES}
 
 
+def keyword_files() -> dict[str, str]:
+    """What follows from the configurations: file contents by path in the checkout."""
+    from alula.schemas.configs import emit_keywords  # depends on files that `main` writes first
+
+    return {"schemas/keywords.py": emit_keywords.module()}
+
+
 def documents() -> dict[str, bytes]:
     """The JSON Schema of the manifest or record of each kind, by file name."""
     # These modules depend on files that `main` writes first.
@@ -142,6 +149,8 @@ def main() -> None:
     """Write all files."""
     root = Path(sys.argv[1])
     for name, text in filter_files(root).items():
+        (root / name).write_text(text)
+    for name, text in keyword_files().items():
         (root / name).write_text(text)
     for name, document in documents().items():
         (root / "schemas/json" / name).write_bytes(document)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+NO_WATCHDOG = "none runs on this system; if this program ends or stalls, only the vehicle's own failsafes act"
 OPEN_S = 15.0  # maximum time until the first message of the vehicle
 
 
@@ -129,7 +130,7 @@ class Contact(NamedTuple):
         said: description of the vehicle.
         changed: parameters that were set, a line each.
         trouble: why they could not be set; empty if they could.
-        watchdog: of the flight, which runs; None for a link that has none.
+        watchdog: of the flight, which runs; None for a link that has none, and where none is possible.
     """
 
     said: str
@@ -161,4 +162,7 @@ def reach(link: Link, address: str, *, quiet: bool) -> Contact:
         changed = link.prepare()
     except LinkError as error:
         trouble = str(error)
-    return Contact(said, changed, trouble, guard(link))
+    watchdog = guard(link)
+    if watchdog is None and hasattr(link, "guarded") and not quiet:
+        echo(f"watchdog: {NO_WATCHDOG}", err=True)
+    return Contact(said, changed, trouble, watchdog)

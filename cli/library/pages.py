@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from alula.cli.library.bar import quiet, shown
 from alula.cli.library.flights import Run
@@ -17,6 +17,9 @@ from alula.schemas.configs.report import ReportConfig
 from alula.schemas.configs.view import PictureConfig, ViewConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.provenance import Provenance
+
+if TYPE_CHECKING:
+    from alula.schemas.keywords import ReportFields, ViewFields
 
 _HEIGHT = 640  # of a page in a notebook [pixels]
 
@@ -85,7 +88,7 @@ def report(
     scene: Scene | str | Path | None = None,
     plan: Plan | str | Path | None = None,
     certificate: Any = None,
-    **fields: Any,
+    **fields: Unpack[ReportFields],
 ) -> Page:
     """Turn runs into a verdict, pictures, figures and tables.
 
@@ -141,7 +144,7 @@ def report(
 
 
 @keywords(ViewConfig)
-def view(*things: Result | Run | str | Path, **fields: Any) -> Page:
+def view(*things: Result | Run | str | Path, **fields: Unpack[ViewFields]) -> Page:
     """Show artifacts, runs and splat files in three dimensions.
 
     Args:

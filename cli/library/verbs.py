@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from alula.cli import runner
 from alula.cli.library.bar import shown
@@ -23,6 +23,13 @@ from alula.schemas.provenance import Provenance
 
 if TYPE_CHECKING:
     from alula.cli.library.flights import Run
+    from alula.schemas.keywords import (
+        ImportSplatFields,
+        MergeFields,
+        PlanFields,
+        ScaleAlignFields,
+        VoxelizeFields,
+    )
     from alula.stages.compression.verify import Certificate
 
 Source = Result | str | Path
@@ -62,7 +69,7 @@ def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
 
 
 @keywords(ImportSplatConfig)
-def import_splat(*splats: str | Path, **fields: Any) -> Scene:
+def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> Scene:
     """Read Gaussian splat files into a scene.
 
     Args:
@@ -107,7 +114,7 @@ def align(
     initial: str | Path | None = None,
     transform: str | Path | None = None,
     seed: int = 0,
-    **fields: Any,
+    **fields: Unpack[ScaleAlignFields],
 ) -> Scene:
     """Give a scene metric scale and a named world frame, as `alula scale-align`.
 
@@ -158,7 +165,12 @@ def align(
 
 @keywords(VoxelizeConfig)
 def voxelize(
-    scene: Source, *, tile_m: float | None = None, scheduler: str | None = None, jobs: int = 0, **fields: Any
+    scene: Source,
+    *,
+    tile_m: float | None = None,
+    scheduler: str | None = None,
+    jobs: int = 0,
+    **fields: Unpack[VoxelizeFields],
 ) -> Voxels:
     """Mark every voxel that an obstacle touches.
 
@@ -209,7 +221,7 @@ def import_voxels(source: str | Path, *, jobs: int = 0, **fields: Any) -> Voxels
 
 
 @keywords(MergeConfig)
-def merge(source: Source, *, jobs: int = 0, **fields: Any) -> Cover:
+def merge(source: Source, *, jobs: int = 0, **fields: Unpack[MergeFields]) -> Cover:
     """Cover voxels with a limited number of convex polytopes.
 
     Args:
@@ -357,7 +369,7 @@ def plan(
     mission: str | Path | None = None,
     within: Source | None = None,
     jobs: int = 0,
-    **fields: Any,
+    **fields: Unpack[PlanFields],
 ) -> Plan:
     """Find a smooth collision-free trajectory through a map.
 

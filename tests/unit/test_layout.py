@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -217,12 +218,33 @@ def test_the_top_level_is_as_the_design_card_says():
     assert {name for name in top if not name.startswith(".")} <= allowed
 
 
-def test_the_lock_has_the_versions_of_the_constraints():
-    def pins(name):
-        text = (ROOT / ".ci" / name).read_text()
-        found = re.findall(r"^([A-Za-z0-9._-]+)==([^\s;\\]+)", text, re.MULTILINE)
-        return {re.sub(r"[._-]+", "-", package).lower(): version for package, version in found}
+def test_all_locks_pin_the_same_versions_with_hashes():
+    pins = {}
+    for path in (ROOT / ".ci").glob("*.lock"):
+        blocks = re.split(r"\n(?=\S)", path.read_text().strip())
+        assert all(" --hash=sha256:" in block for block in blocks)
+        found = (re.match(r"([A-Za-z0-9._-]+)==([^\s;\\]+)", block).groups() for block in blocks)
+        pins[path.stem] = {re.sub(r"[._-]+", "-", package).lower(): version for package, version in found}
+    assert set(pins) == {"requirements", "runtime", "peers", "firmware", "firmware-build"}
+    assert len(pins["runtime"]) > 80
+    assert pins["runtime"].items() <= pins["requirements"].items()
+    for name, versions in pins.items():
+        assert pins["requirements"] == pins["requirements"] | {
+            package: version for package, version in versions.items() if package in pins["requirements"]
+        }, name
 
-    locked, constrained = pins("requirements.lock"), pins("constraints.txt")
-    assert len(locked) > 100
-    assert {name: constrained.get(name, version) for name, version in locked.items()} == locked
+
+def test_the_locks_have_every_package_that_the_project_names():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    groups = project["dependency-groups"]
+    extras = project["project"]["optional-dependencies"]
+    runtime = [
+        *project["project"]["dependencies"],
+        *(p for e in extras if e != "crazyflie" for p in extras[e]),
+    ]
+    named = {"runtime": runtime, "requirements": [*runtime, *groups["dev"]]}
+    named |= {group: groups[group] for group in ("peers", "firmware", "firmware-build")}
+    for name, packages in named.items():
+        locked = set(re.findall(r"^([\w.-]+)==", (ROOT / ".ci" / f"{name}.lock").read_text(), re.MULTILINE))
+        wanted = {re.match(r"[\w.-]+", package).group() for package in packages} - {"alula"}
+        assert wanted <= locked, name

@@ -136,8 +136,13 @@ class Watchdog:
         self._place = place
 
 
+def is_possible() -> bool:
+    """Whether the system has memory shared without a file and sockets that keep records apart: Linux does."""
+    return hasattr(os, "memfd_create") and hasattr(socket, "SOCK_SEQPACKET")
+
+
 def guard(link: Link) -> Watchdog | None:
-    """Start the watchdog of a link, after `prepare`; None for a link that has none.
+    """Start the watchdog of a link, after `prepare`; None where the link has none or none is possible.
 
     Args:
         link: to the vehicle, opened and prepared.
@@ -146,7 +151,7 @@ def guard(link: Link) -> Watchdog | None:
         LinkError: the process does not start.
     """
     guarded: Callable[[], Ward] | None = getattr(link, "guarded", None)
-    if guarded is None:
+    if guarded is None or not is_possible():
         return None
     watchdog = Watchdog(guarded())
     own = link.status.own_safety

@@ -444,6 +444,25 @@ def test_links_without_orders_of_their_own_have_none():
     assert watchdog.guard(open_link("sim:")) is None
 
 
+def test_a_system_without_what_the_watchdog_needs_flies_without_and_says_so(monkeypatch, capsys):
+    from alula.cli.fly.contact import NO_WATCHDOG, reach
+
+    class Guarded:
+        def open(self, within_s):
+            return "a vehicle"
+
+        def prepare(self):
+            return []
+
+        def guarded(self):
+            raise AssertionError("no watchdog is possible")
+
+    monkeypatch.delattr(watchdog.os, "memfd_create")
+    contact = reach(Guarded(), "udp:14550", quiet=False)
+    assert contact.watchdog is None
+    assert NO_WATCHDOG in capsys.readouterr().err
+
+
 def test_both_distances_are_said(by_rates):
     flown = Flight(by_rates, loop_words={"dry_run": True})
 
