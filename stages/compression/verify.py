@@ -291,6 +291,7 @@ def certificate_of(
     checks: list[Check],
     proven: str,
     notes: list[str],
+    below: int | None = None,
 ) -> Certificate:
     """Certificate with a verdict that names the level, the files and what they do not suffice for.
 
@@ -300,6 +301,8 @@ def certificate_of(
         checks: all results.
         proven: what holds without a scene, in words.
         notes: see `Certificate`.
+        below: number of Gaussians below the minimum opacity; None to count those of `scene`, of which else
+            only the manifest is used.
     """
     voxels, scene = files.get("voxels"), files.get("scene")
     origin = "scene" if level.imported is None else "source"
@@ -325,7 +328,7 @@ def certificate_of(
     return Certificate(
         covered=covered,
         checks=checks,
-        left_out=_left_out(level, voxels, scene, has_source=files.get("source") is not None),
+        left_out=_left_out(level, voxels, scene, below, has_source=files.get("source") is not None),
         notes=notes,
         statement=statement,
         level=recorded_level(level),
@@ -419,33 +422,38 @@ def _check_hulls(cover: Artifact, jobs: int, progress: Progress | None) -> NDArr
         raise InputError(f"this is no cover that merge makes: {error}") from error
 
 
+def _hull_words(cover: Artifact) -> tuple[str, str, str, str]:
+    """Names and details of the checks of hulls and of members."""
+    detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
+    return "hulls are exact polytopes", detail, "members lie in their hulls", "integer containment"
+
+
+def _occupied_words(is_given: bool) -> tuple[str, str]:
+    """Name and detail of the check of voxels."""
+    detail = "members are the voxels of the file" if is_given else "no voxels file: its own members"
+    return "every voxel is a member", detail
+
+
 def _hull_checks(cover: Artifact, jobs: int, progress: Progress | None) -> list[Check]:
     found = _check_hulls(cover, jobs, progress)
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
-    detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
-    exact = _fault_check(cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, detail)
+    words = _hull_words(cover)
+    exact = _fault_check(cover, words[0], hulls, found, _POLYTOPES, words[1])
     if hulls == 0:  # an empty cover proves nothing: neither voxelize nor merge writes an empty file
-        exact = _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
-    return [
-        exact,
-        _fault_check(cover, "members lie in their hulls", members, found, _MEMBERS, "integer containment"),
-    ]
+        exact = _no_hull(exact)
+    return [exact, _fault_check(cover, words[2], members, found, _MEMBERS, words[3])]
+
+
+def _no_hull(exact: Check) -> Check:
+    return _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
 
 
 def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
     members = np.ascontiguousarray(cover["member_index"])
     occupied = members if voxels is None else np.ascontiguousarray(voxels["index"])
     found = _core.check_cover_occupied(members, np.ascontiguousarray(cover["member_start"]), occupied)
-    detail = "members are the voxels of the file" if voxels is not None else "no voxels file: its own members"
-    return _fault_check(
-        cover,
-        "every voxel is a member",
-        len(occupied),
-        found,
-        (_NOT_COVERED, _NOT_OCCUPIED),
-        detail,
-        occupied,
-    )
+    name, detail = _occupied_words(voxels is not None)
+    return _fault_check(cover, name, len(occupied), found, (_NOT_COVERED, _NOT_OCCUPIED), detail, occupied)
 
 
 def _history_check(cover: Artifact) -> Check:
@@ -482,8 +490,13 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Chec
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
     )
     excess = _core.cover_excess(voxels, vertex, vertex_start, normal, offset, plane_start, jobs, progress)
-    found = 1.0 + excess / len(voxels)
-    recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    return _volume_of(cover.manifest, excess, len(voxels))
+
+
+def _volume_of(manifest: Manifest, excess: float, voxels: int) -> Check:
+    """Check the recorded conservativeness of hulls around a number of voxels against the measured excess."""
+    found = 1.0 + excess / voxels
+    recorded: float = manifest.conservativeness  # type: ignore[attr-defined]
     offences = []
     if not abs(recorded - found) <= _VOLUME_TOLERANCE * found:
         offences.append(
@@ -587,14 +600,21 @@ def _position_m(lattice: NDArray[Any], size: float) -> tuple[float, float, float
 
 
 def _left_out(
-    manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None, *, has_source: bool
+    manifest: LevelManifest,
+    voxels: Artifact | None,
+    scene: Artifact | None,
+    below: int | None,
+    *,
+    has_source: bool,
 ) -> str:
     """Obstacles and errors that the files themselves exclude, in words."""
     parts = [outside_words(manifest)]
     if manifest.min_overlap > 1:
         parts.append(f"voxels that fewer than {manifest.min_overlap} {obstacle_of(manifest)}s touch")
     if manifest.min_opacity > 0:
-        some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
+        if scene is not None and below is None:
+            below = len(scene["mean"]) - len(retained(scene, manifest.min_opacity))
+        some = "" if below is None else f"{below} "
         parts.append(f"{some}Gaussians of opacity below {exact(manifest.min_opacity)}")
     if manifest.crop is not None:
         parts.append(f"what lies outside the crop {exact(manifest.crop)} m")

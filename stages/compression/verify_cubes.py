@@ -1,4 +1,4 @@
-"""Proof of one part of a cover, in its cube of the lattice; and of the space around all parts."""
+"""Proof of a part of a cover, cell by cell of its cube of the lattice; and of the space around all parts."""
 
 from __future__ import annotations
 
@@ -14,17 +14,21 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import LevelManifest, Manifest
 from alula.schemas.parts import PartRef
+from alula.stages.compression.cell_hulls import CellHulls, HullProof, boxes_of, hull_proof, members_of_own
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.level import require_sigma
-from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, certificate_of, verify
+from alula.stages.compression.verify import LISTED, Check, Offence
 
 SCENE_CHECK = "every ellipsoid lies in the voxels"
-VOXEL_CHECK = "every voxel is a member"
+CELL_VOXELS, CELL_ELLIPSOIDS = 2**18, 2**19  # a cell with more is halved
+_MEMBERS = 2 * CELL_VOXELS  # of the hulls that count in a cell; hulls may share voxels
+_LEAST_HALVED = 32  # edge of a cell that is not halved any more, whatever it has [voxels]
+_SURE = 2.0  # a cell with so many times the limit by the boxes of the parts is halved without a look at them
 _SLACK = 1e-6  # relative; more than all roundings of a box around an ellipsoid
 
 Index = NDArray[np.int64]
 Place = tuple[int, ...]
-_AT_ONCE = 2**20  # rows of a scene that are looked at together
+_AT_ONCE = 2**18  # rows of a scene or of voxels that are looked at together
 _FAR, _KEY = 2**20, np.array([2**42, 2**21, 1])  # one number for each cell that is nearer
 _LEAST_EDGE = 16  # of a cell around the parts [voxels]
 _RING = np.array([[-1, -1, -1], [1, 1, 1]])
@@ -33,8 +37,15 @@ _RING = np.array([[-1, -1, -1], [1, 1, 1]])
 class Parted(Protocol):
     """An artifact in parts; `alula.schemas.parts.Parts` is one."""
 
-    manifest: Manifest
-    refs: tuple[PartRef, ...]
+    @property
+    def manifest(self) -> Manifest:
+        """Manifest of the whole."""
+        ...
+
+    @property
+    def refs(self) -> tuple[PartRef, ...]:
+        """References of the parts; empty for a single artifact without one."""
+        ...
 
     def __len__(self) -> int: ...
 
@@ -48,83 +59,178 @@ class Parted(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class CubeTask:
-    """The part, and what lies in its cube and next to it: all that its proof depends on."""
+class Sources:
+    """What a cover is proven against.
 
-    level: LevelManifest
-    domain: Index  # lowest and highest voxel, shape (2, 3)
-    cover: Artifact | None  # None for space without a part
-    voxels: Artifact | None
-    near: NDArray[np.int32]  # occupied voxels in the cube and around it
-    scene: Artifact | None
-    rows: NDArray[np.int64]  # of the whole scene, for each row of `scene`
-
-
-def task_of(
-    level: LevelManifest,
-    domain: Index,
-    part: Artifact | None,
-    occupied: Parted,
-    voxels: Parted | None,
-    scene: Parted | None,
-) -> CubeTask:
-    """Gather what the proof of a cube depends on.
-
-    Args:
+    Attributes:
         level: definition of an obstacle.
-        domain: lowest and highest voxel of the cube, shape (2, 3).
-        part: of the cover; None for space without a part.
         occupied: voxels, or a cover whose members they are.
         voxels: of the whole, if given.
         scene: of the whole, if given.
     """
-    near = np.empty((0, 3), np.int32)
-    if voxels is not None or scene is not None:
-        near = _occupied(level, domain + _RING, occupied)
-    mine = None
-    if voxels is not None and part is not None:
-        here = near[((near >= domain[0]) & (near <= domain[1])).all(axis=1)]
-        mine = Artifact(msgspec.structs.replace(voxels.manifest, arrays={}), {"index": here})
-    rows, some = _rows(level, domain, scene)
-    return CubeTask(level, domain, part, mine, near, some, rows)
+
+    level: LevelManifest
+    occupied: Parted
+    voxels: Parted | None
+    scene: Parted | None
 
 
-def proof_of(task: CubeTask) -> Certificate:
-    """Proof of a part, or of a cell of the space around all; runs in a worker.
+@dataclass(frozen=True, slots=True)
+class CellTask:
+    """A cell, and what lies in it and next to it: all that its proof depends on."""
+
+    level: LevelManifest
+    cube: Index  # lowest and highest voxel, shape (2, 3)
+    hulls: CellHulls | None  # None for space without a part
+    voxels: NDArray[np.int32] | None  # in the cell, if they were given
+    near: NDArray[np.int32]  # occupied voxels in the cell and around it
+    scene: Artifact | None
+    rows: NDArray[np.int64]  # of the whole scene, for each row of `scene`
+    ellipsoids: int  # that count here: each counts in one cell of its cube
+    below: int  # of these, the ones below the minimum opacity
+
+
+@dataclass(frozen=True, slots=True)
+class CellProof:
+    """Results for a cell: of its hulls and its ellipsoids, and how many of these are not opaque enough."""
+
+    hulls: HullProof | None
+    scene: Check | None
+    below: int
+
+
+def cells_of(sources: Sources, domain: Index, part: Artifact | None) -> Iterator[CellTask]:
+    """Divide a cube into cells with few voxels and ellipsoids, and gather what the proof of each depends on.
+
+    Memory does not depend on the cube: a cell with more than `CELL_VOXELS` voxels or `CELL_ELLIPSOIDS`
+    ellipsoids is halved along its longest edge. The division depends on the files alone.
 
     Args:
-        task: see `task_of`.
+        sources: what the cover is proven against.
+        domain: lowest and highest voxel of the cube, shape (2, 3).
+        part: of the cover, whose hulls are in the cube; None for space without a part.
+
+    Yields:
+        Tasks of the cells that have anything to prove.
+    """
+    boxes = None if part is None else boxes_of(part, domain)
+    waiting = [domain]
+    while waiting:
+        cube = waiting.pop()
+        may_halve = int((cube[1] - cube[0]).max()) >= 2 * _LEAST_HALVED - 1
+        task = _task(sources, domain, cube, part, boxes, may_halve=may_halve)
+        if task is None:
+            waiting += reversed(_halves(cube))
+        elif len(task.near) or len(task.rows) or (task.hulls is not None and len(task.hulls.numbers)):
+            yield task
+
+
+def _halves(cube: Index) -> list[Index]:
+    axis = int(np.argmax(cube[1] - cube[0]))
+    middle = int(cube[0][axis] + cube[1][axis]) // 2
+    low, high = cube.copy(), cube.copy()
+    low[1][axis], high[0][axis] = middle, middle + 1
+    return [low, high]
+
+
+def _task(
+    sources: Sources,
+    domain: Index,
+    cube: Index,
+    part: Artifact | None,
+    boxes: Index | None,
+    *,
+    may_halve: bool,
+) -> CellTask | None:
+    """Task of a cell; None where it must be halved."""
+    level, near = sources.level, np.empty((0, 3), np.int32)
+    if may_halve and (
+        (part is not None and boxes is not None and members_of_own(part, boxes, domain, cube) > _MEMBERS)
+        or _expected(level, cube, sources.voxels) > _SURE * CELL_VOXELS
+        or _expected(level, cube, sources.scene) > _SURE * CELL_ELLIPSOIDS
+    ):
+        return None
+    if sources.voxels is not None or sources.scene is not None:
+        found = _occupied(level, cube + _RING, sources.occupied, CELL_VOXELS if may_halve else None)
+        if found is None:
+            return None
+        near = found
+    gathered = _rows(level, domain, cube, sources.scene, CELL_ELLIPSOIDS if may_halve else None)
+    if gathered is None:
+        return None
+    here = None
+    if sources.voxels is not None and part is not None:
+        here = near[((near >= cube[0]) & (near <= cube[1])).all(axis=1)]
+    hulls = None
+    if part is not None and boxes is not None:
+        hulls = CellHulls.of(part, boxes, domain, cube)
+    return CellTask(level, cube, hulls, here, near, *gathered)
+
+
+def proof_of(task: CellTask) -> CellProof:
+    """Proof of a cell; runs in a worker.
+
+    Args:
+        task: see `cells_of`.
 
     Raises:
         InputError: see `verify`.
     """
-    files = {"cover": task.cover, "voxels": task.voxels, "scene": task.scene}
-    checks = []
-    if task.cover is not None:
-        checks = [_in_cube(task), *verify(task.cover, voxels=task.voxels, jobs=1).checks]
-    if task.scene is not None:
-        checks.append(_scene_check(task))
-    proven = "members in hulls" if task.voxels is None else "every voxel in a hull"
-    return certificate_of(task.level, files, checks, proven, [])
+    hulls = None if task.hulls is None else hull_proof(task.hulls, task.voxels)
+    return CellProof(hulls, None if task.scene is None else _scene_check(task), task.below)
 
 
-def _occupied(level: LevelManifest, cube: Index, source: Parted) -> NDArray[np.int32]:
-    """Sorted voxels of a cube: those of a file, or the members of a cover."""
+def _expected(level: LevelManifest, cube: Index, source: Parted | None) -> float:
+    """Number of elements in a cube if those of each part were spread evenly over its box."""
+    if source is None:
+        return 0.0
     lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
-    found = [np.empty((0, 3), np.int32)]
+    total = 0.0
+    for number in source.touching(lower.tolist(), upper.tolist()):
+        if number >= len(source.refs):
+            return 0.0
+        ref = source.refs[number]
+        low, high = np.array(ref.lower), np.array(ref.upper)
+        inside = (np.minimum(high, upper) - np.maximum(low, lower)) / np.maximum(high - low, 1e-300)
+        total += ref.count * float(np.clip(np.where(high > low, inside, 1.0), 0.0, 1.0).prod())
+    return total
+
+
+def _occupied(
+    level: LevelManifest, cube: Index, source: Parted, most: int | None
+) -> NDArray[np.int32] | None:
+    """Sorted voxels of a cube: those of a file, or the members of a cover; None where there are too many."""
+    lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
+    found, count = [np.empty((0, 3), np.int32)], 0
     for number in source.touching(lower.tolist(), upper.tolist()):
         part = source[number]
-        index = part.arrays["index"] if "index" in part.arrays else part["member_index"]
-        found.append(index[((index >= cube[0]) & (index <= cube[1])).all(axis=1)])
+        is_cover = "index" not in part.arrays
+        index = part["member_index" if is_cover else "index"]
+        for begin in range(0, len(index), _AT_ONCE):
+            some = index[begin : begin + _AT_ONCE]
+            if not is_cover and (some[-1, 0] < cube[0, 0] or some[0, 0] > cube[1, 0]):  # sorted by x
+                continue
+            found.append(some[((some >= cube[0]) & (some <= cube[1])).all(axis=1)])
+            count += len(found[-1])
+            if most is not None and count > (2 if is_cover else 1) * most:  # hulls may share voxels
+                return None
     rows = np.concatenate(found)
     return np.ascontiguousarray(rows[np.lexsort(rows.T[::-1])])
 
 
-def _rows(level: LevelManifest, cube: Index, scene: Parted | None) -> tuple[Index, Artifact | None]:
-    """Rows of a scene whose ellipsoids may touch a cube, with their numbers; none may be missing."""
+def _rows(
+    level: LevelManifest, domain: Index, cube: Index, scene: Parted | None, most: int | None
+) -> tuple[Artifact | None, Index, int, int] | None:
+    """Rows of a scene whose ellipsoids may touch a cell, with their numbers; none may be missing.
+
+    Returns:
+        The rows, their numbers, how many of them count in this cell of the domain, and how many of those are
+        below the minimum opacity; None where there are too many rows.
+    """
     if scene is None:
-        return np.empty(0, np.int64), None
-    lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
+        return None, np.empty(0, np.int64), 0, 0
+    size, count, counted, below = level.voxel_size_m, 0, 0, 0
+    lower, upper, start = cube[0] * size, (cube[1] + 1) * size, domain[0] * size
     first = np.cumsum([0, *(ref.count for ref in scene.refs)])
     near = scene.touching(
         lower.tolist(), upper.tolist(), sigma=require_sigma(level), inflation=level.inflation_m
@@ -134,16 +240,24 @@ def _rows(level: LevelManifest, cube: Index, scene: Parted | None) -> tuple[Inde
         for begin, some in _slices(scene[number]):
             low, high = boxes(level, some)
             rows = np.flatnonzero(((low <= upper) & (high >= lower)).all(axis=1))
+            # The lowest corner in the domain is in one cell, where the ellipsoid counts.
+            corner = np.maximum(low[rows], start)
+            is_here = ((corner >= lower) & ((corner < upper) | (cube[1] == domain[1]))).all(axis=1)
+            counted += int(is_here.sum())
+            below += int((some["opacity"][rows][is_here] < np.float32(level.min_opacity)).sum())
             kept.append({name: array[rows] for name, array in some.arrays.items()})
             numbers.append(first[number] + begin + rows)
+            count += len(rows)
+            if most is not None and count > most:
+                return None
     arrays = {}
     for name in sorted({name for part in kept for name in part}):
         like = next(part[name] for part in kept if name in part)
         none = [np.zeros((len(part["mean"]), *like.shape[1:]), like.dtype) for part in kept]
         arrays[name] = np.concatenate([part.get(name, zero) for part, zero in zip(kept, none, strict=True)])
-    return np.concatenate(numbers), Artifact(
-        msgspec.structs.replace(scene.manifest, arrays={}, requires=[]), arrays
-    )
+    manifest = msgspec.structs.replace(scene.manifest, arrays={}, requires=[])
+    counted = counted if _crop(level, domain) else 0
+    return Artifact(manifest, arrays), np.concatenate(numbers), counted, below
 
 
 def _slices(scene: Artifact) -> Iterator[tuple[int, Artifact]]:
@@ -166,7 +280,7 @@ def boxes(level: LevelManifest, scene: Artifact) -> tuple[NDArray[np.float64], N
     """
     mean, scale = scene["mean"].astype(np.float64), scene["scale"].astype(np.float64)
     longest, shortest = scale.max(axis=1), scale.min(axis=1)
-    sigma, grown = np.full(len(mean), level.sigma), np.full(len(mean), level.inflation_m)
+    sigma, grown = np.full(len(mean), require_sigma(level)), np.full(len(mean), level.inflation_m)
     if "loss" in scene.arrays and not level.ignore_loss:
         moved, stretched, turned = scene["loss"].astype(np.float64).T
         sigma = sigma * (1 + stretched)
@@ -176,26 +290,32 @@ def boxes(level: LevelManifest, scene: Artifact) -> tuple[NDArray[np.float64], N
     return mean - radius - slack, mean + radius + slack
 
 
-def _scene_check(task: CubeTask) -> Check:
-    """Check that the ellipsoids touch no voxel of the cube that is not occupied."""
+def _crop(level: LevelManifest, cube: Index) -> list[float]:
+    """Box in which the voxels of a cube and those next to it are checked; empty where a crop has none."""
+    size = level.voxel_size_m
+    crop = [*(cube[0] * size).tolist(), *((cube[1] + 1) * size).tolist()]
+    if level.crop is None:
+        return crop
+    crop = [
+        *(max(a, b) for a, b in zip(crop[:3], level.crop[:3], strict=True)),
+        *(min(a, b) for a, b in zip(crop[3:], level.crop[3:], strict=True)),
+    ]
+    # A crop that only touches the cube: a thin box around its face touches the same voxels.
+    thin = [a == b for a, b in zip(crop[:3], crop[3:], strict=True)]
+    if any(a > b for a, b in zip(crop[:3], crop[3:], strict=True)):
+        return []
+    return [c - t * size / 4 for c, t in zip(crop[:3], thin, strict=True)] + [
+        c + t * size / 4 for c, t in zip(crop[3:], thin, strict=True)
+    ]
+
+
+def _scene_check(task: CellTask) -> Check:
+    """Check that the ellipsoids touch no voxel of the cell that is not occupied."""
     level, scene, size = task.level, task.scene, task.level.voxel_size_m
     assert scene is not None
-    crop = [*(task.domain[0] * size).tolist(), *((task.domain[1] + 1) * size).tolist()]
-    if level.crop is not None:
-        crop = [
-            *(max(a, b) for a, b in zip(crop[:3], level.crop[:3], strict=True)),
-            *(min(a, b) for a, b in zip(crop[3:], level.crop[3:], strict=True)),
-        ]
-        # A crop that only touches the cube: a thin box around its face touches the same voxels.
-        thin = [a == b for a, b in zip(crop[:3], crop[3:], strict=True)]
-        if any(a > b for a, b in zip(crop[:3], crop[3:], strict=True)) or len(scene["mean"]) == 0:
-            crop = []
-        else:
-            crop = [c - t * size / 4 for c, t in zip(crop[:3], thin, strict=True)] + [
-                c + t * size / 4 for c, t in zip(crop[3:], thin, strict=True)
-            ]
+    crop = _crop(level, task.cube)
     if not crop or len(scene["mean"]) == 0:
-        return check_of(SCENE_CHECK, 0, [], 0, "separating planes")
+        return check_of(SCENE_CHECK, task.ellipsoids, [], 0, "separating planes")
     missing = unproven_voxels(
         scene,
         task.near,
@@ -215,7 +335,7 @@ def _scene_check(task: CubeTask) -> Check:
         place = ((x + 0.5) * size, (y + 0.5) * size, (z + 0.5) * size)
         fault, gaussian = "an ellipsoid may touch an unmarked voxel", int(task.rows[row])
         first.append(Offence(fault=fault, gaussian=gaussian, voxel=(x, y, z), place_m=place))
-    return check_of(SCENE_CHECK, len(scene["mean"]), first, missing.total, "separating planes")
+    return check_of(SCENE_CHECK, task.ellipsoids, first, missing.total, "separating planes")
 
 
 def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted) -> Iterator[Index]:
@@ -223,7 +343,7 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
 
     Args:
         level: definition of an obstacle.
-        domains: cubes of all parts, each as `CubeTask.domain`.
+        domains: cubes of all parts, each of shape (2, 3): lowest and highest voxel.
         scene: in parts.
     """
     # Cells that fit into the cubes; others are sound too, but would be checked although a cube has them.
@@ -249,19 +369,6 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
         corner = np.array(place, np.int64) * edge
         if not ((corner >= lows) & (corner + edge - 1 <= highs)).all(axis=1).any():
             yield np.stack([corner, corner + edge - 1])
-
-
-def _in_cube(task: CubeTask) -> Check:
-    """Check that the hulls of a part, and so its members, lie in its cube."""
-    assert task.cover is not None
-    vertex = task.cover["vertex"]
-    wrong = np.flatnonzero(((vertex < task.domain[0]) | (vertex > task.domain[1] + 1)).any(axis=1))
-    hull = np.searchsorted(task.cover["vertex_start"], wrong[:LISTED], side="right") - 1
-    first = [
-        Offence(fault="vertex lies outside of the part's cube", hull=int(h), vertex=int(v))
-        for h, v in zip(hull, wrong[:LISTED], strict=True)
-    ]
-    return check_of("hulls lie in the part's cube", len(vertex), first, len(wrong), "vertices")
 
 
 def check_of(name: str, checked: int, first: list[Offence], failed: int, detail: str) -> Check:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import msgspec
@@ -14,31 +16,40 @@ from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageErr
 from alula.schemas.manifest import LEVEL, CoverManifest
 from alula.schemas.parts import PartRef
 from alula.schemas.progress import Progress
+from alula.stages.compression.cell_hulls import CUBE_CHECK
 from alula.stages.compression.verify import (
     LISTED,
     Certificate,
     Check,
     Offence,
+    _files_agree,
+    _history_check,
+    _hull_words,
+    _no_hull,
+    _occupied_words,
+    _volume_of,
     certificate_of,
     notes_of,
     unclaimed,
 )
 from alula.stages.compression.verify_cubes import (
     SCENE_CHECK,
-    VOXEL_CHECK,
-    CubeTask,
+    CellProof,
+    CellTask,
     Index,
     Parted,
+    Sources,
+    cells_of,
     check_of,
     outside_cells,
     proof_of,
-    task_of,
 )
 from alula.stages.distribute import distribute
 
 VERSION = "1.2"
 OUTSIDE = "space without a part"
 _TOLERANCE = 1e-6  # of the volume, as `verify` allows for each part
+_NO_ELLIPSOID = check_of(SCENE_CHECK, 0, [], 0, "separating planes")
 
 
 class PartProof(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,31 +117,21 @@ def verify_parts(
     level = cover.manifest
     assert isinstance(level, CoverManifest)
     domains = domains_of(cover)
-    steps = len(cover) + (scene is not None)
-    tasks = (
-        task_of(level, domain, cover[number], voxels or cover, voxels, scene)
-        for number, domain in enumerate(domains)
-    )
-    proofs, parts = [], []
-    for number, proof in enumerate(_run(tasks, jobs, scheduler)):
-        ref = cover.refs[number]
+    sources = Sources(level, voxels or cover, voxels, scene)
+    cells = _Cells(cover, domains, sources)
+    proofs, parts, counts = [], [], []
+    for number, found in cells.proven(jobs, scheduler, progress):
+        if number < len(cover):
+            proof, count = part_proof(sources, cover[number], found)
+            counts.append(count)
+            ref = cover.refs[number]
+            parts.append(_entry(ref.file, ref.sha256, domains[number].tolist(), proof))
+        else:
+            around = [_NO_ELLIPSOID, *(cell.scene for cell in found if cell.scene is not None)]
+            proof = _certificate(cover, voxels, scene, [_sum_of(around)])
+            parts.append(_entry(OUTSIDE, "", [], proof))
         proofs.append(proof)
-        parts.append(_entry(ref.file, ref.sha256, domains[number].tolist(), proof))
-        if progress is not None:
-            progress(number + 1, steps)
-    counts = [_checked(proof, VOXEL_CHECK) for proof in proofs]
-    if voxels is None:
-        counts = [_unique(cover[number]) for number in range(len(cover))]
     checks = [_cubes(cover, domains, counts, voxels), _whole(cover, counts, scene)]
-    if scene is not None:
-        cells = outside_cells(level, domains, scene)
-        around = (task_of(level, cell, None, voxels or cover, voxels, scene) for cell in cells)
-        found = [check for proof in _run(around, jobs, scheduler) for check in proof.checks]
-        none = check_of(SCENE_CHECK, 0, [], 0, "separating planes")
-        proofs.append(_certificate(cover, voxels, scene, [_sum_of([none, *found])]))
-        parts.append(_entry(OUTSIDE, "", [], proofs[-1]))
-        if progress is not None:
-            progress(steps, steps)
     names = dict.fromkeys(check.name for proof in proofs for check in proof.checks)
     checks += [_sum_of([c for proof in proofs for c in proof.checks if c.name == name]) for name in names]
     whole = _certificate(cover, voxels, scene, checks)
@@ -172,32 +173,115 @@ def prove_part(
         raise CheckError("the certificate does not list this part: no entry has its SHA-256")
     level, domain = part.manifest, np.array(entry.domain, np.int64)
     assert isinstance(level, CoverManifest)
-    own = _Alone(part)
-    proof = proof_of(task_of(level, domain, part, voxels or own, voxels, scene))
+    sources = Sources(level, voxels or Alone(part), voxels, scene)
+    proof, _ = part_proof(sources, part, [proof_of(task) for task in cells_of(sources, domain, part)])
     if leaf_of(proof) != entry.certificate:
         why = proof.complaint().removeprefix("not proven: ") or "its proof is not the listed one"
         raise CheckError(f"not proven: {entry.name}: {why}")
     return proof
 
 
-class _Alone:
-    """A part without the others, as a source of voxels."""
+class Alone:
+    """One artifact as a whole in one part, of which nothing is known before it is read.
 
-    def __init__(self, part: Artifact) -> None:
-        self.manifest, self._part = part.manifest, part
+    Args:
+        artifact: scene, voxels or a part of a cover.
+    """
+
+    def __init__(self, artifact: Artifact) -> None:
+        self.manifest, self._artifact = artifact.manifest, artifact
         self.refs: tuple[PartRef, ...] = ()
 
     def __len__(self) -> int:
         return 1
 
     def __getitem__(self, number: int) -> Artifact:
-        return (self._part,)[number]
+        return (self._artifact,)[number]
 
     def touching(
         self, lower: Sequence[float], upper: Sequence[float], *, sigma: float = 0.0, inflation: float = 0.0
     ) -> list[int]:
         """Number of the part."""
         return [0]
+
+
+class _Cells:
+    """Cells of all parts and of the space around them, and their proofs."""
+
+    def __init__(self, cover: Parted, domains: Sequence[Index], sources: Sources) -> None:
+        self._cover, self._domains, self._sources = cover, domains, sources
+        self._steps = len(cover) + (sources.scene is not None)
+        self._of: deque[int] = deque()  # number of the part, of each task under way
+
+    def _tasks(self) -> Iterator[CellTask]:
+        sources = self._sources
+        for number, domain in enumerate(self._domains):
+            for task in cells_of(sources, domain, self._cover[number]):
+                self._of.append(number)
+                yield task
+        if sources.scene is not None:
+            for cell in outside_cells(sources.level, self._domains, sources.scene):
+                for task in cells_of(sources, cell, None):
+                    self._of.append(len(self._domains))
+                    yield task
+
+    def proven(
+        self, jobs: int, scheduler: str | None, progress: Progress | None
+    ) -> Iterator[tuple[int, list[CellProof]]]:
+        """Number of each part and the proofs of its cells; the space around has the number after the last."""
+        number, found = 0, []
+        for proof in _run(self._tasks(), jobs, scheduler):
+            while number < self._of[0]:
+                yield number, found
+                number, found = number + 1, []
+                if progress is not None:
+                    progress(number, self._steps)
+            self._of.popleft()
+            found.append(proof)
+        while number < self._steps:
+            yield number, found
+            number, found = number + 1, []
+        if progress is not None:
+            progress(self._steps, self._steps)
+
+
+def part_proof(sources: Sources, part: Artifact, cells: Sequence[CellProof]) -> tuple[Certificate, int]:
+    """Join the proofs of all cells of a part to its certificate, as `verify` would make it for the part.
+
+    Args:
+        sources: what the cover is proven against.
+        part: of the cover.
+        cells: proofs of its cells.
+
+    Returns:
+        The certificate, and the number of voxels in the cube, or of different members without voxels.
+    """
+    voxels, scene = (
+        None if each is None else Artifact(each.manifest, {}) for each in (sources.voxels, sources.scene)
+    )
+    hulls = [cell.hulls for cell in cells if cell.hulls is not None]
+    words, occupied = _hull_words(part), _occupied_words(voxels is not None)
+    names = [(CUBE_CHECK, "vertices"), words[:2], words[2:], occupied]
+    joined = [
+        _sum_of([check_of(name, 0, [], 0, detail), *(hull.checks[at] for hull in hulls)])
+        for at, (name, detail) in enumerate(names)
+    ]
+    members = sum(hull.members for hull in hulls)
+    checks = [joined[0], _files_agree(part, voxels, scene), _history_check(part)]
+    if len(part["vertex_start"]) < 2:
+        joined[1] = _no_hull(joined[1])
+    elif all(check.ok for check in joined) and all(hull.excess is not None for hull in hulls):
+        excess = math.fsum(hull.excess for hull in hulls if hull.excess is not None)
+        checks.append(_volume_of(part.manifest, excess, members))
+    checks += joined[1:]
+    if scene is not None:
+        of_cells = [cell.scene for cell in cells if cell.scene is not None]
+        checks.append(_sum_of([_NO_ELLIPSOID, *of_cells]))
+    proven = "members in hulls" if voxels is None else "every voxel in a hull"
+    files = {"cover": part, "voxels": voxels, "scene": scene}
+    below = None if scene is None else sum(cell.below for cell in cells)
+    proof = certificate_of(sources.level, files, checks, proven, [], below)
+    return proof, members if voxels is None else joined[3].checked
 
 
 def leaf_of(proof: Certificate) -> str:
@@ -224,7 +308,7 @@ def domains_of(cover: Parted) -> list[Index]:
     return [np.array(ref.domain, np.int64) for ref in cover.refs]
 
 
-def _run(tasks: Iterable[CubeTask], jobs: int, scheduler: str | None) -> Iterator[Certificate]:
+def _run(tasks: Iterable[CellTask], jobs: int, scheduler: str | None) -> Iterator[CellProof]:
     if scheduler is None and jobs == 1:
         return map(proof_of, tasks)
     return distribute(proof_of, tasks, jobs=jobs, processes=True, scheduler=scheduler)
@@ -232,18 +316,6 @@ def _run(tasks: Iterable[CubeTask], jobs: int, scheduler: str | None) -> Iterato
 
 def _entry(name: str, sha256: str, domain: list[list[int]], proof: Certificate) -> PartProof:
     return PartProof(name=name, sha256=sha256, domain=domain, certificate=leaf_of(proof))
-
-
-def _checked(proof: Certificate, name: str) -> int:
-    """Number of items of a check."""
-    return next(check.checked for check in proof.checks if check.name == name)
-
-
-def _unique(part: Artifact) -> int:
-    """Number of different members of all hulls."""
-    index = part["member_index"]
-    index = index[np.lexsort(index.T)]
-    return int((index[1:] != index[:-1]).any(axis=1).sum()) + min(len(index), 1)
 
 
 def _certificate(
@@ -256,11 +328,12 @@ def _certificate(
         role: None if parts is None else Artifact(parts.manifest, {})
         for role, parts in (("cover", cover), ("voxels", voxels), ("scene", scene))
     }
+    below = None
     if scene is not None and level.min_opacity > 0:  # the words count the Gaussians that are left out
-        opacity = np.concatenate([scene[number]["opacity"] for number in range(len(scene))])
-        files["scene"] = Artifact(scene.manifest, {"mean": opacity, "opacity": opacity})
+        parts = (scene[number]["opacity"] for number in range(len(scene)))
+        below = sum(int((opacity < np.float32(level.min_opacity)).sum()) for opacity in parts)
     proven = "members in hulls" if voxels is None else "every voxel in a hull"
-    return certificate_of(level, files, checks, proven, [])
+    return certificate_of(level, files, checks, proven, [], below)
 
 
 def _cubes(cover: Parted, domains: Sequence[Index], counts: Sequence[int], voxels: Parted | None) -> Check:

@@ -16,6 +16,8 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import ArtifactError, CheckError, UsageError
 from alula.schemas.kinds import SCENE, VOXELS
 from alula.schemas.parts import open_parts
+from alula.stages.compression import verify_cubes
+from alula.stages.compression import verify_parts as parts_stage
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks
 from alula.stages.compression.verify import verify
@@ -33,7 +35,10 @@ class Memory:
     def __init__(self, manifest, artifacts, domains=None):
         self.manifest, self.artifacts = manifest, list(artifacts)
         self.refs = tuple(
-            Ref(f"part-{n:05d}", hashlib.sha256(b"%d" % n).hexdigest(), len(next(iter(a.arrays.values()))), d)
+            Ref(
+                *(f"part-{n:05d}", hashlib.sha256(b"%d" % n).hexdigest(), len(next(iter(a.arrays.values())))),
+                *(d, *box_of(a)),
+            )
             for n, (a, d) in enumerate(zip(self.artifacts, domains or [None] * len(artifacts), strict=True))
         )
 
@@ -59,6 +64,14 @@ class Ref:
     sha256: str
     count: int
     domain: list | None
+    lower: list
+    upper: list
+
+
+def box_of(artifact):
+    name = next(name for name in ("mean", "index", "vertex") if name in artifact.arrays)
+    size = 1.0 if name == "mean" else artifact.manifest.voxel_size_m
+    return [(size * artifact[name].min(axis=0)).tolist(), (size * artifact[name].max(axis=0)).tolist()]
 
 
 def rows_of(scene, rows):
@@ -128,6 +141,57 @@ def test_the_proof_depends_neither_on_the_parts_of_others_nor_on_jobs(scene, vox
         assert second.covered
     assert second.merkle_root == first.merkle_root
     assert second == first
+
+
+@pytest.fixture
+def small_cells(monkeypatch):
+    """Cells of few voxels and ellipsoids, and the tasks that were made of them."""
+    made = []
+    for name, value in {"CELL_VOXELS": 60, "CELL_ELLIPSOIDS": 12, "_MEMBERS": 120, "_AT_ONCE": 64}.items():
+        monkeypatch.setattr(verify_cubes, name, value)
+    monkeypatch.setattr(verify_cubes, "_LEAST_HALVED", 4)
+    monkeypatch.setattr(
+        parts_stage, "proof_of", lambda task: made.append(task) or verify_cubes.proof_of(task)
+    )
+    return made
+
+
+@pytest.mark.parametrize("given", ["both", "scene", "nothing"])
+def test_cells_bound_what_a_proof_holds_and_do_not_change_it(scene, voxels, parts, given, request):
+    files = {"voxels": single(voxels)} if given == "both" else {}
+    files |= {} if given == "nothing" else {"scene": single(scene)}
+    at_once = verify_parts(parts, **files, jobs=1)
+    made = request.getfixturevalue("small_cells")
+    by_cells = verify_parts(parts, **files, jobs=1)
+    assert len(made) > 1.5 * len(parts)
+    for task in made:
+        if (np.ptp(task.cube, axis=0) >= 7).any():
+            assert len(task.near) <= 120
+            assert len(task.rows) <= 12
+    assert by_cells == at_once
+    assert by_cells.merkle_root == at_once.merkle_root
+
+
+def test_cells_find_what_a_whole_part_finds(scene, voxels, parts, small_cells):
+    """A missing voxel, a hull that is not exact, and a volume that is not the recorded one."""
+    lost = parts[1]["member_index"][0]
+    fewer = voxels["index"][(voxels["index"] != lost).any(axis=1)]
+    fewer = Artifact(voxels.manifest, {"index": fewer, "overlap": np.ones(len(fewer), np.uint32)})
+    proof = verify_parts(parts, voxels=single(fewer), scene=single(scene), jobs=1)
+    assert set(failing(proof)) >= {"every voxel is a member", "every ellipsoid lies in the voxels"}
+    voxel = next(c for c in proof.checks if c.name == "every voxel is a member").first[0].voxel
+    assert list(voxel) == lost.tolist()
+    offset = parts[2]["plane_offset"].copy()
+    offset[-1] -= 1
+    wrong = Artifact(parts[2].manifest, {**parts[2].arrays, "plane_offset": offset})
+    proof = verify_parts(parts.but(2, wrong), voxels=single(voxels), jobs=1)
+    assert "hulls are exact polytopes" in failing(proof)
+    first = next(c for c in proof.checks if c.name == "hulls are exact polytopes").first[0]
+    assert first.hull == len(parts[2]["plane_start"]) - 2
+    assert first.plane in (None, len(offset) - 1)
+    other = with_manifest(parts[0], conservativeness=parts[0].manifest.conservativeness + 1e-4)
+    proof = verify_parts(parts.but(0, other), voxels=single(voxels), jobs=1)
+    assert "volume is as recorded" in failing(proof)
 
 
 def test_a_missing_voxel_is_found_in_its_part_and_by_the_scene(scene, voxels, parts):
