@@ -12,6 +12,9 @@ from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
+    from alula.schemas.artifact import Artifact
+    from alula.schemas.kinds import Kind
+    from alula.schemas.parts import Parts
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
     from alula.stages.compression.verify import Certificate
@@ -128,7 +131,7 @@ def command(
     from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, read_provenance
     from alula.schemas.signing_key import read_key
-    from alula.schemas.tiles import TILES, WHOLE, is_tiles, read_tiles
+    from alula.schemas.tiles import TILES, WHOLE, is_tiles, open_tiles
     from alula.stages.compression.imported_files import read_imported
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
@@ -202,13 +205,15 @@ def command(
                 **{"plan": PLAN, "seen": SEEN, "cover": COVER},
                 **{"within": SEEN, "voxels": VOXELS, "scene": SCENE},
             }
+            # Tiles are proven with a few parts of the voxels and the scene in memory; all else as a whole.
+            open_one: Any = _open if is_tiles(proven) else read_whole
             read: dict[str, Any] = {
-                role: read_whole(path, kinds[role]) for role, path in inputs.items() if role in kinds
+                role: open_one(path, kinds[role]) for role, path in inputs.items() if role in kinds
             }
             if source is not None:
                 read["source"] = read_imported(source)
             if is_tiles(proven):
-                tiles = read_tiles(proven, None if key_path is None else read_key(key_path))
+                tiles = open_tiles(proven, None if key_path is None else read_key(key_path))
                 certificate = verify_tiles(tiles, **read, sha256=sha256, jobs=jobs, progress=progress)
             else:
                 if is_map:
@@ -233,6 +238,15 @@ def command(
         elif status == "unchanged":
             os.utime(output)
     _show(common, status, certificate)
+
+
+def _open(path: Path, kind: Kind) -> Artifact | Parts:
+    """Voxels or a scene in parts, which are not joined; all else as a whole."""
+    from alula.schemas.kinds import COVER
+    from alula.schemas.parts import open_parts
+    from alula.schemas.parts_join import read_whole
+
+    return open_parts(path, kind) if path.is_dir() and kind is not COVER else read_whole(path, kind)
 
 
 def prove(

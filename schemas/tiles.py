@@ -12,9 +12,9 @@ import hmac
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, overload
 
 import msgspec
 
@@ -167,7 +167,7 @@ class TileFiles:
     index: TilesIndex
     binary: bytes
     signature: bytes
-    images: tuple[bytes, ...]
+    images: Sequence[bytes]
     cover: Path
     is_verified: bool
 
@@ -251,6 +251,49 @@ def read_tiles_index(folder: Path) -> TilesIndex:
     return index
 
 
+class _Images(Sequence[bytes]):
+    """Images in a folder, each read and checked when it is used."""
+
+    def __init__(self, folder: Path, index: TilesIndex) -> None:
+        self._folder, self._index = folder, index
+
+    def __len__(self) -> int:
+        return len(self._index.tiles)
+
+    @overload
+    def __getitem__(self, at: int) -> bytes: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> tuple[bytes, ...]: ...
+
+    def __getitem__(self, at: int | slice) -> bytes | tuple[bytes, ...]:
+        if isinstance(at, slice):
+            return tuple(self[number] for number in range(*at.indices(len(self))))
+        tile = self._index.tiles[at]
+        raw = read_small(self._folder / tile.file, _MOST_BYTES)
+        if (
+            len(raw) != tile.bytes
+            or hashlib.sha256(raw).hexdigest() != tile.sha256
+            or zlib.crc32(raw) != tile.crc32
+        ):
+            raise DamagedError(f"{self._folder / tile.file}: is not the image that {TILES} lists")
+        return raw
+
+
+def open_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
+    """Read the index of a map in tiles, and check it; each image is read and checked when it is used.
+
+    Args:
+        folder: of the tiles.
+        key: that must have signed the index; None for any index.
+
+    Raises:
+        as `read_tiles`; those for an image when it is used.
+    """
+    index, binary, signature = _read_index(folder, key)
+    return TileFiles(index, binary, signature, _Images(folder, index), folder / WHOLE, key is not None)
+
+
 def read_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
     """Read a map in tiles, and check every byte of it against the index.
 
@@ -263,6 +306,12 @@ def read_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
         ArtifactError: the index is malformed or of a newer version, or a file is not the one that it lists.
         CheckError: the index is not signed with the key.
     """
+    found = open_tiles(folder, key)
+    return replace(found, images=tuple(found.images))
+
+
+def _read_index(folder: Path, key: bytes | None) -> tuple[TilesIndex, bytes, bytes]:
+    """Index, its bytes and its signature, after the checks of all but the images."""
     index = read_tiles_index(folder)
     binary = read_small(folder / BINARY, _MOST_BYTES)
     if binary != index.binary() or hashlib.sha256(binary).hexdigest() != index.sha256:
@@ -273,19 +322,9 @@ def read_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
             raise CheckError(f"{folder}: its index is not signed; export it with --sign")
         if not hmac.compare_digest(signature, sign(binary, key)):
             raise CheckError(f"{folder}: the signature of its index does not match the key")
-    images = []
-    for tile in index.tiles:
-        raw = read_small(folder / tile.file, _MOST_BYTES)
-        if (
-            len(raw) != tile.bytes
-            or hashlib.sha256(raw).hexdigest() != tile.sha256
-            or zlib.crc32(raw) != tile.crc32
-        ):
-            raise DamagedError(f"{folder / tile.file}: is not the image that {TILES} lists")
-        images.append(raw)
     whole = file_hash(folder / WHOLE)
     made_from = [ref.sha256 for ref in index.provenance.inputs if ref.role == "cover"]
     listed = index.provenance.summary.get("cover_sha256", *made_from)  # of a cover in parts: joined
     if whole != listed or whole[:16] != index.cover_hash:
         raise DamagedError(f"{folder / WHOLE}: is not the cover that {TILES} lists")
-    return TileFiles(index, binary, signature, tuple(images), folder / WHOLE, key is not None)
+    return index, binary, signature

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import LevelManifest, Manifest
 from alula.schemas.parts import PartRef
+from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CellHulls, HullProof, boxes_of, hull_proof, members_of_own
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.level import require_sigma
 from alula.stages.compression.verify import LISTED, Check, Offence
+from alula.stages.distribute import distribute
 
 SCENE_CHECK = "every ellipsoid lies in the voxels"
 CELL_VOXELS, CELL_ELLIPSOIDS = 2**18, 2**19  # a cell with more is halved
@@ -31,6 +33,7 @@ Place = tuple[int, ...]
 _AT_ONCE = 2**18  # rows of a scene or of voxels that are looked at together
 _FAR, _KEY = 2**20, np.array([2**42, 2**21, 1])  # one number for each cell that is nearer
 _LEAST_EDGE = 16  # of a cell around the parts [voxels]
+_FARTHEST = 2**40  # of voxels, which have 32 bits
 _RING = np.array([[-1, -1, -1], [1, 1, 1]])
 
 
@@ -56,6 +59,30 @@ class Parted(Protocol):
     ) -> list[int]:
         """Numbers of the parts whose content may touch a box."""
         ...
+
+
+class Alone:
+    """One artifact as a whole in one part, of which nothing is known before it is read.
+
+    Args:
+        artifact: scene, voxels or a part of a cover.
+    """
+
+    def __init__(self, artifact: Artifact) -> None:
+        self.manifest, self._artifact = artifact.manifest, artifact
+        self.refs: tuple[PartRef, ...] = ()
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, number: int) -> Artifact:
+        return (self._artifact,)[number]
+
+    def touching(
+        self, lower: Sequence[float], upper: Sequence[float], *, sigma: float = 0.0, inflation: float = 0.0
+    ) -> list[int]:
+        """Number of the part."""
+        return [0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,6 +396,49 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
         corner = np.array(place, np.int64) * edge
         if not ((corner >= lows) & (corner + edge - 1 <= highs)).all(axis=1).any():
             yield np.stack([corner, corner + edge - 1])
+
+
+def scene_proof(
+    level: LevelManifest, occupied: Parted, scene: Parted, jobs: int, progress: Progress | None
+) -> tuple[Check, int]:
+    """Check cell by cell that voxels contain all ellipsoids of a scene.
+
+    Args:
+        level: definition of an obstacle.
+        occupied: voxels, or a cover whose members they are.
+        scene: the scene.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total).
+
+    Returns:
+        The check, whose number is that of the Gaussians of at least the minimum opacity, and the number of
+        the others.
+    """
+    domain, below, total = _domain(level, scene)
+    cells = cells_of(Sources(level, occupied, None, scene), domain, None)
+    found = []
+    for proof in distribute(proof_of, cells, jobs=jobs):
+        assert proof.scene is not None
+        found.append(proof.scene)
+        if progress is not None:  # the number of cells is not known before
+            progress(min(sum(check.checked for check in found), total), total)
+    first = [offence for check in found for offence in check.first][:LISTED]
+    failed = sum(check.failed for check in found)
+    return check_of(SCENE_CHECK, total - below, first, failed, "separating planes"), below
+
+
+def _domain(level: LevelManifest, scene: Parted) -> tuple[Index, int, int]:
+    """Cube with all ellipsoids, the number of those below the minimum opacity, and the number of all."""
+    low, high, below, total = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
+    for number in range(len(scene)):
+        for _, some in _slices(scene[number]):
+            lower, upper = boxes(level, some)
+            low, high = np.minimum(low, lower.min(axis=0)), np.maximum(high, upper.max(axis=0))
+            below += int((some["opacity"] < np.float32(level.min_opacity)).sum())
+            total += len(lower)
+    size = level.voxel_size_m
+    ends = [np.clip(np.floor(each / size), -_FARTHEST, _FARTHEST) for each in (low, high)]
+    return np.array(ends, np.int64) + _RING, below, total
 
 
 def check_of(name: str, checked: int, first: list[Offence], failed: int, detail: str) -> Check:

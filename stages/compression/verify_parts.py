@@ -14,7 +14,6 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
 from alula.schemas.manifest import LEVEL, CoverManifest
-from alula.schemas.parts import PartRef
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CUBE_CHECK
 from alula.stages.compression.verify import (
@@ -34,6 +33,7 @@ from alula.stages.compression.verify import (
 )
 from alula.stages.compression.verify_cubes import (
     SCENE_CHECK,
+    Alone,
     CellProof,
     CellTask,
     Index,
@@ -179,30 +179,6 @@ def prove_part(
         why = proof.complaint().removeprefix("not proven: ") or "its proof is not the listed one"
         raise CheckError(f"not proven: {entry.name}: {why}")
     return proof
-
-
-class Alone:
-    """One artifact as a whole in one part, of which nothing is known before it is read.
-
-    Args:
-        artifact: scene, voxels or a part of a cover.
-    """
-
-    def __init__(self, artifact: Artifact) -> None:
-        self.manifest, self._artifact = artifact.manifest, artifact
-        self.refs: tuple[PartRef, ...] = ()
-
-    def __len__(self) -> int:
-        return 1
-
-    def __getitem__(self, number: int) -> Artifact:
-        return (self._artifact,)[number]
-
-    def touching(
-        self, lower: Sequence[float], upper: Sequence[float], *, sigma: float = 0.0, inflation: float = 0.0
-    ) -> list[int]:
-        """Number of the part."""
-        return [0]
 
 
 class _Cells:

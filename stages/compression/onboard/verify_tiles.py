@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
+from alula.schemas.manifest import LevelManifest
 from alula.schemas.progress import Progress
 from alula.schemas.tiles import Tile, TileFiles, TilesIndex
+from alula.stages.compression.onboard.columns import Columns, voxels_of
 from alula.stages.compression.onboard.image import MapImage, decode_map
 from alula.stages.compression.onboard.verify import files_agree, margin_holds, notes_of, occupied_by
 from alula.stages.compression.verify import (
@@ -25,6 +27,7 @@ from alula.stages.compression.verify import (
     _scene_check,
     certificate_of,
 )
+from alula.stages.compression.verify_cubes import Alone, Parted, scene_proof
 from alula.stages.progress import share
 
 _Boxes = NDArray[np.int64]
@@ -34,8 +37,8 @@ def verify_tiles(
     tiles: TileFiles,
     *,
     cover: Artifact | None = None,
-    voxels: Artifact | None = None,
-    scene: Artifact | None = None,
+    voxels: Artifact | Parted | None = None,
+    scene: Artifact | Parted | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
@@ -46,12 +49,15 @@ def verify_tiles(
     that is its region grown by the reach:
 
     - each voxel that meets the column lies in one of the tile's hulls, and each other voxel in a wall: so the
-      image is a map of the whole, and in the column it is one without walls;
+      image is a map of the whole, and in the column it is one without walls. Where a wall contains the box
+      of all voxels beyond a side of the column, they are not looked at one by one;
     - no wall reaches into the column;
     - with a cover, each of its hulls with a box that meets the column is contained in a hull with that box.
 
+    Time is proportional to the map. Of voxels and scenes in parts, memory holds a few parts and cells.
+
     Args:
-        tiles: that were read; `read_tiles` has compared every byte with the index.
+        tiles: that were read; every byte is compared with the index.
         cover: the `alula/cover` that the tiles were cut from.
         voxels: the `alula/voxels` that every tile must contain; without it, the members of the cover.
         scene: the `alula/scene` that the voxels must contain.
@@ -64,8 +70,12 @@ def verify_tiles(
 
     Raises:
         UsageError: neither cover nor voxels are given.
+        DamagedError: an image is not the one of the index.
+        InputError: see `verify`.
     """
-    (level, occupied), index = occupied_by(cover, voxels), tiles.index
+    (level, source), index = _occupied_by(cover, voxels), tiles.index
+    columns = Columns(source, level.voxel_size_m)
+    hulls = None if cover is None else _CoverRows(cover)
     held = 1.0 if scene is None else 0.5
     reports = share(progress, 0, held)
     found: list[list[Check]] = []
@@ -76,23 +86,57 @@ def verify_tiles(
         except ArtifactError as error:
             raise type(error)(f"{tile.file}: {error}") from error
         first = first or image
-        found.append(_tile_checks(index, tile, image, occupied, cover, jobs))
+        found.append(_tile_checks(index, tile, image, columns, hulls, jobs))
         if reports is not None:
             reports(number + 1, len(index.tiles))
     assert first is not None
-    checks = [files_agree(first, cover, voxels, scene)]
+    whole = {"cover": cover, "voxels": _whole(voxels), "scene": _whole(scene)}
+    checks = [files_agree(first, **whole)]
     checks += [_joined(index, same) for same in zip(*found, strict=True)]
+    below = None
     if scene is not None:
-        checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
+        ellipsoids, below = _ellipsoids(level, source, scene, jobs, share(progress, held, 1))
+        checks.append(ellipsoids)
     what = "member of the cover" if voxels is None else "voxel"
     certificate = certificate_of(
         level,
-        {"cover": cover, "voxels": voxels, "scene": scene},
+        whole,
         checks,
         f"every {what} in a hull or a wall of each of {len(index.tiles)} tiles",
         notes_of(first, (sha256 or {}).get("cover")) + _signature_note(tiles),
+        below,
     )
     return msgspec.structs.replace(certificate, given=["tiles", *certificate.given])
+
+
+def _whole(files: Artifact | Parted | None) -> Artifact | None:
+    return files if files is None or isinstance(files, Artifact) else Artifact(files.manifest, {})
+
+
+def _occupied_by(cover: Artifact | None, voxels: Artifact | Parted | None) -> tuple[LevelManifest, Parted]:
+    """Level and voxels that the tiles must contain: see `occupied_by`; of parts there may be any number."""
+    if voxels is None or isinstance(voxels, Artifact):
+        level, _ = occupied_by(cover, voxels)
+        source = cover if voxels is None else voxels
+        assert source is not None
+        return level, Alone(source)
+    assert isinstance(voxels.manifest, LevelManifest)
+    return voxels.manifest, voxels
+
+
+def _ellipsoids(
+    level: LevelManifest,
+    occupied: Parted,
+    scene: Artifact | Parted,
+    jobs: int,
+    progress: Progress | None,
+) -> tuple[Check, int]:
+    """Check that the voxels contain the ellipsoids, and count the Gaussians below the minimum opacity."""
+    if isinstance(scene, Artifact) and isinstance(occupied, Alone):
+        check = _scene_check(level, scene, voxels_of(occupied[0]), jobs, progress)
+        return check, len(scene["mean"]) - check.checked
+    ellipsoids = Alone(scene) if isinstance(scene, Artifact) else scene
+    return scene_proof(level, occupied, ellipsoids, jobs, progress)
 
 
 def _signature_note(tiles: TileFiles) -> list[str]:
@@ -102,41 +146,76 @@ def _signature_note(tiles: TileFiles) -> list[str]:
     return [f"the signature of the index {signed}"]
 
 
+class _CoverRows:
+    """Hulls of a cover: those within reach of a tile are found among those within reach of its row."""
+
+    def __init__(self, cover: Artifact) -> None:
+        self.cover = cover
+        vertex, start = np.asarray(cover["vertex"]), np.asarray(cover["vertex_start"])
+        self._lower = np.minimum.reduceat(vertex[:, :2], start[:-1], axis=0)
+        self._upper = np.maximum.reduceat(vertex[:, :2], start[:-1], axis=0)
+        self._row: tuple[int, int, NDArray[np.int64]] = (0, -1, np.empty(0, np.int64))
+
+    def within(self, low: _Boxes, high: _Boxes) -> NDArray[np.int64]:
+        """Numbers of the hulls whose boxes meet a column."""
+        ends = int(low[1]), int(high[1])
+        if self._row[:2] != ends:
+            is_near = (self._lower[:, 1] <= ends[1]) & (self._upper[:, 1] >= ends[0])
+            self._row = (*ends, np.flatnonzero(is_near))
+        rows = self._row[2]
+        return rows[(self._lower[rows, 0] <= high[0]) & (self._upper[rows, 0] >= low[0])]
+
+
 def _tile_checks(
     index: TilesIndex,
     tile: Tile,
     image: MapImage,
-    occupied: NDArray[np.int32],
-    cover: Artifact | None,
+    columns: Columns,
+    hulls: _CoverRows | None,
     jobs: int,
 ) -> list[Check]:
     low, high = (np.array(ends, np.int64) for ends in index.loaded(tile))
     # At the rim the region has no end, and no hull lies beyond: there the column reaches as far as the hulls.
-    hulls = len(image) - tile.walls
-    kept = image.plane_start[hulls] if hulls >= 0 else 0
+    count = len(image) - tile.walls
+    kept = image.plane_start[count] if count >= 0 else 0
     inside = (
-        *(image.lower[:hulls], image.upper[:hulls], image.normal[:kept], image.offset[:kept]),
-        image.plane_start[: hulls + 1],
+        *(image.lower[:count], image.upper[:count], image.normal[:kept], image.offset[:kept]),
+        image.plane_start[: count + 1],
     )
-    walls = np.hstack([image.lower[hulls:], image.upper[hulls:]]).astype(np.int64)
+    walls = np.hstack([image.lower[count:], image.upper[count:]]).astype(np.int64)
     checks = [margin_holds(image), _fits_index(index, tile, image)]
-    near = ((occupied[:, :2] <= high) & (occupied[:, :2] + 1 >= low)).all(axis=1)
-    rows = np.flatnonzero(near)
-    outside = rows[_core.check_map_voxels(*inside, np.ascontiguousarray(occupied[rows]), jobs, None)]
-    checks.append(_voxels("voxels within reach in hulls", index, occupied, outside, len(rows)))
-    far = np.flatnonzero(~near)
-    in_wall = np.zeros(len(far), bool)
-    for wall in walls:
-        in_wall |= ((occupied[far] >= wall[:3]) & (occupied[far] + 1 <= wall[3:])).all(axis=1)
-    checks.append(_voxels("all other voxels in walls", index, occupied, far[~in_wall], len(far)))
+    near = np.ascontiguousarray(columns.near(low, high))
+    outside = near[_core.check_map_voxels(*inside, near, jobs, None)]
+    size, total = index.voxel_size_m, columns.count
+    checks.append(_voxels("voxels within reach in hulls", size, total, outside, len(near)))
+    outside = _beyond_walls(columns, walls, low, high)
+    checks.append(_voxels("all other voxels in walls", size, total, outside, total - len(near)))
     apart = (walls[:, 3:5] <= low).any(axis=1) | (walls[:, :2] >= high).any(axis=1)
     offences = [
-        Offence(fault="a wall reaches into the column", hull=hulls + int(w)) for w in np.flatnonzero(~apart)
+        Offence(fault="a wall reaches into the column", hull=count + int(w)) for w in np.flatnonzero(~apart)
     ]
     checks.append(_check("walls beyond the reach", len(walls), offences, len(offences), "of each tile"))
-    if cover is not None:
-        checks.append(_hulls_within(cover, inside, low, high))
+    if hulls is not None:
+        checks.append(_hulls_within(hulls.cover, inside, hulls.within(low, high)))
     return checks
+
+
+def _beyond_walls(columns: Columns, walls: _Boxes, low: _Boxes, high: _Boxes) -> NDArray[np.int32]:
+    """Voxels that neither touch the column nor lie in a wall, shape (M, 3).
+
+    A wall contains the box of all voxels beyond a side exactly if it contains them all.
+    """
+    sides = columns.beyond(low, high)
+    if all(((walls[:, :3] <= box[0]) & (box[1] <= walls[:, 3:])).all(axis=1).any() for box in sides):
+        return np.empty((0, 3), np.int32)
+    found = [np.empty((0, 3), np.int32)]
+    for index in columns:
+        far = index[~((index[:, :2] <= high) & (index[:, :2] + 1 >= low)).all(axis=1)]
+        in_wall = np.zeros(len(far), bool)
+        for wall in walls:
+            in_wall |= ((far >= wall[:3]) & (far + 1 <= wall[3:])).all(axis=1)
+        found.append(far[~in_wall])
+    return np.concatenate(found)
 
 
 def _fits_index(index: TilesIndex, tile: Tile, image: MapImage) -> Check:
@@ -153,14 +232,12 @@ def _fits_index(index: TilesIndex, tile: Tile, image: MapImage) -> Check:
     return _check("images fit the index", 1, faults, len(faults), "lattice, cover, numbers of hulls")
 
 
-def _voxels(
-    name: str, index: TilesIndex, occupied: NDArray[np.int32], outside: NDArray[np.int64], checked: int
-) -> Check:
+def _voxels(name: str, size_m: float, total: int, outside: NDArray[np.int32], checked: int) -> Check:
     first = [
-        Offence(fault="voxel is in none", place_m=_position_m(occupied[row] + 0.5, index.voxel_size_m))
-        for row in outside[:LISTED].tolist()
+        Offence(fault="voxel is in none", place_m=_position_m(voxel + 0.5, size_m))
+        for voxel in outside[:LISTED]
     ]
-    if len(occupied) == 0:  # an empty set proves nothing
+    if total == 0:  # an empty set proves nothing
         return _check(name, 0, [Offence(fault="there is no voxel")], 1, "integers")
     return _check(name, checked, first, len(outside), "integer containment, after quantisation")
 
@@ -170,14 +247,10 @@ def _hulls_within(
     inside: tuple[
         NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]
     ],
-    low: _Boxes,
-    high: _Boxes,
+    rows: NDArray[np.int64],
 ) -> Check:
     """Check that the hulls of the cover within reach are contained in hulls of the image with their boxes."""
     vertex, start = np.asarray(cover["vertex"]), np.asarray(cover["vertex_start"])
-    lower = np.minimum.reduceat(vertex[:, :2], start[:-1], axis=0)
-    upper = np.maximum.reduceat(vertex[:, :2], start[:-1], axis=0)
-    rows = np.flatnonzero(((lower <= high) & (upper >= low)).all(axis=1))
     sizes = np.diff(start)[rows]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     picked = np.arange(starts[-1]) + np.repeat(start[rows] - starts[:-1], sizes)

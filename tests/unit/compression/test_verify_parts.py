@@ -64,14 +64,15 @@ class Ref:
     sha256: str
     count: int
     domain: list | None
-    lower: list
-    upper: list
+    lower: tuple
+    upper: tuple
 
 
 def box_of(artifact):
     name = next(name for name in ("mean", "index", "vertex") if name in artifact.arrays)
-    size = 1.0 if name == "mean" else artifact.manifest.voxel_size_m
-    return [(size * artifact[name].min(axis=0)).tolist(), (size * artifact[name].max(axis=0)).tolist()]
+    rows = artifact[name] if len(artifact[name]) else np.zeros((1, 3))
+    rows = rows * (1.0 if name == "mean" else artifact.manifest.voxel_size_m)
+    return rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
 
 
 def rows_of(scene, rows):
