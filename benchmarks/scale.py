@@ -15,12 +15,17 @@ all its processes, and the peak of the memory of all of them together and of the
   map, on ways across the city.
 
     python benchmarks/scale.py --quick --json            # a generated city, under a minute
-    python benchmarks/scale.py --millions 1 3 10 --folder build/scale --markdown docs/scale.md
+    python benchmarks/scale.py --millions 1 3 10 30 100 --folder build/scale --markdown docs/scale.md
+
+With --folder, the figures of each finished step are written there at once, and files that no later step needs
+are removed. After an interruption the same command continues with the first step that is not finished; when
+all are, it only writes the page again.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import shutil
@@ -56,6 +61,7 @@ PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 GAUSSIANS_PER_HULL = 500
 STEPS = ("import-splat", "scale-align", "voxelize", "merge", "verify", "export", "verify tiles")
 WITH_WORKERS = ("import-splat", "voxelize", "merge", "verify")
+_OFTEN_S, _RARELY_S, _LONG_S = 0.05, 0.5, 30.0  # intervals of looks at the memory; rarely after so long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +110,7 @@ def run_command(words: Sequence[str], accept: tuple[int, ...] = (0,)) -> Cost:
     cost, done = Cost(), threading.Event()
 
     def watch() -> None:
-        while not done.wait(0.05):
+        while not done.wait(_OFTEN_S if time.monotonic() - begin < _LONG_S else _RARELY_S):
             sizes = _resident_mb(process.pid)
             cost.peak_mb = max(cost.peak_mb, sum(sizes))
             cost.largest_mb = max(cost.largest_mb, max(sizes, default=0.0))
@@ -158,37 +164,96 @@ class Row:
         return max(cost.peak_mb for cost in self.cost.values())
 
 
-def pass_through(folder: Path, made: city.City, setting: Setting, workers: int, *, tiles: bool = True) -> Row:
-    """Take a city from its files to verified tile maps."""
+class Record:
+    """Figures of the finished steps of a city, in a file beside its files."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.values: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+
+    def keep(self, name: str, value: Any) -> Any:
+        """Write a value."""
+        self.values[name] = value
+        fresh = self._path.with_suffix(".tmp")
+        fresh.write_text(json.dumps(self.values, indent=1))
+        fresh.replace(self._path)
+        return value
+
+    def cost(self, name: str) -> Cost | None:
+        """Figures of a finished step."""
+        return Cost(**self.values[name]) if name in self.values else None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A command, and the files that no later one needs."""
+
+    words: list[str]
+    removed: tuple[str, ...] = ()
+
+
+def steps_of(
+    folder: Path, files: Sequence[str], gaussians: int, setting: Setting, workers: int
+) -> dict[str, Step]:
+    """Commands from the files of a city to verified tile maps."""
     jobs = ("--jobs", str(workers))
     scene, metric, voxels, cover, tiled = (
         str(folder / name)
         for name in ("city.scene", "city.metric.scene", "city.voxels", "city.cover", "city.tiles")
     )
-    steps: dict[str, list[str]] = {
-        "import-splat": [
-            *("import-splat", *map(str, made.files), "-o", scene, "--min-opacity", "0.1", *jobs)
-        ],
-        "scale-align": ["scale-align", scene, "-o", metric, "--scale", "1", *jobs],
-        "voxelize": [
-            *("voxelize", metric, "-o", voxels, "--size", str(setting.voxel_m), "--ignore-loss", *jobs)
-        ],
-        "merge": [
-            *("merge", voxels, "-o", cover, "--block", str(setting.block_m), *jobs),
-            *("--hulls", str(max(1, made.gaussians // GAUSSIANS_PER_HULL))),
-        ],
-        "verify": ["verify", cover, "--voxels", voxels, "--scene", metric, *jobs],
-        "export": [
-            *("export", cover, "-o", tiled, "--tiles", str(setting.tile_m), "--reach", str(setting.reach_m))
-        ],
-        "verify tiles": ["verify", tiled, "--voxels", voxels, "--scene", metric, *jobs],
+    hulls = str(max(1, gaussians // GAUSSIANS_PER_HULL))
+    size, block = str(setting.voxel_m), str(setting.block_m)
+    lengths = ("--tiles", str(setting.tile_m), "--reach", str(setting.reach_m))
+    opaque, unscaled = ("--min-opacity", "0.1"), ("--scale", "1")
+    proof = ("--voxels", voxels, "--scene", metric, *jobs)
+    return {
+        "import-splat": Step(["import-splat", *files, "-o", scene, *opaque, *jobs, "-f"], ("files",)),
+        "scale-align": Step(["scale-align", scene, "-o", metric, *unscaled, *jobs, "-f"], ("city.scene",)),
+        "voxelize": Step(["voxelize", metric, "-o", voxels, "--size", size, "--ignore-loss", *jobs, "-f"]),
+        "merge": Step(["merge", voxels, "-o", cover, "--block", block, *jobs, "--hulls", hulls, "-f"]),
+        "verify": Step(["verify", cover, *proof]),
+        "export": Step(["export", cover, "-o", tiled, *lengths, "-f"], ("city.cover",)),
+        "verify tiles": Step(["verify", tiled, *proof], ("city.metric.scene", "city.voxels", "city.tiles")),
     }
+
+
+def pass_through(
+    folder: Path, gaussians: int, sources: Any, setting: Setting, workers: int, *, keep: bool
+) -> Row:
+    """Take a city from its files to verified tile maps, from the first step that is not finished.
+
+    Args:
+        folder: of the city.
+        gaussians: wanted number.
+        sources: templates of the cells.
+        setting: what the city is made into.
+        workers: number of jobs.
+        keep: keep the voxels and the tiles.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    record = Record(folder / "record.json")
+    if "city" not in record.values:
+        made = city.write_city(folder / "files", gaussians, sources)
+        found = {"files": [str(path) for path in made.files], "gaussians": made.gaussians}
+        record.keep("city", found | {"area_km2": made.area_km2})
+    whole = record.values["city"]
     cost = {}
-    for name, words in steps.items():
-        if not tiles and name in ("export", "verify tiles"):
-            continue
-        cost[name] = run_command([*words, "-f"] if name not in ("verify", "verify tiles") else words)
-    return Row(made.gaussians, made.area_km2, workers, cost)
+    for name, step in steps_of(folder, whole["files"], whole["gaussians"], setting, workers).items():
+        found_cost = record.cost(name)
+        if found_cost is None:
+            found_cost = run_command(step.words)
+            record.keep(name, dataclasses.asdict(found_cost))
+            print(
+                f"{whole['gaussians'] / 1e6:.2f} million, {workers} workers, {name}:"
+                f" {found_cost.cpu_s:.0f} CPU s, {found_cost.wall_s:.0f} s, {found_cost.peak_mb:.0f} MB",
+                file=sys.stderr,
+                flush=True,
+            )
+        for left in step.removed:
+            if not (keep and left in ("city.voxels", "city.tiles")):
+                shutil.rmtree(folder / left, ignore_errors=True)
+        cost[name] = found_cost
+    return Row(whole["gaussians"], whole["area_km2"], workers, cost)
 
 
 def mismatches(folder: Path, ways: int, seed: int = 0) -> dict[str, int]:
@@ -263,10 +328,10 @@ def slope(rows: Sequence[Row]) -> float:
     return float(np.polyfit(count, seconds, 1)[0])
 
 
-def efficiency(one: Row, two: Row) -> float:
-    """Elapsed time with one worker over twice that with two, of the steps that have workers."""
+def efficiency(one: Row, other: Row, workers: int) -> float:
+    """Elapsed time with one worker over that with several times their number, of the steps with workers."""
     return sum(one.cost[name].wall_s for name in WITH_WORKERS) / (
-        2 * sum(two.cost[name].wall_s for name in WITH_WORKERS)
+        workers * sum(other.cost[name].wall_s for name in WITH_WORKERS)
     )
 
 
@@ -279,30 +344,27 @@ def measured(
     sources = city.templates(Path(data) if data and not quick else None)
     rows: list[Row] = []
     for count in sizes:
-        for workers in (2,) if count != sizes[0] else (1, 2):
-            place = folder / f"{count / 1e6:g}-{workers}"
-            shutil.rmtree(place, ignore_errors=True)
-            made = city.write_city(place / "files", int(count), sources)
-            rows.append(pass_through(place, made, setting, workers))
-            print(
-                f"{count / 1e6:g} million, {workers} workers: {rows[-1].total('wall_s'):.0f} s",
-                file=sys.stderr,
-            )
-            if count != sizes[0]:
-                shutil.rmtree(place / "files")
+        for workers in (2,) if count != sizes[0] else (1, 2) if quick else (1, 2, 4):
+            place, is_first = folder / f"{count / 1e6:g}-{workers}", count == sizes[0] and workers == 2
+            rows.append(pass_through(place, int(count), sources, setting, workers, keep=is_first))
     first = folder / f"{sizes[0] / 1e6:g}-2"
+    by_workers = {row.workers: row for row in rows if row.gaussians == rows[0].gaussians}
     on_two = [row for row in rows if row.workers == 2]
+    record = Record(first / "record.json")
+    if "compared" not in record.values:
+        hulls = max(1, on_two[0].gaussians // GAUSSIANS_PER_HULL)
+        ratio = excess_ratio(first / "city.voxels", setting.block_m / 2, hulls)
+        record.keep("compared", {"ratio": ratio, **mismatches(first / "city.tiles", 10 if quick else 60)})
+    compared = dict(record.values["compared"])
     figures: dict[str, Any] = {
         "seconds_per_million": on_two[-1].total("cpu_s") / on_two[-1].gaussians * 1e6,
         "growth_exponent": slope(on_two),
         "peak_mb": on_two[0].peak_mb,
         "peak_mb_at_four_times" if sizes[-1] == 4 * sizes[0] else "peak_mb_at_largest": on_two[-1].peak_mb,
-        "excess_blocks_over_single": excess_ratio(
-            first / "city.voxels", setting.block_m / 2, max(1, on_two[0].gaussians // GAUSSIANS_PER_HULL)
-        ),
+        "excess_blocks_over_single": compared.pop("ratio"),
         "uncovered_voxels": sum(uncovered(row) for row in rows),
-        "efficiency_2_workers": efficiency(rows[0], rows[1]),
-        **mismatches(first / "city.tiles", 10 if quick else 60),
+        **{f"efficiency_{n}_workers": efficiency(rows[0], row, n) for n, row in by_workers.items() if n > 1},
+        **compared,
     }
     return rows, figures, source
 

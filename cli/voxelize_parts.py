@@ -40,18 +40,18 @@ def voxelize_parts(
     """
     from alula.schemas.kinds import VOXELS
     from alula.stages.compression.voxelize import tile_edge
-    from alula.stages.compression.voxelize_parts import EDGE, voxelize_whole
+    from alula.stages.compression.voxelize_parts import BLOCK_ELLIPSOIDS, EDGE, voxelize_whole
 
-    edge = EDGE if tile_m is None else tile_edge(tile_m, config.size_m)
+    edge, most = (EDGE, BLOCK_ELLIPSOIDS) if tile_m is None else (tile_edge(tile_m, config.size_m), None)
 
     def into_parts(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
-        with _voxelizer(scene, config, edge, writer.folder) as voxelizer:
+        with _voxelizer(scene, config, edge, most, writer.folder) as voxelizer:
             for part in _parts(voxelizer, writer.folder, scheduler, common.jobs, progress):
                 writer.take(part)
             return writer.whole(recorded, **voxelizer.whole(len(writer)))
 
     def into_one(progress: Progress) -> Artifact:
-        with _voxelizer(scene, config, edge, common.output.parent) as voxelizer:
+        with _voxelizer(scene, config, edge, most, common.output.parent) as voxelizer:
             return voxelize_whole(voxelizer, common.jobs, scheduler, progress)
 
     if is_parted(common.output, VOXELS.folder_suffix):
@@ -63,7 +63,7 @@ def voxelize_parts(
 
 @contextmanager
 def _voxelizer(
-    scene: Path, config: VoxelizeConfig, edge: int, folder: Path | None
+    scene: Path, config: VoxelizeConfig, edge: int, most: int | None, folder: Path | None
 ) -> Iterator[BlockVoxelizer]:
     """Context with a voxelizer, whose temporary files are in a folder; errors name the scene."""
     from alula.schemas.kinds import SCENE
@@ -73,7 +73,7 @@ def _voxelizer(
     parts = open_parts(scene, SCENE)
     try:
         with tempfile.TemporaryDirectory(prefix=".rows-", dir=folder) as scratch:
-            yield BlockVoxelizer(config, parts, edge, Path(scratch))
+            yield BlockVoxelizer(config, parts, edge, Path(scratch), most)
     except OutputError:
         raise
     except (InputError, InfeasibleError) as error:

@@ -18,7 +18,7 @@ class Block:
     """A cube of the lattice that Gaussians may touch.
 
     Attributes:
-        number: rank among all blocks in lexicographic order.
+        number: rank among all blocks in lexicographic order of their lowest voxels.
         lower: lowest voxel.
         upper: highest voxel.
         rows: for each part that touches the block its number, and where its rows begin and end in the
@@ -103,16 +103,16 @@ def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> Box:
     return lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]
 
 
-def along_a_curve(blocks: Sequence[Block], edge: int) -> list[Block]:
+def along_a_curve(blocks: Sequence[Block]) -> list[Block]:
     """Blocks in the order of a Z-order curve, along which the parts of the scene change seldom.
 
     Args:
         blocks: in any order.
-        edge: of a block [voxels].
     """
     if not blocks:
         return []
     lowest = np.min([block.lower for block in blocks], axis=0)
+    edge = min(high - low + 1 for block in blocks for low, high in zip(block.lower, block.upper, strict=True))
 
     def place(block: Block) -> int:
         cell = [(c - low) // edge for c, low in zip(block.lower, lowest.tolist(), strict=True)]

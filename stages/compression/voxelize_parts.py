@@ -38,6 +38,8 @@ from alula.stages.distribute import distribute
 from alula.stages.progress import share
 
 EDGE = 512  # voxels, of a block
+BLOCK_ELLIPSOIDS = 2**20  # a block that more may touch is halved, unless its edge is given
+_LEAST_EDGE = 16  # voxels, of a block that is not halved any more
 ASSIGNED = 0.15  # fraction of the time in which ellipsoids are assigned to blocks
 _CACHED = 3  # parts of the scene that are kept
 _NOTABLE = 0.25  # fraction of the voxels; a Gaussian that fills more is named
@@ -54,6 +56,7 @@ class _Work:
 
 
 _Marked = tuple[Block, NDArray[np.int32], NDArray[np.uint32], NDArray[np.uint8], int, int]
+_RowsOf = list[tuple[int, int, int]]  # see `Block.rows`
 
 
 class BlockVoxelizer:
@@ -68,6 +71,8 @@ class BlockVoxelizer:
         scene: an `alula/scene` in metres.
         edge: of a block [voxels].
         scratch: folder for the rows of each block, 4 bytes per Gaussian and block that it touches.
+        most: a block that more ellipsoids may touch is divided into eight of half the edge, and so on; None
+            for blocks of one edge.
 
     Attributes:
         config: the configuration.
@@ -77,10 +82,12 @@ class BlockVoxelizer:
         InputError: the scene is not metric.
     """
 
-    def __init__(self, config: VoxelizeConfig, scene: Parts, edge: int, scratch: Path) -> None:
+    def __init__(
+        self, config: VoxelizeConfig, scene: Parts, edge: int, scratch: Path, most: int | None = None
+    ) -> None:
         assert isinstance(scene.manifest, SceneManifest)
         self.config, self._scene, self._manifest = config, scene, scene.manifest
-        self._edge, self._scratch = edge, scratch
+        self._edge, self._scratch, self._most = edge, scratch, most
         self._sigma, self._inflation = level_for(config, scene.manifest)
         self._is_lossy = "loss" in scene.manifest.arrays and not config.ignore_loss
         self._cache: OrderedDict[int, Artifact] = OrderedDict()
@@ -93,13 +100,13 @@ class BlockVoxelizer:
             progress: called with (done, total).
 
         Returns:
-            Blocks that an ellipsoid may touch, in lexicographic order.
+            Blocks that an ellipsoid may touch, in lexicographic order of their lowest voxels.
 
         Raises:
             InputError: a part is damaged, or there are too many blocks.
             InfeasibleError: no Gaussian has the minimum opacity.
         """
-        found: dict[Corner, list[tuple[int, int, int]]] = {}
+        found: dict[Corner, _RowsOf] = {}
         tally, config = self.tally, self.config
         needed = self._needed()
         for number, ref in enumerate(self._scene.refs):
@@ -111,11 +118,10 @@ class BlockVoxelizer:
             tally.gaussians += len(part["mean"])
             tally.retained += len(rows)
             if len(rows):
-                mine = ellipsoids_of(config, part, rows, self._sigma, self._inflation)
-                if self._is_lossy and mine.loss is None:  # bounds of rows with a loss of 0 are rounded up
-                    mine = dataclasses.replace(mine, loss=np.zeros_like(mine.mean))
+                mine = self._ellipsoids(part, rows)
                 self._note_largest(mine, number, rows)
-                for tile, begin, end in self._assign(mine, number, rows):
+                tiles = self._assign(mine, number, rows, self._edge)
+                for tile, begin, end in tiles:
                     found.setdefault(tile, []).append((number, begin, end))
                 if config.crop is not None:
                     tally.reach[number] = np.zeros(len(part["mean"]), np.uint8)
@@ -124,12 +130,47 @@ class BlockVoxelizer:
         if tally.retained == 0:
             raise InfeasibleError(f"no Gaussian has an opacity of at least {exact(config.min_opacity)}")
         lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
-        blocks = []
-        for number, tile in enumerate(sorted(found)):
-            corners = np.clip([[c * self._edge, (c + 1) * self._edge - 1] for c in tile], lowest, highest)
-            lower, upper = (tuple(corner) for corner in corners.T.tolist())
-            blocks.append(Block(number, lower, upper, tuple(found[tile])))
-        return blocks
+        cubes = []
+        for edge, corner, rows_of in self._divided(found):
+            ends = np.clip([[c * edge, (c + 1) * edge - 1] for c in corner], lowest, highest).T.tolist()
+            cubes.append((tuple(ends[0]), tuple(ends[1]), tuple(rows_of)))
+        return [Block(number, *cube) for number, cube in enumerate(sorted(cubes))]
+
+    def _divided(self, found: dict[Corner, _RowsOf]) -> Iterator[tuple[int, Corner, _RowsOf]]:
+        """Edge, corner in units of the edge, and rows of all blocks, after those with too many are halved."""
+        edge = self._edge
+        while True:
+            large = {
+                corner: rows_of
+                for corner, rows_of in found.items()
+                if self._most is not None
+                and edge >= 2 * _LEAST_EDGE
+                and edge % 2 == 0
+                and sum(end - begin for _, begin, end in rows_of) > self._most
+            }
+            yield from ((edge, corner, rows) for corner, rows in found.items() if corner not in large)
+            if not large:
+                return
+            edge //= 2
+            by_part: dict[int, list[tuple[int, int]]] = {}
+            for rows_of in large.values():
+                for number, begin, end in rows_of:
+                    by_part.setdefault(number, []).append((begin, end))
+            found = {}
+            for number, spans in sorted(by_part.items()):
+                rows = np.unique(np.concatenate([self._rows(number, *span) for span in spans]))
+                mine = self._ellipsoids(self._part(number), rows.astype(np.intp))
+                for corner, begin, end in self._assign(mine, number, rows.astype(np.intp), edge):
+                    x, y, z = corner
+                    if (x // 2, y // 2, z // 2) in large:
+                        found.setdefault(corner, []).append((number, begin, end))
+
+    def _ellipsoids(self, part: Artifact, rows: NDArray[np.intp]) -> Ellipsoids:
+        """Ellipsoids of rows of a part."""
+        mine = ellipsoids_of(self.config, part, rows, self._sigma, self._inflation)
+        if self._is_lossy and mine.loss is None:  # bounds of rows with a loss of 0 are rounded up
+            mine = dataclasses.replace(mine, loss=np.zeros_like(mine.mean))
+        return mine
 
     def _needed(self) -> set[int]:
         """Parts to read: those that may touch the crop, or all where the opacities count."""
@@ -140,15 +181,18 @@ class BlockVoxelizer:
         return set(self._scene.touching(crop[:3], crop[3:], **level))
 
     def _assign(
-        self, mine: Ellipsoids, number: int, rows: NDArray[np.intp]
+        self, mine: Ellipsoids, number: int, rows: NDArray[np.intp], edge: int
     ) -> Iterator[tuple[Corner, int, int]]:
-        """Blocks of the ellipsoids of a part; the list of their rows goes into a file."""
+        """Blocks of the ellipsoids of a part; the list of their rows is appended to a file."""
         try:
-            tile, start, row = _core.tiles_of(**mine.level(), edge=self._edge)
+            tile, start, row = _core.tiles_of(**mine.level(), edge=edge)
         except OverflowError as error:
             raise InputError(f"{error}; use a larger --tile, --crop or a larger --size") from error
         # A file, unlike elsewhere in a stage: these rows are the only data that grows with the scene.
-        np.save(self._rows_file(number), rows[row].astype(np.uint32))
+        listed, file = rows[row].astype(np.uint32), self._rows_file(number)
+        before = np.load(file) if file.exists() else listed[:0]
+        np.save(file, np.concatenate([before, listed]))
+        start += len(before)
         for at, corner in enumerate(tile.tolist()):
             yield (corner[0], corner[1], corner[2]), int(start[at]), int(start[at + 1])
 
@@ -183,7 +227,7 @@ class BlockVoxelizer:
             InputError: a block has more voxels than `max_voxels`, or a part is damaged.
             UsageError, LinkError: see `distribute`.
         """
-        work = (self._work(block, jobs) for block in along_a_curve(blocks, self._edge))
+        work = (self._work(block, jobs) for block in along_a_curve(blocks))
         results = (
             map(_mark_block, work)
             if scheduler is None

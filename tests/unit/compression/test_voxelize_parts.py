@@ -1,6 +1,7 @@
 """Voxels of scenes in parts: the same marks as those of the whole, block by block."""
 
 import dataclasses
+import itertools
 import tempfile
 from pathlib import Path
 
@@ -47,8 +48,8 @@ def some_scene(rng, rows, *, lossy, spread=2.0):
     )
 
 
-def blocks_of(config, parts, edge, folder):
-    voxelizer = BlockVoxelizer(config, parts, edge, folder)
+def blocks_of(config, parts, edge, folder, most=None):
+    voxelizer = BlockVoxelizer(config, parts, edge, folder, most)
     blocks = voxelizer.blocks()
     return [
         (block, voxelizer.part(block, index, overlap, below))
@@ -82,7 +83,7 @@ CROPS = st.one_of(
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=4),
-    st.sampled_from([3, 8, 100]),
+    st.sampled_from([(3, None), (8, None), (100, None), (64, 1), (1024, 4)]),
     st.builds(
         VoxelizeConfig,
         size_m=st.sampled_from([0.25, 0.3]),
@@ -94,8 +95,9 @@ CROPS = st.one_of(
         ignore_loss=st.booleans(),
     ),
 )
-def test_the_marks_of_parts_are_those_of_the_whole(seed, sizes, edge, config):
+def test_the_marks_of_parts_are_those_of_the_whole(seed, sizes, edges, config):
     """And each part is what the ordinary stage marks for the whole scene in the part's own crop."""
+    edge, most = edges
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -103,7 +105,7 @@ def test_the_marks_of_parts_are_those_of_the_whole(seed, sizes, edge, config):
         parts = open_parts(write_parts(folder / "a.scene", scenes))
         whole = read_whole(parts.path)
         known = outcome(lambda: voxelize(config, whole))
-        made = outcome(lambda: voxelize_whole(BlockVoxelizer(config, parts, edge, folder)))
+        made = outcome(lambda: voxelize_whole(BlockVoxelizer(config, parts, edge, folder, most)))
         if isinstance(known, str):
             assert made == known
             return
@@ -111,12 +113,28 @@ def test_the_marks_of_parts_are_those_of_the_whole(seed, sizes, edge, config):
         assert made.manifest.guarantee == known.manifest.guarantee
         for key in known.manifest.summary.keys() - {"notes"}:
             assert made.manifest.summary[key] == known.manifest.summary[key], key
-        found = blocks_of(config, parts, edge, folder)
+        found = blocks_of(config, parts, edge, folder, most)
         for block, part in found[:: max(len(found) // 3, 1)]:
             alone = dataclasses.replace(config, crop=tuple(part.manifest.crop))
             equal(part, voxelize(alone, whole))
             assert (part["index"] >= block.lower).all()
             assert (part["index"] <= block.upper).all()
+
+
+def test_blocks_that_too_many_ellipsoids_touch_are_halved(tmp_path):
+    rng = np.random.default_rng(8)
+    scenes = [some_scene(rng, 60, lossy=False) for _ in range(3)]
+    parts = open_parts(write_parts(tmp_path / "a.scene", scenes))
+    blocks = BlockVoxelizer(VoxelizeConfig(size_m=0.02), parts, 512, tmp_path, 24).blocks()
+    edges = [block.upper[0] - block.lower[0] + 1 for block in blocks]
+    assert len(set(edges)) > 1
+    assert {512 % edge for edge in edges} == {0}
+    assert [block.number for block in blocks] == list(range(len(blocks)))
+    held = [sum(end - begin for _, begin, end in block.rows) for block in blocks]
+    assert all(count <= 24 or edge == 16 for count, edge in zip(held, edges, strict=True))
+    for one, other in itertools.combinations(blocks, 2):
+        low, high = np.maximum(one.lower, other.lower), np.minimum(one.upper, other.upper)
+        assert (low > high).any()
 
 
 def test_a_part_is_proven_against_the_whole_scene_alone(tmp_path):
