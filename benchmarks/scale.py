@@ -335,13 +335,18 @@ def efficiency(one: Row, other: Row, workers: int) -> float:
     )
 
 
+def sources_of(*, quick: bool) -> tuple[str, list[city.Template]]:
+    """Words for the templates of cities, and the templates."""
+    data = os.environ.get("ALULA_DATA")
+    words = "three real tiles of a street" if data and not quick else "pieces of the generated garden"
+    return words, city.templates(Path(data) if data and not quick else None)
+
+
 def measured(
     folder: Path, sizes: Sequence[float], setting: Setting, *, quick: bool
 ) -> tuple[list[Row], dict[str, Any], str]:
     """Make cities of the given numbers of Gaussians, and measure them."""
-    data = os.environ.get("ALULA_DATA")
-    source = "three real tiles of a street" if data and not quick else "pieces of the generated garden"
-    sources = city.templates(Path(data) if data and not quick else None)
+    source, sources = sources_of(quick=quick)
     rows: list[Row] = []
     for count in sizes:
         for workers in (2,) if count != sizes[0] else (1, 2) if quick else (1, 2, 4):
@@ -378,6 +383,11 @@ def main() -> None:
         "--millions", type=float, nargs="+", default=[1, 4], metavar="M", help="sizes of the cities"
     )
     parser.add_argument("--voxel", type=float, default=0.5, help="edge of a voxel [m]")
+    parser.add_argument(
+        "--only-measure",
+        action="store_true",
+        help="take the cities through all steps with 2 workers, no more",
+    )
     parser.add_argument("--note", default="", help="sentence about this run, for the page")
     parser.add_argument("--folder", type=Path, help="keep all files there")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to FILE")
@@ -387,6 +397,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="alula-scale-") as name:
         folder = options.folder or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
+        if options.only_measure:
+            _, sources = sources_of(quick=options.quick)
+            for count in sizes:
+                pass_through(folder / f"{count / 1e6:g}-2", int(count), sources, setting, 2, keep=False)
+            return
         rows, figures, source = measured(folder, sizes, setting, quick=options.quick)
     if options.markdown is not None:
         options.markdown.write_text(
