@@ -12,9 +12,10 @@ import os
 import re
 import struct
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -203,22 +204,39 @@ def encode_artifact(artifact: Artifact) -> bytes:
 
 
 def _write_members(file: BinaryIO, artifact: Artifact) -> None:
+    arrays = {name: np.ascontiguousarray(array) for name, array in artifact.arrays.items()}
+    write_members(file, artifact.manifest, arrays, lambda name: [arrays[name]])
+
+
+def write_members(
+    file: BinaryIO, manifest: Manifest, like: Arrays, rows: Callable[[str], Iterable[NDArray[Any]]]
+) -> None:
+    """Write an artifact whose arrays come in pieces.
+
+    Args:
+        file: at its start.
+        manifest: with the hashes of the arrays.
+        like: arrays of the types and shapes by name, whose values are not read.
+        rows: function that returns the rows of an array, piece by piece.
+    """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-        _write_member(archive, file, "manifest.json", [encode_manifest(artifact.manifest)])
-        for name in sorted(artifact.arrays):
-            array = np.ascontiguousarray(artifact.arrays[name])
+        text = encode_manifest(manifest)
+        _write_member(archive, file, "manifest.json", len(text), [text])
+        for name in sorted(like):
             header = io.BytesIO()
-            npy.write_array_header_1_0(header, npy.header_data_from_array_1_0(array))
-            _write_member(archive, file, f"{name}.npy", [header.getvalue(), _bytes_of(array)])
+            npy.write_array_header_1_0(header, npy.header_data_from_array_1_0(like[name]))
+            size = len(header.getvalue()) + like[name].nbytes
+            pieces = chain([header.getvalue()], map(_bytes_of, rows(name)))
+            _write_member(archive, file, f"{name}.npy", size, pieces)
 
 
 def _write_member(
-    archive: zipfile.ZipFile, file: BinaryIO, name: str, parts: list[bytes | memoryview]
+    archive: zipfile.ZipFile, file: BinaryIO, name: str, size: int, parts: Iterable[bytes | memoryview]
 ) -> None:
     info = zipfile.ZipInfo(name, _EPOCH)
     info.create_system = 3
     info.external_attr = 0o644 << 16
-    info.file_size = sum(len(part) for part in parts)
+    info.file_size = size
     zip64 = info.file_size >= 2**31 - 1
     start = file.tell() + _LOCAL_HEADER.size + len(name) + (20 if zip64 else 0) + 4
     padding = -start % ALIGNMENT

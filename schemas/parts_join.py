@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact, describe_arrays, read_artifact
+from alula.schemas.artifact import Artifact, describe_arrays, read_artifact, write_members
 from alula.schemas.errors import DamagedError, InputError
 from alula.schemas.kinds import COVER, SCENE, VOXELS, Kind
 from alula.schemas.parts import Parts, open_parts
@@ -77,6 +79,46 @@ def joined(parts: Parts) -> Artifact:
         arrays["history"] = np.zeros((0, 3))
     described = describe_arrays(kind, parts.manifest.frame, parts.manifest.unit, arrays)
     return Artifact(msgspec.structs.replace(parts.manifest, arrays=described), arrays)
+
+
+def write_joined_cover(parts: Parts, file: BinaryIO) -> None:
+    """Write the parts of a cover as the one file that `joined` would make, with one part in memory at a time.
+
+    Args:
+        parts: of a cover, of any number of hulls.
+        file: empty; it is also read.
+
+    Raises:
+        DamagedError, InputError: a part cannot be read.
+    """
+    like: dict[str, NDArray[Any]] = {}
+    for rule in COVER.arrays:
+        shape = tuple(parts.manifest.arrays[rule.name].shape)
+        shape = (0, 3) if rule.name == "history" else shape
+        like[rule.name] = np.broadcast_to(np.zeros((), rule.dtype), shape)
+    starts = {rule.name for rule in COVER.arrays if rule.rule == "starts"}
+
+    def rows(name: str) -> Iterator[NDArray[Any]]:
+        if name == "history":
+            return
+        end = np.zeros(1, np.int64)
+        for part in parts:
+            if name in starts:
+                yield (part[name][:-1] + end[0]).astype(like[name].dtype)
+                end = end + part[name][-1]
+            else:
+                yield part[name]
+        if name in starts:
+            yield end.astype(like[name].dtype)
+
+    hashes = {}
+    for name in like:
+        digest = hashlib.sha256()
+        for some in rows(name):
+            digest.update(np.ascontiguousarray(some).reshape(-1).view(np.uint8).data)
+        hashes[name] = digest.hexdigest()
+    described = describe_arrays(COVER, parts.manifest.frame, parts.manifest.unit, like, hashes)
+    write_members(file, msgspec.structs.replace(parts.manifest, arrays=described), like, rows)
 
 
 def _sorted(arrays: dict[str, NDArray[Any]], path: Path) -> dict[str, NDArray[Any]]:

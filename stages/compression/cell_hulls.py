@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.stages.compression.hulls import ROWS, some_hulls
 from alula.stages.compression.verify import (
     _LATTICE_LIMIT,
     _MEMBERS,
@@ -28,11 +29,6 @@ from alula.stages.compression.verify import (
 
 CUBE_CHECK = "hulls lie in the part's cube"
 Index = NDArray[np.int64]
-_ROWS = {
-    "vertex_start": ("vertex",),
-    "plane_start": ("plane_normal", "plane_offset"),
-    "member_start": ("member_index",),
-}
 _FACES = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 
 
@@ -71,14 +67,8 @@ class CellHulls:
         own = _own(boxes, domain, cube)
         touch = ((boxes[:, 0] <= cube[1] + 1) & (boxes[:, 1] >= cube[0])).all(axis=1)
         numbers = np.flatnonzero(own | touch)
-        arrays, shift = {"history": np.zeros((0, 3))}, {}
-        for start, names in _ROWS.items():
-            begin = np.asarray(part[start])
-            size = np.diff(begin)[numbers]
-            arrays[start] = np.concatenate([[0], np.cumsum(size)])
-            shift[start] = begin[:-1][numbers] - arrays[start][:-1]
-            rows = np.arange(arrays[start][-1]) + np.repeat(shift[start], size)
-            arrays |= {name: np.ascontiguousarray(part[name][rows]) for name in names}
+        arrays, shift = some_hulls(part, numbers, tuple(ROWS))
+        arrays["history"] = np.zeros((0, 3))
         cover = Artifact(msgspec.structs.replace(part.manifest, arrays={}), arrays)
         shifts = shift["vertex_start"], shift["plane_start"]
         return cls(cover, numbers, *shifts, own[numbers], domain, cube)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
@@ -13,6 +14,12 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import MapImage
 
+ROWS = {
+    "vertex_start": ("vertex",),
+    "plane_start": ("plane_normal", "plane_offset"),
+    "member_start": ("member_index",),
+}
+"""Arrays of a cover by the array with the first row of each hull."""
 _OUTWARD_ULPS = 8.0  # more than the roundings of offset * g / |normal| and of the unit normal together
 
 
@@ -183,3 +190,28 @@ def _corners(cover: Artifact) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         return np.asarray(cover["vertex"], np.float64), np.asarray(cover["vertex_start"], np.int64)
     found = outer_solids(cover)
     return found["point"], found["point_start"]
+
+
+def some_hulls(
+    cover: Artifact, numbers: NDArray[np.int64], starts: Sequence[str]
+) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:
+    """Arrays of some hulls alone.
+
+    Args:
+        cover: an `alula/cover`.
+        numbers: of the hulls, in ascending order.
+        starts: which arrays, by those with their first rows, such as `vertex_start`.
+
+    Returns:
+        The arrays; and for each of `starts` the rows in `cover` minus those here, one number per hull.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    shift: dict[str, NDArray[np.int64]] = {}
+    for start in starts:
+        begin = np.asarray(cover[start])
+        size = np.diff(begin)[numbers]
+        arrays[start] = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+        shift[start] = begin[:-1][numbers] - arrays[start][:-1]
+        rows = np.arange(arrays[start][-1]) + np.repeat(shift[start], size)
+        arrays |= {name: np.ascontiguousarray(cover[name][rows]) for name in ROWS[start]}
+    return arrays, shift

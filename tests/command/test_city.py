@@ -5,6 +5,8 @@ import json
 import numpy as np
 
 from alula.cli.main import run
+from alula.schemas.artifact import encode_artifact
+from alula.schemas.parts_join import read_whole
 from alula.stages.reconstruction.formats.splat import RECORD
 
 
@@ -48,5 +50,7 @@ def test_from_files_to_verified_tiles(tmp_path, monkeypatch, capsys):
     assert run([*words, "-q"]) == 0
     assert run(["export", "city.cover", "-o", "city.tiles", "--tiles", "4", "--reach", "1.5"]) == 0
     assert "unchanged" in capsys.readouterr().out
+    joined = encode_artifact(read_whole(tmp_path / "city.cover"))
+    assert (tmp_path / "city.tiles" / "whole.cover.npz").read_bytes() == joined
     (tmp_path / "city.tiles" / "whole.cover.npz").write_bytes(b"another cover")
     assert run(["verify", "city.tiles"]) == 3

@@ -52,7 +52,7 @@ def cut(cover, tile_m=1.2, reach_m=1.6, hysteresis_m=0.2, **fields):
 def sealed_binary(made, key=None):
     """The index of a map that was cut, as a microcontroller reads it."""
     provenance = Provenance.now(TILES_SCHEMA, TILES_VERSION, {}, None, [])
-    return sealed(made, key_id=key_id(key), provenance=provenance).binary()
+    return sealed(made.index, key_id=key_id(key), provenance=provenance).binary()
 
 
 def native(made, key=None):
@@ -70,10 +70,10 @@ def folder_of(path, cover, key=KEY, **lengths):
     made = cut(cover, cover_sha256=digest, **lengths)
     inputs = [InputRef("cover", COVER.name, COVER.version, digest, "a.cover.npz")]
     provenance = Provenance.now(TILES_SCHEMA, TILES_VERSION, {}, None, inputs)
-    write_index(path, sealed(made, key_id=key_id(key), provenance=provenance), key)
+    write_index(path, sealed(made.index, key_id=key_id(key), provenance=provenance), key)
     for tile, image in zip(made.index["tiles"], made.images, strict=True):
         (path / tile.file).write_bytes(image)
-    return sealed(made, key_id=key_id(key), provenance=provenance)
+    return sealed(made.index, key_id=key_id(key), provenance=provenance)
 
 
 def write_index(path, index, key=KEY):

@@ -5,13 +5,16 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
+from alula.schemas.manifest import Manifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.onboard.image import (
@@ -69,50 +72,127 @@ def encode_map(
         InputError: its voxels are smaller than a micrometre or larger than 100 km.
         ArtifactError: a hull has no volume.
     """
-    size = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-    if not _SMALLEST_M <= size <= _LARGEST_M:
-        raise InputError(f"an onboard map needs voxels of 1e-6 m to 1e5 m, not {size:g} m")
     vertex = np.ascontiguousarray(cover["vertex"], np.int32)
-    low, high = (
-        (vertex.min(axis=0).astype(np.int64), vertex.max(axis=0).astype(np.int64))
-        if len(vertex)
-        else (np.zeros(3, np.int64), np.zeros(3, np.int64))
+    none = np.zeros(3, np.int64)
+    low, high = (vertex.min(axis=0), vertex.max(axis=0)) if len(vertex) else (none, none)
+    frame = MapFrame.of(cover.manifest, low.astype(np.int64), high.astype(np.int64))
+    records, is_kdop, largest = encode_records(
+        *(vertex, cover["vertex_start"], cover["plane_normal"], cover["plane_start"]),
+        *(frame, largest_normal, jobs, progress),
     )
-    if (high - low).max() >= 2**16:
-        raise InfeasibleError(
-            f"the cover is {int((high - low).max())} voxels wide, an onboard map at most {2**16 - 1};"
-            " crop the scene or take larger voxels"
-        )
-    origin = (low + high + 1) // 2  # so that both ends fit into 16 bits
+    hulls = len(cover["vertex_start"]) - 1
+    return frame.image(records, hulls, is_kdop, largest, cover_sha256, indexed=indexed)
+
+
+def encode_records(
+    vertex: NDArray[Any],
+    vertex_start: NDArray[Any],
+    plane_normal: NDArray[Any],
+    plane_start: NDArray[Any],
+    frame: MapFrame,
+    largest_normal: int,
+    jobs: int,
+    progress: Progress | None = None,
+) -> tuple[bytes, bool, int]:
+    """Encode hulls as records, in the order of their centres along a Z-order curve.
+
+    Returns:
+        The records, whether all normals are of the 26-DOP family, and the largest component of a normal.
+
+    Raises:
+        ArtifactError: a hull has no volume.
+    """
     try:
         records, _, is_kdop, largest, _ = _core.encode_map_records(
-            vertex,
-            np.ascontiguousarray(cover["vertex_start"], np.int64),
-            np.ascontiguousarray(cover["plane_normal"], np.int64),
-            np.ascontiguousarray(cover["plane_start"], np.int64),
-            tuple(origin.tolist()),
+            np.ascontiguousarray(vertex, np.int32),
+            np.ascontiguousarray(vertex_start, np.int64),
+            np.ascontiguousarray(plane_normal, np.int64),
+            np.ascontiguousarray(plane_start, np.int64),
+            tuple(frame.origin.tolist()),
             largest_normal,
             jobs,
             progress,
         )
     except ValueError as error:
         raise ArtifactError(f"the cover cannot be encoded: {error}") from error
-    hulls, flags = len(cover["vertex_start"]) - 1, KDOP * is_kdop
-    if indexed and hulls > 0:
-        flags |= INDEXED
-        records += _index(records, hulls, is_kdop=is_kdop)
-    total = HEADER_BYTES + len(records)
-    if total > _MAX_BYTES or hulls > _MAX_HULLS:
-        raise InfeasibleError(f"{hulls} hulls in {total} bytes are too many for an onboard map; merge more")
-    extent = max(int(np.abs([low, high]).max()), 1) * size
-    head = HEADER.pack(
-        MAGIC,
-        *(1, 0, HEADER_BYTES, flags, largest, 0),
-        *(hulls, total, zlib.crc32(records), *origin.tolist()),
-        *(np.float32(size), size, _margin_m(extent)),
-        bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0"),
-    )
-    return head + zlib.crc32(head).to_bytes(4, "little") + records
+    return records, is_kdop, largest
+
+
+@dataclass(frozen=True, slots=True)
+class MapFrame:
+    """What all records of a map have in common.
+
+    Attributes:
+        voxel_size_m: edge of a voxel [m].
+        low: lower corner of all hulls [voxels].
+        high: upper corner.
+    """
+
+    voxel_size_m: float
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, cover: Manifest, low: NDArray[np.int64], high: NDArray[np.int64]) -> MapFrame:
+        """Frame of the map of a cover.
+
+        Args:
+            cover: its manifest.
+            low: lower corner of all hulls [voxels].
+            high: upper corner.
+
+        Raises:
+            InfeasibleError, InputError: see `encode_map`.
+        """
+        size = float(cover.voxel_size_m)  # type: ignore[attr-defined]
+        if not _SMALLEST_M <= size <= _LARGEST_M:
+            raise InputError(f"an onboard map needs voxels of 1e-6 m to 1e5 m, not {size:g} m")
+        if (high - low).max() >= 2**16:
+            raise InfeasibleError(
+                f"the cover is {int((high - low).max())} voxels wide, an onboard map at most {2**16 - 1};"
+                " crop the scene or take larger voxels"
+            )
+        return cls(size, low, high)
+
+    @property
+    def origin(self) -> NDArray[np.int64]:
+        """Origin of the coordinates of records, so that both ends fit into 16 bits."""
+        return (self.low + self.high + 1) // 2
+
+    def image(
+        self, records: bytes, hulls: int, is_kdop: bool, largest: int, cover_sha256: str, *, indexed: bool
+    ) -> bytes:
+        """Image of a map with these records.
+
+        Args:
+            records: of `encode_records`.
+            hulls: their number.
+            is_kdop: the kind of the planes.
+            largest: largest component of a normal.
+            cover_sha256: see `encode_map`.
+            indexed: see `encode_map`.
+
+        Raises:
+            InfeasibleError: there are too many records.
+        """
+        flags = KDOP * is_kdop
+        if indexed and hulls > 0:
+            flags |= INDEXED
+            records += _index(records, hulls, is_kdop=is_kdop)
+        total = HEADER_BYTES + len(records)
+        if total > _MAX_BYTES or hulls > _MAX_HULLS:
+            raise InfeasibleError(
+                f"{hulls} hulls in {total} bytes are too many for an onboard map; merge more"
+            )
+        extent = max(int(np.abs([self.low, self.high]).max()), 1) * self.voxel_size_m
+        head = HEADER.pack(
+            MAGIC,
+            *(1, 0, HEADER_BYTES, flags, largest, 0),
+            *(hulls, total, zlib.crc32(records), *self.origin.tolist()),
+            *(np.float32(self.voxel_size_m), self.voxel_size_m, _margin_m(extent)),
+            bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0"),
+        )
+        return head + zlib.crc32(head).to_bytes(4, "little") + records
 
 
 def with_records(image: bytes, records: Sequence[bytes], *, indexed: bool) -> bytes:

@@ -6,6 +6,7 @@ import hashlib
 import math
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import ArtifactError, InfeasibleError
+from alula.schemas.errors import InfeasibleError
 from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import MOST_TILES, TILES_SCHEMA, TILES_VERSION, Tile, TilesIndex, merkle_root
 from alula.stages.compression.onboard.cost import ASSUMED
+from alula.stages.compression.onboard.hull_records import HullRecords
 from alula.stages.compression.onboard.image import (
     HEADER,
     HEADER_BYTES,
@@ -28,7 +30,8 @@ from alula.stages.compression.onboard.image import (
     MapImage,
     decode_map,
 )
-from alula.stages.compression.onboard.layout import encode_map, with_records
+from alula.stages.compression.onboard.layout import with_records
+from alula.stages.compression.verify_cubes import Alone, Parted
 
 _WALL = struct.Struct("<6h2B")
 _Rows = NDArray[np.int64]
@@ -91,11 +94,53 @@ def cut_map(
         InfeasibleError: there would be too many tiles, or as `encode_map`.
         InputError, ArtifactError: as `encode_map`; or the cover has no hulls.
     """
-    whole = encode_map(cover, largest_normal=largest_normal, cover_sha256=cover_sha256, jobs=jobs)
-    image = decode_map(whole)
-    if len(image) == 0:
-        raise ArtifactError("the cover has no hulls to cut into tiles")
-    size = image.voxel_size_m
+    images: list[bytes] = []
+    index = cut_tiles(
+        Alone(cover),
+        images.append,
+        tile_m=tile_m,
+        reach_m=reach_m,
+        hysteresis_m=hysteresis_m,
+        largest_normal=largest_normal,
+        cover_sha256=cover_sha256,
+        jobs=jobs,
+    )
+    return CutMap(index, images)
+
+
+def cut_tiles(
+    cover: Parted,
+    keep: Callable[[bytes], object],
+    *,
+    tile_m: float,
+    reach_m: float,
+    hysteresis_m: float,
+    largest_normal: int,
+    cover_sha256: str = "",
+    jobs: int = 0,
+) -> dict[str, Any]:
+    """Cut the onboard map of a cover in parts, as `cut_map` cuts one; the images are not kept in memory.
+
+    Memory holds 16 bytes per hull of the whole, and the parts within reach of the tile at work.
+
+    Args:
+        cover: an `alula/cover`.
+        keep: called with the image of each tile, in the order of the index.
+        tile_m: see `cut_map`; the others, too.
+        reach_m: see there.
+        hysteresis_m: see there.
+        largest_normal: see there.
+        cover_sha256: see there.
+        jobs: see there.
+
+    Returns:
+        The index, see `CutMap`.
+
+    Raises:
+        InfeasibleError, InputError, ArtifactError: see `cut_map`.
+    """
+    hulls = HullRecords(cover, largest_normal, cover_sha256, jobs)
+    size = hulls.frame.voxel_size_m
     edge, reach = voxels_up(tile_m, size), voxels_up(reach_m, size)
     hysteresis = voxels_up(hysteresis_m, size)
     if 2 * hysteresis > edge:
@@ -103,36 +148,34 @@ def cut_map(
             f"a tile of {edge} voxels is too small for a hysteresis of {hysteresis} on each side; take larger"
             " tiles"
         )
-    lower, upper = image.lower.min(axis=0), image.upper.max(axis=0)
+    lower, upper = hulls.frame.low, hulls.frame.high
     first = [int(low) // edge for low in lower[:2]]
     count = [(int(high) - 1) // edge - start + 1 for start, high in zip(first, upper[:2], strict=True)]
     if count[0] * count[1] > MOST_TILES:
         raise InfeasibleError(f"{count[0]} x {count[1]} tiles are more than {MOST_TILES}; take larger tiles")
-    records, origin = _records(whole, image), np.array(HEADER.unpack_from(whole)[10:13], np.int64)
-    tiles, images = [], []
+    tiles = []
     for j in range(first[1], first[1] + count[1]):
         for i in range(first[0], first[0] + count[0]):
             low = np.array([edge * i, edge * j], np.int64) - hysteresis - reach
             high = low + edge + 2 * (hysteresis + reach)
-            kept = ((image.lower[:, :2] <= high) & (image.upper[:, :2] >= low)).all(axis=1)
-            walls = walls_around(low, high, lower.astype(np.int64), upper.astype(np.int64))
-            parts = [records[h] for h in np.flatnonzero(kept)]
-            parts += [_WALL.pack(*(wall - np.tile(origin, 2)).tolist(), 0, 0) for wall in walls]
-            raw = with_records(whole, parts, indexed=True)
-            digest = hashlib.sha256(raw).hexdigest()
-            images.append(raw)
+            kept = hulls.within(low, high)
+            walls = walls_around(low, high, lower, upper)
+            boxes = (wall - np.tile(hulls.frame.origin, 2) for wall in walls)
+            parts = [*kept, *(_WALL.pack(*box.tolist(), 0, 0) for box in boxes)]
+            raw = with_records(hulls.empty, parts, indexed=True)
+            keep(raw)
             tiles.append(
                 Tile(
                     i=i,
                     j=j,
                     bytes=len(raw),
                     crc32=zlib.crc32(raw),
-                    sha256=digest,
-                    hulls=int(kept.sum()),
+                    sha256=hashlib.sha256(raw).hexdigest(),
+                    hulls=len(kept),
                     walls=len(walls),
                 )
             )
-    index = {
+    return {
         "schema": TILES_SCHEMA,
         "version": TILES_VERSION,
         "voxel_size_m": size,
@@ -143,24 +186,23 @@ def cut_map(
         "count": count,
         "lower": lower.tolist(),
         "upper": upper.tolist(),
-        "cover_hash": image.cover_hash.hex(),
+        "cover_hash": (bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0")).hex(),
         "merkle_root": merkle_root([bytes.fromhex(tile.sha256) for tile in tiles]).hex(),
         "tiles": tiles,
     }
-    return CutMap(index, images)
 
 
-def sealed(cut: CutMap, *, key_id: str, provenance: Provenance) -> TilesIndex:
+def sealed(cut: dict[str, Any], *, key_id: str, provenance: Provenance) -> TilesIndex:
     """Complete the index of a map that was cut.
 
     Args:
-        cut: the map.
+        cut: index of the map that was cut, see `CutMap`.
         key_id: of the key that signs it; empty without a signature.
         provenance: of the folder.
     """
-    open_index = TilesIndex(**cut.index, sha256=64 * "0", key_id=key_id, provenance=provenance)
+    open_index = TilesIndex(**cut, sha256=64 * "0", key_id=key_id, provenance=provenance)
     digest = hashlib.sha256(open_index.binary()).hexdigest()
-    return TilesIndex(**cut.index, sha256=digest, key_id=key_id, provenance=provenance)
+    return TilesIndex(**cut, sha256=digest, key_id=key_id, provenance=provenance)
 
 
 def walls_around(low: _Rows, high: _Rows, lower: _Rows, upper: _Rows) -> _Rows:

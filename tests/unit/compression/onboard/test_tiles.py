@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from alula.schemas.artifact import Artifact
 from alula.schemas.errors import (
     ArtifactError,
     CheckError,
@@ -19,11 +20,14 @@ from alula.schemas.errors import (
     UsageError,
     VersionError,
 )
+from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import BINARY, SIGNATURE, WHOLE, merkle_root, read_tiles, read_tiles_index
 from alula.schemas.world import decoded
+from alula.stages.compression.hulls import ROWS
+from alula.stages.compression.onboard import hull_records
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, with_records
-from alula.stages.compression.onboard.tiles import _records, fastest_m_s, voxels_up
+from alula.stages.compression.onboard.tiles import _records, cut_tiles, fastest_m_s, sealed, voxels_up
 from alula.stages.compression.onboard.verify_tiles import verify_tiles
 from alula.stages.filtering.obstacles import tile_set
 from alula.stages.filtering.polytope_cbf import polytope_cbf
@@ -32,9 +36,11 @@ from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.prepare import prepare
 from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples
+from support.fabricate import exact_hull, make_cover
 from support.tiled import KEY, cut, folder_of, native, posts, set_key, with_image
 from support.wrench_flight import VEHICLE
 
+NOBODY = Provenance.now("alula/tiles", "1.0", {}, None, [])
 OPTIONS = {"extent_m": 30.0, "radius_m": 0.15, "beta": 2.0, "kappa": 100.0, "dt_s": 0.02, "v_max": 1.5}
 
 
@@ -385,6 +391,52 @@ def test_a_tile_without_a_hull_or_with_a_wall_too_near_is_not_proven(small):
         "voxels within reach in hulls",
         "hulls within reach contain the cover's",
     }
+
+
+class Parted:
+    """Covers in memory as the parts of one."""
+
+    def __init__(self, parts):
+        self.manifest, self.parts, self.refs = parts[0].manifest, parts, ()
+
+    def __len__(self):
+        return len(self.parts)
+
+    def __getitem__(self, number):
+        return self.parts[number]
+
+
+@pytest.mark.parametrize("is_mixed", [True, False])
+def test_tiles_of_a_cover_in_parts_are_those_of_the_whole_map(monkeypatch, is_mixed):
+    """Also where only some hulls need oblique planes; the records of all then have the same layout."""
+    monkeypatch.setattr(hull_records, "_HELD", 0)
+    corners = np.argwhere(np.ones((3, 3, 3)))
+    cubes = [exact_hull(corners + np.array([40 + 9 * k, 3 * k, 0])) for k in range(9)]
+    parts = [posts(18, 18), make_cover(cubes, g=0.1), posts(9, 9, offset=(-60, 2, 0))]
+    parts = parts if is_mixed else [parts[1]]
+    whole = encode_map(joined_cover(parts))
+    image, images = decode_map(whole), []
+    lengths = {"tile_m": 1.2, "reach_m": 0.5, "hysteresis_m": 0.2}
+    index = cut_tiles(Parted(parts), images.append, largest_normal=127, **lengths)
+    records, found = _records(whole, image), sealed(index, key_id="", provenance=NOBODY)
+    assert (decode_map(images[0]).is_kdop, image.is_kdop) == (not is_mixed, not is_mixed)
+    for tile, raw in zip(index["tiles"], images, strict=True):
+        low, high = (np.array(ends) for ends in found.loaded(tile))
+        near = ((image.lower[:, :2] <= high) & (image.upper[:, :2] >= low)).all(axis=1)
+        mine = _records(raw, decode_map(raw))
+        assert mine[: tile.hulls] == [records[h] for h in np.flatnonzero(near)]
+        assert raw[10] == whole[10]  # the largest component of a normal
+
+
+def joined_cover(parts):
+    """The hulls of several covers as one cover."""
+    arrays = {}
+    for start, names in {**ROWS, None: ("history",)}.items():
+        arrays |= {name: np.concatenate([part[name] for part in parts]) for name in names}
+        if start is not None:
+            sizes = np.concatenate([np.diff(part[start]) for part in parts])
+            arrays[start] = np.concatenate([[0], np.cumsum(sizes)])
+    return Artifact(parts[0].manifest, arrays)
 
 
 def test_lengths_that_make_no_tiles_are_refused(small, monkeypatch):
