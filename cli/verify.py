@@ -116,8 +116,10 @@ def command(
     list.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
-    hulls share voxels, and 4,000 per hull; of a cover in parts those of one part per job. More than
-    67,108,864 voxels are refused.
+    hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused. A cover in parts is
+    proven in cells of at most 262,144 voxels and 524,288 Gaussians: 250 MB per job, 60 bytes per voxel of
+    one part, and a part of the voxels and of the scene, whatever their number. Of tiles, memory holds one
+    image, the cover, and where voxels and scene are in parts a few parts and cells of them.
     """
     import os
 

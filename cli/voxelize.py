@@ -26,7 +26,8 @@ Examples:
     group="Limits",
     type=options.FINITE_FLOAT,
     help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory. In a folder "
-    "of voxels each tile is a part; default then: 512 voxels.",
+    "of voxels each tile is a part; default then: 512 voxels, halved where more "
+    "than 1,048,576 ellipsoids touch a tile.",
 )
 @options.scheduler("Send tiles, 128 voxels wide unless --tile is given,")
 @options.output(".voxels.npz, or a folder .voxels")
