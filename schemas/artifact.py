@@ -226,7 +226,7 @@ def write_members(
             header = io.BytesIO()
             npy.write_array_header_1_0(header, npy.header_data_from_array_1_0(like[name]))
             size = len(header.getvalue()) + like[name].nbytes
-            pieces = chain([header.getvalue()], map(_bytes_of, rows(name)))
+            pieces: Iterable[bytes | memoryview] = chain([header.getvalue()], map(_bytes_of, rows(name)))
             _write_member(archive, file, f"{name}.npy", size, pieces)
 
 

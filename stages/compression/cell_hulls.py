@@ -122,7 +122,8 @@ def members_of_own(part: Artifact, boxes: Index, domain: Index, cube: Index) -> 
 def _own(boxes: Index, domain: Index, cube: Index) -> NDArray[np.bool_]:
     """Whether the lowest corner, moved into the cube of the part if it is outside, is in the cell."""
     corner = np.clip(boxes[:, 0], domain[0], domain[1])
-    return ((corner >= cube[0]) & (corner <= cube[1])).all(axis=1)
+    is_here: NDArray[np.bool_] = ((corner >= cube[0]) & (corner <= cube[1])).all(axis=1)
+    return is_here
 
 
 def hull_proof(task: CellHulls, voxels: NDArray[np.int32] | None) -> HullProof:
@@ -220,6 +221,12 @@ def _excess(task: CellHulls, members: NDArray[np.int32]) -> float:
             offset[-1] = np.concatenate([offset[-1], inner[row, 1], -inner[row, 0]])
     starts = [np.concatenate([[0], np.cumsum([len(some) for some in each])]) for each in (vertex, normal)]
     return _core.cover_excess(
-        *(np.ascontiguousarray(members), np.concatenate(vertex), starts[0]),
-        *(np.concatenate(normal), np.concatenate(offset), starts[1], 1, None),
+        np.ascontiguousarray(members),
+        np.concatenate(vertex),
+        starts[0],
+        np.concatenate(normal),
+        np.concatenate(offset),
+        starts[1],
+        1,
+        None,
     )

@@ -205,7 +205,8 @@ class _Cells:
         self, jobs: int, scheduler: str | None, progress: Progress | None
     ) -> Iterator[tuple[int, list[CellProof]]]:
         """Number of each part and the proofs of its cells; the space around has the number after the last."""
-        number, found = 0, []
+        number = 0
+        found: list[CellProof] = []
         for proof in _run(self._tasks(), jobs, scheduler):
             while number < self._of[0]:
                 yield number, found

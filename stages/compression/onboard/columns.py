@@ -15,6 +15,7 @@ _HELD = 2**22  # voxels of parts that are kept in memory, beside those of the pa
 _FAR = 2**31  # no voxel is farther along z
 
 Ints = NDArray[np.int64]
+_Voxels = NDArray[np.int32]
 
 
 class Columns:
@@ -105,7 +106,7 @@ def _by_x(part: Artifact) -> NDArray[np.int32]:
 class _Extents:
     """Boxes around the voxels with each value of a coordinate, by this value."""
 
-    def __init__(self, value: Ints, lower: Ints, upper: Ints) -> None:
+    def __init__(self, value: _Voxels, lower: _Voxels, upper: _Voxels) -> None:
         order = np.argsort(value, kind="stable")
         value = value[order]
         start = np.flatnonzero(np.r_[True, value[1:] != value[:-1]]) if len(value) else order

@@ -126,7 +126,7 @@ class HullRecords:
         self._hint = self._encoded(self._witness)[0]
 
     def _encoded(self, arrays: _Arrays) -> tuple[bytes, bool, int]:
-        return encode_records(*(arrays[name] for name in _ARRAYS), self.frame, self._normal, self._jobs)
+        return encode_records(arrays, self.frame, self._normal, self._jobs)
 
     def _hulls(self, numbers: NDArray[np.int64]) -> _Arrays:
         """Arrays of hulls by their numbers in the whole, in ascending order."""

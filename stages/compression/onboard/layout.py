@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,25 +76,26 @@ def encode_map(
     none = np.zeros(3, np.int64)
     low, high = (vertex.min(axis=0), vertex.max(axis=0)) if len(vertex) else (none, none)
     frame = MapFrame.of(cover.manifest, low.astype(np.int64), high.astype(np.int64))
-    records, is_kdop, largest = encode_records(
-        *(vertex, cover["vertex_start"], cover["plane_normal"], cover["plane_start"]),
-        *(frame, largest_normal, jobs, progress),
-    )
+    records, is_kdop, largest = encode_records(cover.arrays, frame, largest_normal, jobs, progress)
     hulls = len(cover["vertex_start"]) - 1
     return frame.image(records, hulls, is_kdop, largest, cover_sha256, indexed=indexed)
 
 
 def encode_records(
-    vertex: NDArray[Any],
-    vertex_start: NDArray[Any],
-    plane_normal: NDArray[Any],
-    plane_start: NDArray[Any],
+    hulls: Mapping[str, NDArray[Any]],
     frame: MapFrame,
     largest_normal: int,
     jobs: int,
     progress: Progress | None = None,
 ) -> tuple[bytes, bool, int]:
     """Encode hulls as records, in the order of their centres along a Z-order curve.
+
+    Args:
+        hulls: arrays of a cover.
+        frame: of the map.
+        largest_normal: see `encode_map`.
+        jobs: see `encode_map`.
+        progress: see `encode_map`.
 
     Returns:
         The records, whether all normals are of the 26-DOP family, and the largest component of a normal.
@@ -104,10 +105,10 @@ def encode_records(
     """
     try:
         records, _, is_kdop, largest, _ = _core.encode_map_records(
-            np.ascontiguousarray(vertex, np.int32),
-            np.ascontiguousarray(vertex_start, np.int64),
-            np.ascontiguousarray(plane_normal, np.int64),
-            np.ascontiguousarray(plane_start, np.int64),
+            np.ascontiguousarray(hulls["vertex"], np.int32),
+            np.ascontiguousarray(hulls["vertex_start"], np.int64),
+            np.ascontiguousarray(hulls["plane_normal"], np.int64),
+            np.ascontiguousarray(hulls["plane_start"], np.int64),
             tuple(frame.origin.tolist()),
             largest_normal,
             jobs,

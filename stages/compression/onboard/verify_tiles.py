@@ -163,7 +163,8 @@ class _CoverRows:
             is_near = (self._lower[:, 1] <= ends[1]) & (self._upper[:, 1] >= ends[0])
             self._row = (*ends, np.flatnonzero(is_near))
         rows = self._row[2]
-        return rows[(self._lower[rows, 0] <= high[0]) & (self._upper[rows, 0] >= low[0])]
+        is_near = (self._lower[rows, 0] <= high[0]) & (self._upper[rows, 0] >= low[0])
+        return np.asarray(rows[is_near], np.int64)
 
 
 def _tile_checks(
