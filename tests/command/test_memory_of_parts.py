@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from command.test_memory_bounds import peak
 
+from alula.schemas.parts import open_parts
+from alula.stages.compression.verify_cubes import CELL_ELLIPSOIDS
+
 ROWS = 120_000
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 PER_GAUSSIAN = {"import-splat": 250, "scale-align": 300, "voxelize": 3 * 60 + 2 * 96}  # bytes, as in the help
 BASE = 150 * 2**20  # the program itself
+JOB, PER_VOXEL = 250 * 10**6, 60  # bytes of `verify`, as in its help
 
 
 def tile(path, number):
@@ -42,3 +46,28 @@ def test_four_times_as_many_parts_take_no_more_memory(tmp_path, monkeypatch):
     for name, per_gaussian in PER_GAUSSIAN.items():
         assert used[name, 12] <= used[name, 3] + 8 * 2**20, (name, used)  # nine more parts are 63 MB
         assert used[name, 12] <= BASE + per_gaussian * ROWS, (name, used)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
+def test_a_part_of_a_cover_with_many_cells_is_proven_within_the_stated_memory(tmp_path, monkeypatch):
+    """One part of the cover, with 1.4 million Gaussians: more than twice what a cell has."""
+    monkeypatch.chdir(tmp_path)
+    files = [tile(tmp_path / f"{number}.splat", number) for number in range(12)]
+    assert len(files) * ROWS > 2 * CELL_ELLIPSOIDS
+    tiled = ["--tiles", "50", "--reach", "5"]
+    for words in (
+        ["import-splat", *files, "-o", "a.scene"],
+        ["scale-align", "a.scene", "-o", "m.scene", "--scale", "1"],
+        ["voxelize", "m.scene", "-o", "a.voxels", "--size", "2", "--ignore-loss"],
+        ["merge", "a.voxels", "-o", "a.cover", "--block", "100", "--hulls", "500"],
+        ["export", "a.cover", "-o", "a.tiles", *tiled],
+    ):
+        peak(*words, "-q", "--jobs", "1")
+    cover, voxels = open_parts(tmp_path / "a.cover"), open_parts(tmp_path / "a.voxels")
+    assert len(cover) == 1
+    proof = ["--voxels", "a.voxels", "--scene", "m.scene", "-q", "--jobs", "1"]
+    allowed = BASE + JOB + PER_VOXEL * voxels.count
+    assert peak("verify", "a.cover", *proof) <= allowed
+    assert peak("verify", "a.tiles", *proof) <= allowed
+    assert peak("export", "a.cover", "-o", "b.tiles", *tiled, "-q") <= BASE + 4000 * cover.count
