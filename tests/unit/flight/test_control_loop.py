@@ -39,7 +39,7 @@ def causes(loop):
     return [taken.event for _, taken in loop.taken]
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize(
     ("name", "accepts"),
     [
@@ -173,7 +173,7 @@ def test_faults_of_the_vehicle_end_the_flight(fault, cause, path):
     assert loop.supervision.cause is cause
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize("seconds", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("mode", ["STABILIZE", "LAND", "RTL"])
 def test_the_pilot_takes_it_and_keeps_it(mode, seconds):
@@ -387,7 +387,7 @@ def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
     assert max(abs(at * 100 - ticks) for at, ticks in known[-20:]) < 1.5
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize(
     ("how", "point"),
     [("raises", 1), ("raises", 4), ("nan", 4), ("nan", 1), ("refuses", 1), ("refuses", 4)],
@@ -415,7 +415,7 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how,
     assert loop.supervision.cause is Event.PLAN_FINISHED  # one failure causes one hold
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize("late_s", [0.08, 0.0])
 def test_a_fallback_is_as_long_as_the_clock_says_however_few_its_ticks(late_s):
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))

@@ -180,6 +180,7 @@ def test_an_estimator_is_waited_for_but_not_for_ever():
     assert loop.checks.failure() == "estimator: not ready"
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("name", ["is_estimator_ready", "battery_share", "landed"])
 def test_what_is_not_told_is_waited_for_and_then_refused(name):
     def late(vehicle, now):

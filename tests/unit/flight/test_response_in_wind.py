@@ -63,7 +63,7 @@ def test_it_is_quiet_for_many_seeds(name, speed, seed):
     assert worst(flight) <= (0.1 if name == "polytope-cbf" or speed < 2 else 0.6 * LIMIT_M_S2)
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize(
     ("name", "wind", "more_m"),
     [("polytope-cbf", 3.0, 0.02), ("polytope-cbf", 6.0, 0.04), ("cone-di", 6.0, 0.03)],

@@ -30,7 +30,7 @@ def around(speed_m_s):
     return mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(3)
 @pytest.mark.parametrize("speed_m_s", [1.0, 2.0, 3.0])
 def test_a_vehicle_that_follows_velocities_late_passes_its_via_points(speed_m_s):
     made = around(speed_m_s)
@@ -78,6 +78,7 @@ def test_a_vehicle_that_keeps_up_is_not_delayed():
         assert waiting.time_s == free.time_s
 
 
+@pytest.mark.slow
 def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_plan():
     config = PlanConfig(
         start=(0.4, 0.7, 1.0),

@@ -107,7 +107,8 @@ def test_no_curve_with_the_same_ratios_of_durations_is_faster_in_the_convex_refe
     assert 0.985 <= scale <= 1.0
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_other_ratios_of_durations_are_not_faster_either(seed):
     """Neither a random change of the durations nor equal ones, by the convex reference."""
     corridor = box_chain(seed, 2)

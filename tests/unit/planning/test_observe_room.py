@@ -57,7 +57,7 @@ def seen_by_two(room, voxel, size, images):
 @pytest.mark.parametrize(
     ("gaussians", "images", "size", "least"),
     [
-        pytest.param(120_000, 30, 0.1, 0.9, id="coarse"),
+        pytest.param(120_000, 30, 0.1, 0.9, id="coarse", marks=pytest.mark.slow),
         pytest.param(200_000, 60, 0.05, 0.95, id="fine", marks=pytest.mark.slow),
     ],
 )

@@ -15,6 +15,7 @@ def made():
     return files()
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(("vehicle", "interface"), _COMMANDED)
 def test_every_combination_flies_or_is_refused_in_one_sentence_with_an_alternative(vehicle, interface, made):
     count, faulty = collections.Counter(), []
