@@ -26,8 +26,9 @@ def polytope_cbf(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeFil
     samples too, and stays at least r away from every hull. With smoothing "paper" nothing of
     this is guaranteed. With `world.image` the hulls are those of an onboard map, which contain the
     cover's, and the commands those of a microcontroller that has it. With `world.tiles` they are those of the
-    resident tile; in its region the commands are those of the whole onboard map, beyond it what is not loaded
-    is an obstacle, and without a resident tile every velocity is refused. The margin is s - r.
+    resident tile. In its region the commands are those of the whole onboard map; beyond it the space that
+    is not loaded counts as an obstacle. Without a resident tile every velocity is refused. The margin is
+    s - r.
 
     Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; native/onboard/include/alula_polytope_cbf.h.
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import zlib
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,7 +25,8 @@ from alula.schemas.tiles import (
     read_tiles_index,
     sign,
 )
-from alula.stages.compression.onboard.tiles import cut_map, sealed
+from alula.stages.compression.onboard.tiles import cut_tiles, sealed
+from alula.stages.compression.verify_cubes import Alone
 from support.fabricate import exact_hull, make_cover
 
 KEY = bytes(range(32))
@@ -43,10 +45,18 @@ def posts(across=40, along=40, pitch=9, seed=1, offset=(0, 0, 0)):
     return make_cover(hulls, g=0.1, offset=offset)
 
 
+class CutMap(NamedTuple):
+    """A map cut into tiles: its index, and the images of all tiles."""
+
+    index: dict[str, Any]
+    images: list[bytes]
+
+
 def cut(cover, tile_m=1.2, reach_m=1.6, hysteresis_m=0.2, **fields):
-    return cut_map(
-        cover, tile_m=tile_m, reach_m=reach_m, hysteresis_m=hysteresis_m, largest_normal=127, **fields
-    )
+    images = []
+    lengths = {"tile_m": tile_m, "reach_m": reach_m, "hysteresis_m": hysteresis_m}
+    index = cut_tiles(Alone(cover), images.append, **lengths, largest_normal=127, **fields)
+    return CutMap(index, images)
 
 
 def sealed_binary(made, key=None):

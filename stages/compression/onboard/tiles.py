@@ -7,14 +7,12 @@ import math
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import MOST_TILES, TILES_SCHEMA, TILES_VERSION, Tile, TilesIndex, merkle_root
@@ -31,23 +29,10 @@ from alula.stages.compression.onboard.image import (
     decode_map,
 )
 from alula.stages.compression.onboard.layout import with_records
-from alula.stages.compression.verify_cubes import Alone, Parted
+from alula.stages.compression.verify_cubes import Parted
 
 _WALL = struct.Struct("<6h2B")
 _Rows = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class CutMap:
-    """A map cut into tiles.
-
-    Attributes:
-        index: without `key_id` and `provenance`, see `TilesIndex`.
-        images: of all tiles, in its order.
-    """
-
-    index: dict[str, Any]
-    images: list[bytes]
 
 
 def voxels_up(length_m: float, voxel_size_m: float) -> int:
@@ -58,54 +43,6 @@ def voxels_up(length_m: float, voxel_size_m: float) -> int:
         voxel_size_m: edge of a voxel [m].
     """
     return max(1, math.ceil(round(length_m / voxel_size_m, 6)))
-
-
-def cut_map(
-    cover: Artifact,
-    *,
-    tile_m: float,
-    reach_m: float,
-    hysteresis_m: float,
-    largest_normal: int,
-    cover_sha256: str = "",
-    jobs: int = 0,
-) -> CutMap:
-    """Cut the onboard map of a cover into columns along x and y.
-
-    Lengths are rounded up to whole voxels. The region of a tile is the tile grown by the hysteresis; at the
-    rim it has no end. Its image holds, with the bytes and in the order of the whole map, each hull with a box
-    that meets the region grown by the reach along x and y, and after these at most four walls: the box of all
-    hulls without the region grown by the reach.
-
-    Guarantee: each hull of the cover lies in a hull or a wall of each image, exactly, in integers, so each
-    image alone is an onboard map of the whole cover. At a position in the region, psi_h > reach for hulls
-    that are not in the image and for walls.
-
-    Args:
-        cover: an `alula/cover`.
-        tile_m: edge of a tile [m].
-        reach_m: see above [m].
-        hysteresis_m: see above; at most half of a tile [m].
-        largest_normal: as `encode_map`.
-        cover_sha256: as `encode_map`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-
-    Raises:
-        InfeasibleError: there would be too many tiles, or as `encode_map`.
-        InputError, ArtifactError: as `encode_map`; or the cover has no hulls.
-    """
-    images: list[bytes] = []
-    index = cut_tiles(
-        Alone(cover),
-        images.append,
-        tile_m=tile_m,
-        reach_m=reach_m,
-        hysteresis_m=hysteresis_m,
-        largest_normal=largest_normal,
-        cover_sha256=cover_sha256,
-        jobs=jobs,
-    )
-    return CutMap(index, images)
 
 
 def cut_tiles(
@@ -119,25 +56,36 @@ def cut_tiles(
     cover_sha256: str = "",
     jobs: int = 0,
 ) -> dict[str, Any]:
-    """Cut the onboard map of a cover in parts, as `cut_map` cuts one; the images are not kept in memory.
+    """Cut the onboard map of a cover into columns along x and y.
 
-    Memory holds 16 bytes per hull of the whole, and the parts within reach of the tile at work.
+    Lengths are rounded up to whole voxels. The region of a tile is the tile grown by the hysteresis; at the
+    rim it has no end. Its image holds, with the bytes and in the order of the whole map, each hull with a box
+    that meets the region grown by the reach along x and y, and after these at most four walls: the box of all
+    hulls without the region grown by the reach.
+
+    Guarantee: each hull of the cover lies in a hull or a wall of each image, exactly, in integers, so each
+    image alone is an onboard map of the whole cover. At a position in the region, psi_h > reach for hulls
+    that are not in the image and for walls.
+
+    Memory holds 16 bytes per hull of the whole, the parts within reach of the tile at work, and no image but
+    its own.
 
     Args:
-        cover: an `alula/cover`.
+        cover: an `alula/cover`, alone or in parts.
         keep: called with the image of each tile, in the order of the index.
-        tile_m: see `cut_map`; the others, too.
-        reach_m: see there.
-        hysteresis_m: see there.
-        largest_normal: see there.
-        cover_sha256: see there.
-        jobs: see there.
+        tile_m: edge of a tile [m].
+        reach_m: see above [m].
+        hysteresis_m: see above; at most half of a tile [m].
+        largest_normal: as `encode_map`.
+        cover_sha256: as `encode_map`.
+        jobs: threads, 0 for all processors; the result does not depend on it.
 
     Returns:
-        The index, see `CutMap`.
+        The index without `key_id` and `provenance`, see `TilesIndex`.
 
     Raises:
-        InfeasibleError, InputError, ArtifactError: see `cut_map`.
+        InfeasibleError: there would be too many tiles, or as `encode_map`.
+        InputError, ArtifactError: as `encode_map`; or the cover has no hulls.
     """
     hulls = HullRecords(cover, largest_normal, cover_sha256, jobs)
     size = hulls.frame.voxel_size_m
@@ -196,7 +144,7 @@ def sealed(cut: dict[str, Any], *, key_id: str, provenance: Provenance) -> Tiles
     """Complete the index of a map that was cut.
 
     Args:
-        cut: index of the map that was cut, see `CutMap`.
+        cut: index of the map that was cut, see `cut_tiles`.
         key_id: of the key that signs it; empty without a signature.
         provenance: of the folder.
     """
