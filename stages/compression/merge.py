@@ -53,9 +53,9 @@ def merge(
       pairs of its parts would have been due. Large scenes are merged in tiles first, down to an eighth of the
       clusters. With `hulls`, merging stops at 1.3 times their number, and goes on after tightening: each
       hull is rebuilt from the voxels that no other contains, and hulls without any are dropped, which never
-      enlarges the cover. At the end hulls are tightened, then the voxels of two neighbours are divided anew
-      by a plane where that reduces the sum of their W, or one hull is divided and two others are merged
-      instead, and hulls are tightened again.
+      enlarges the cover. At the end hulls are tightened, then three changes are made where they reduce the
+      sum of W: the voxels of two neighbours are divided anew by a plane; one hull is divided and two others
+      are merged; voxels at an extreme point of a hull go to another. Then hulls are tightened again.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
     its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume

@@ -135,7 +135,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
         const Budget budget = form.is_outer() ? Budget{} : options.budget;
         InterruptOnly quiet(tight);
         retighten(occupancy, cover, budget, jobs, quiet);
-        refine(occupancy, cover, budget, refine_evaluations(occupancy.size()), jobs, tight);
+        refine(occupancy, cover, budget, refine_work(occupancy.size()), jobs, tight);
         retighten(occupancy, cover, budget, jobs, quiet);
       }
       if (cover.within_budget && form.is_outer())

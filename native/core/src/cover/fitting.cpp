@@ -152,7 +152,7 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
     if (options.rule != MergeRule::kPaper) {
       InterruptOnly quiet(tightening);
       retighten(occupancy, one, {}, jobs, quiet);
-      refine(occupancy, one, {}, refine_evaluations(occupancy.size()), jobs, tightening);
+      refine(occupancy, one, {}, refine_work(occupancy.size()), jobs, tightening);
       retighten(occupancy, one, {}, jobs, quiet);
     }
     make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, outlining);

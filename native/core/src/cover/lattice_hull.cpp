@@ -381,17 +381,18 @@ void HullBuilder::build_union(const HullMesh& mesh, std::span<const Lattice> poi
   });
 }
 
-void HullBuilder::build_voxels(std::span<const Lattice> voxels) {
+void HullBuilder::build_voxels(std::span<const Lattice> voxels) { build_mixed({}, voxels); }
+
+std::span<const Lattice> HullBuilder::corners(std::span<const Lattice> voxels) {
   corner_.clear();
   add_corners(voxels);
-  build(corner_);
+  return corner_;
 }
 
-std::vector<Lattice> HullBuilder::build_more(std::span<const Lattice> points, std::span<const Lattice> voxels) {
+void HullBuilder::build_mixed(std::span<const Lattice> points, std::span<const Lattice> voxels) {
   corner_.assign(points.begin(), points.end());
   add_corners(voxels);
   build(corner_);
-  return outline().vertex;
 }
 
 HullMesh HullBuilder::mesh() {

@@ -194,6 +194,14 @@ void ZBounds::assign(const LatticePolytope& polytope, const LatticeBox& box) {
   }
 }
 
+void ZBounds::assign(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& own, const LatticeBox& box) {
+  height_ = box.upper[2] - box.lower[2];
+  upper_.clear(), lower_.clear(), upright_.clear();
+  const double x = box.lower[0] - own.lower[0], y = box.lower[1] - own.lower[1], z = box.lower[2] - own.lower[2];
+  for (const auto& plane : planes)
+    add(plane.x, plane.y, plane.z, plane.offset - plane.x * x - plane.y * y - plane.z * z);
+}
+
 namespace {
 
 using Four __attribute__((vector_size(32))) = double;
@@ -245,22 +253,35 @@ ALULA_WIDE void ZBounds::row(double x, std::span<const double> y, double* low, d
   std::copy_n(rest_high.begin(), y.size() - at(v), high + at(v));
 }
 
-double ExcessMeter::operator()(const HullBuilder& hull) {
+double ExcessMeter::operator()(const HullBuilder& hull, double limit) {
   bounds_.assign(hull.local_planes(), hull.box());
-  return measure(hull.box(), hull.is_box());
+  return measure(hull.box(), hull.is_box(), limit);
 }
 
 double ExcessMeter::operator()(const LatticePolytope& polytope) {
   const LatticeBox box = bounds(polytope.vertex);
   bounds_.assign(polytope, box);
-  return measure(box, polytope.plane.size() == 6);
+  return measure(box, polytope.plane.size() == 6, std::numeric_limits<double>::infinity());
 }
 
-double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
-  const std::int32_t ex = box.upper[0] - box.lower[0], ey = box.upper[1] - box.lower[1];
-  const double volume = static_cast<double>(ex) * ey * (box.upper[2] - box.lower[2]);
+double ExcessMeter::within(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& own,
+                           const LatticeBox& box) {
+  bounds_.assign(planes, own, box);
+  return sampled(box, std::numeric_limits<double>::infinity());
+}
+
+double ExcessMeter::measure(const LatticeBox& box, bool is_box, double limit) {
+  const double volume = static_cast<double>(box.upper[0] - box.lower[0]) * (box.upper[1] - box.lower[1]) *
+                        (box.upper[2] - box.lower[2]);
   // A hull of voxels has a facet on each side of its bounding box; six facets are that box.
   if (is_box) return volume - static_cast<double>(occupancy_->count(box));
+  const double total = sampled(box, limit);
+  if (total >= kLeast) return total;
+  return static_cast<double>(occupancy_->count(box)) == volume ? 0 : kLeast;
+}
+
+double ExcessMeter::sampled(const LatticeBox& box, double limit) {
+  const std::int32_t ex = box.upper[0] - box.lower[0], ey = box.upper[1] - box.lower[1];
   const int nx = sample_lines(ex, most_lines_), ny = sample_lines(ey, most_lines_);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
@@ -290,10 +311,9 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
                occupancy_->filled(*column, box.lower[2] + low_[j]);
     }
     total += sum;
+    if (total * step_x * step_y > limit) break;
   }
-  total *= step_x * step_y;
-  if (total >= kLeast) return total;
-  return static_cast<double>(occupancy_->count(box)) == volume ? 0 : kLeast;
+  return total * step_x * step_y;
 }
 
 }  // namespace alula

@@ -60,6 +60,12 @@ struct LatticeBox {
 
 LatticeBox bounds(std::span<const Lattice> points);
 
+inline double volume(const LatticeBox& box) {
+  double product = 1;
+  for (int i = 0; i < 3; ++i) product *= box.upper[i] - box.lower[i];
+  return product;
+}
+
 // A triangle of a hull's boundary, counter-clockwise from outside.
 struct HullFacet {
   std::array<std::int32_t, 3> vertex, neighbour;  // neighbour[e] across vertex[e], vertex[e + 1]
@@ -93,8 +99,11 @@ class HullBuilder {
   // Hull of the closed unit cubes [v, v + 1] of voxels sorted by x, y, z; never degenerate.
   void build_voxels(std::span<const Lattice> voxels);
 
-  // The extreme points of the hull of extreme points, which may be none, and further voxels sorted by x, y, z.
-  std::vector<Lattice> build_more(std::span<const Lattice> points, std::span<const Lattice> voxels);
+  // The corners of voxels sorted by x, y, z that may be extreme; valid until the next call.
+  std::span<const Lattice> corners(std::span<const Lattice> voxels);
+
+  // Hull of points and of voxels sorted by x, y, z, of which one may be none.
+  void build_mixed(std::span<const Lattice> points, std::span<const Lattice> voxels);
 
   const LatticeBox& box() const { return box_; }
   bool is_box() const { return is_box_; }  // the hull fills box()

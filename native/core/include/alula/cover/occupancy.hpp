@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -86,6 +87,9 @@ class ZBounds {
   void assign(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& box);
   void assign(const LatticePolytope& polytope, const LatticeBox& box);
 
+  // Of the part of a polytope in `box`, local to its lower corner; the planes are local to that of `own`.
+  void assign(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& own, const LatticeBox& box);
+
   // The intervals [low, high] of z over (x, y[k]); empty where low >= high.
   void row(double x, std::span<const double> y, double* low, double* high) const;
 
@@ -107,13 +111,17 @@ class ExcessMeter {
  public:
   explicit ExcessMeter(const Occupancy& occupancy, int most_lines = 24)
       : occupancy_(&occupancy), most_lines_(most_lines) {}
-  double operator()(const HullBuilder& hull);
+  double operator()(const HullBuilder& hull, double limit = std::numeric_limits<double>::infinity());
   double operator()(const LatticePolytope& polytope);
+
+  // Vol((polytope \ occupied) in a box), which has a volume; zero or small values have no meaning.
+  double within(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& own, const LatticeBox& box);
 
  private:
   static constexpr double kLeast = 1e-6;  // [voxels]
 
-  double measure(const LatticeBox& box, bool is_box);
+  double measure(const LatticeBox& box, bool is_box, double limit);
+  double sampled(const LatticeBox& box, double limit);
 
   const Occupancy* occupancy_;
   int most_lines_;

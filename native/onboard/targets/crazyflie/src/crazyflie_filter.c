@@ -89,10 +89,10 @@ static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_
                                     float step_s) {
   const float* u = filter->output.velocity;
   int is_same = 1;
-  for (int i = 0; i < 6; ++i) {
-    const float now = i < 3 ? state->position[i] : state->velocity[i - 3];
-    if (now != filter->seen[i]) is_same = 0;
-    filter->seen[i] = now;
+  for (int i = 0; i < 3; ++i) {
+    if (state->position[i] != filter->seen[i] || state->velocity[i] != filter->seen[3 + i]) is_same = 0;
+    filter->seen[i] = state->position[i];
+    filter->seen[3 + i] = state->velocity[i];
   }
   /* A working estimator changes with every measurement; the state of a commanded vehicle changes in any case. */
   if (!is_same) {
