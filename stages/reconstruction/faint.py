@@ -17,7 +17,7 @@ LIMITS = (DRAWN, 0.02, 0.05, FAINT, 0.2, 0.5)
 _CELLS = 128  # along the longest side of the box
 _MARGIN = 8  # cells around the box
 _QUANTILE = 0.01  # of centres outside the box, at each side
-_CHUNK = 2**21
+_CHUNK = 2**17  # rows; their temporary arrays stay in the cache
 _SAMPLE = 2**20
 _LARGEST = 1e4  # cells; longer semi-axes reach across the box anyway
 _FARTHEST = 1e6  # cells; centres beyond cannot reach the box
@@ -102,7 +102,8 @@ def marked_volume(
         band = (len(steps) - np.searchsorted(np.float32(steps[::-1]), alpha, side="right")).astype(np.uint8)
         counts += np.bincount(band, minlength=len(steps) + 1)
         place = (centre - origin) / edge  # cells have the edge 1
-        far = (np.abs(place) >= _FARTHEST).any(axis=1) if np.abs(place).max(initial=0) >= _FARTHEST else None
+        is_far = np.abs(place) >= _FARTHEST
+        far = is_far.any(axis=1) if is_far.any() else None
         place = place.astype(np.float32)
         semi = np.clip(semi / edge, 1e-6, _LARGEST).astype(np.float32)
         for number in range(len(steps) + 1):
@@ -125,7 +126,7 @@ def marked_volume(
 
 
 def _finite(*columns: NDArray[np.float32]) -> list[NDArray[Any]]:
-    """Rows without values that are not finite: centres and semi-axes in double precision, unit quaternions."""
+    """Finite rows: centres and semi-axes in double precision, unit quaternions, opacities."""
     mean, scale, quat, opacity = columns
     length = np.sqrt(np.einsum("ij,ij->i", quat, quat, dtype=np.float64))
     good = np.isfinite(opacity) & (length > 0)
@@ -156,5 +157,5 @@ def _touched(
         min_overlap=1,
         jobs=0,
     )
-    inside = ((index >= 0) & (index < size)).all(axis=1)
-    return index[inside]
+    inside = (index >= 0) & (index < size)
+    return index if inside.all() else index[inside.all(axis=1)]

@@ -73,9 +73,10 @@ def test_results_say_what_they_are(flown):
     assert repr(made.scene) == "Scene: 800 Gaussians, 3.98 x 3 x 2 units without metric scale"
     assert repr(made.metric) == "Scene: 800 Gaussians, 3.98 x 3 x 2 m, frame world"
     assert repr(made.voxels).startswith("Voxels: 858 occupied of edge 0.2 m")
-    planes, volume = len(made.cover.plane_normal), made.cover.manifest.conservativeness
+    planes, growth = len(made.cover.plane_normal), made.cover.manifest.conservativeness
     assert repr(made.cover) == (
-        f"Cover: 12 hulls, {planes} half-planes, volume {volume:.3g} times the voxels'; contains all 858 voxels"
+        f"Cover: 12 hulls, {planes} half-planes, volume {growth:.3g} times the voxels'; "
+        "contains all 858 voxels"
     )
     assert repr(made.plan).startswith("Plan: 3 m in 3.81 s, at most 1 m/s, 1.3 m from")
     assert repr(made.proof).startswith("Proof: covered: ")

@@ -308,8 +308,9 @@ class Refiner {
 }  // namespace
 
 std::size_t refine_work(std::size_t voxels) {
-  constexpr std::size_t most = 200'000, few_voxels = 100'000, voxels_per_unit = 16;
-  return std::max(most * few_voxels / std::max(voxels, few_voxels), voxels / voxels_per_unit);
+  constexpr double most = 200'000, few_voxels = 100'000, voxels_per_unit = 16;
+  const double many = std::max(1.0, static_cast<double>(voxels) / few_voxels);
+  return static_cast<std::size_t>(std::max(most / (many * many), static_cast<double>(voxels) / voxels_per_unit));
 }
 
 void refine(const Occupancy& occupancy, Cover& cover, const Budget& budget, std::size_t work, unsigned jobs,

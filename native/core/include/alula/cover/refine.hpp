@@ -8,7 +8,8 @@
 
 namespace alula {
 
-// Limit of the work that takes about as long as merging for few voxels, and a sixth of that for many.
+// Limit of the work: up to 100,000 voxels as much as is useful, which may take longer than merging; for many voxels
+// what takes a sixth of the time of merging.
 std::size_t refine_work(std::size_t voxels);
 
 // Repeats three changes as long as the sum of W decreases:
