@@ -91,6 +91,7 @@ def marked_volume(
     origin = low - _MARGIN * edge
     size = np.ceil((high - low) / edge).astype(int) + 2 * _MARGIN + 1
     steps = sorted({float(limit) for limit in limits}, reverse=True)
+    ascending = np.array(steps[::-1], np.float32)
     # Of each cell: the number of limits above the opacity of the most opaque Gaussian that touches it.
     grid = np.full(size, len(steps), np.uint8)
     touched = np.zeros(size, np.bool_)
@@ -99,7 +100,7 @@ def marked_volume(
         part = slice(start, start + _CHUNK)
         centre, semi, quat, alpha = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
         # Number of limits above the opacity, compared in single precision as the import does.
-        band = (len(steps) - np.searchsorted(np.float32(steps[::-1]), alpha, side="right")).astype(np.uint8)
+        band = (len(steps) - np.searchsorted(ascending, alpha, side="right")).astype(np.uint8)
         counts += np.bincount(band, minlength=len(steps) + 1)
         place = (centre - origin) / edge  # cells have the edge 1
         is_far = np.abs(place) >= _FARTHEST
