@@ -380,8 +380,7 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
         "opacity": scene["opacity"],
         "color": scene["color"],
     }
-    shift = mean - exact
-    moved = np.sqrt(np.einsum("ij,ij->i", shift, shift))
+    moved = np.linalg.norm(mean - exact, axis=1)
     if "loss" in scene.arrays:  # column 0, of the centre, is a length; all columns grow by the rounding here
         before = np.asarray(scene["loss"], np.float64)
         now = np.stack([similarity.scale * before[:, 0] + moved, before[:, 1], before[:, 2]], axis=1)

@@ -56,7 +56,7 @@ def has_plausible_records(buffer: memoryview) -> bool:
         ((mean == 0) | ((mean >= _SMALLEST) & (mean <= _FARTHEST))).all(axis=1)
         & ((scale == 0) | ((scale >= _SMALLEST) & (scale <= _LARGEST))).all(axis=1)
         & (scale > 0).any(axis=1)
-        & (np.abs(length - 1.0) <= QUATERNION_LOSS)
+        & (np.abs(length - 1.0) <= QUATERNION_LOSS + 1 / 255)  # a factor of 256/255 of some writers
     )
     positive = (rows["scale"] >= 0).all(axis=1)
     return bool(plausible.mean() >= _PLAUSIBLE and positive.mean() >= _POSITIVE)

@@ -44,6 +44,10 @@ def test_files_of_all_writers_that_normalise_are_taken(writer, count, seed, size
     assert is_taken(records(count, seed, WRITERS[writer], size))
 
 
+def test_a_length_that_a_writer_changed_most_is_taken():
+    assert is_taken(records(8, 3_181_589_821, WRITERS["rounded, middle 128"]))
+
+
 def test_a_file_is_read_under_any_name_and_alike(tmp_path):
     rows = records(300)
     for name in ("a.splat", "stdin", "b.bin", "c.ply"):
