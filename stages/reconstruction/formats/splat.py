@@ -16,8 +16,8 @@ RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), (
 _CHUNK = 2**18
 
 # Writers truncate or round, with 128 or 127.5 as the middle: apart from a common factor of at most 256/255,
-# which normalisation removes, a component read as b / 127.5 - 1 has an error of at most 2/255 for every writer,
-# and a vector of four components one of at most 4/255.
+# which normalisation removes, a component read as b / 127.5 - 1 has an error of at most 2/255 for every
+# writer, and a vector of four components one of at most 4/255.
 QUATERNION_LOSS = 4.0 / 255.0
 OPACITY_LOSS = 1.0 / 255.0
 
