@@ -203,7 +203,7 @@ def aligned(
         manifest: of the scene that was aligned.
         arrays: see `mapped`.
     """
-    lower, upper = _extremes(arrays["mean"])
+    lower, upper = _of_columns(np.min, arrays["mean"]), _of_columns(np.max, arrays["mean"])
     summary = align_summary(alignment, len(arrays["mean"]), lower.tolist(), upper.tolist())
     return make_artifact(
         SCENE,
@@ -272,13 +272,12 @@ def bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, Fl
         np.maximum(scale[:, 0], scale[:, 1]), scale[:, 2]
     )  # ten times as fast as max(axis=1)
     reach = _BOUNDED_SIGMA * longest[:, None].astype(np.float64)
-    return _extremes(mean - reach)[0], _extremes(mean + reach)[1]
+    return _of_columns(np.min, mean - reach), _of_columns(np.max, mean + reach)
 
 
-def _extremes(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Least and greatest value of each column, several times as fast as `min(axis=0)`."""
-    columns = values.T
-    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+def _of_columns(extreme: Callable[[NDArray[Any]], Any], values: NDArray[Any]) -> NDArray[Any]:
+    """Extreme of each column, several times as fast as with `axis=0`."""
+    return np.array([extreme(column) for column in values.T])
 
 
 def _levelled(

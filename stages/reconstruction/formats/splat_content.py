@@ -22,9 +22,9 @@ def is_splat(source: Source) -> bool:
 
     By the content it is one if it has whole records, at least `LEAST`, and 95 % of a sample of at most 256
     are plausible: position and scale are finite, neither huge nor tiny, some scale is not 0, and the
-    quaternion has the length 1 within the error of its bytes. Of random records one in 100,000 is plausible,
-    so the probability that eight of them pass is 1e-40. Text, and positions or rows that repeat, are refused
-    for themselves. A file with quaternions that are not normalised is not recognised.
+    quaternion has the length 1 within the error of its bytes. Of random records one in 80,000 is plausible,
+    so the probability that eight of them pass is below 1e-38. Text, and positions or rows that repeat, are
+    refused for themselves. A file with quaternions that are not normalised is not recognised.
 
     Args:
         source: the file or folder.

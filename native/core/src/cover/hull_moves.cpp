@@ -106,10 +106,8 @@ Cut HullMoves::best_cut(std::span<const std::uint32_t> voxels, double limit) {
       hull_.build_mixed(known, slab_[k + 1]);
       const double above = rough_(hull_, best.weight);
       if (above >= best.weight) break;
-      if (below_[k] + above < best.weight) {
-        best = {below_[k] + above, {}, first + static_cast<std::int32_t>(k) * step, step};
-        best.along[axis] = 1;
-      }
+      if (below_[k] + above < best.weight)
+        best = {below_[k] + above, axis, first + static_cast<std::int32_t>(k) * step, step};
       if (k > 0) known = hull_.outline().vertex;
     }
   }

@@ -271,13 +271,11 @@ double ExcessMeter::within(std::span<const HullBuilder::LocalPlane> planes, cons
 }
 
 double ExcessMeter::measure(const LatticeBox& box, bool is_box, double limit) {
-  const double volume = static_cast<double>(box.upper[0] - box.lower[0]) * (box.upper[1] - box.lower[1]) *
-                        (box.upper[2] - box.lower[2]);
   // A hull of voxels has a facet on each side of its bounding box; six facets are that box.
-  if (is_box) return volume - static_cast<double>(occupancy_->count(box));
+  if (is_box) return volume(box) - static_cast<double>(occupancy_->count(box));
   const double total = sampled(box, limit);
   if (total >= kLeast) return total;
-  return static_cast<double>(occupancy_->count(box)) == volume ? 0 : kLeast;
+  return static_cast<double>(occupancy_->count(box)) == volume(box) ? 0 : kLeast;
 }
 
 double ExcessMeter::sampled(const LatticeBox& box, double limit) {

@@ -197,7 +197,6 @@ class Refiner {
     list.resize(std::min(list.size(), piece_.size() / kPiecesPerRecut));
     std::erase_if(list, [&](const Pair& p) { return std::exchange(union_.at({p.left, p.right}).is_recut, true); });
     std::vector<Cut> cut(list.size());
-    std::vector<Piece> both(list.size());
     for (std::size_t begin = 0; begin < list.size() && !is_spent(); begin += kBatch)
       each(std::min(kBatch, list.size() - begin), [&](HullMoves& moves, std::size_t i) {
         const Pair& p = list[begin + i];

@@ -26,13 +26,13 @@ struct Piece {
   std::set<Lattice> tried;                      // extreme points where no transfer was found
 };
 
-// Divides voxels v by along . v < limit.
+// Divides voxels v by v[axis] < limit.
 struct Cut {
   double weight = std::numeric_limits<double>::infinity();  // sum of W of both sides
-  Lattice along{};
+  std::size_t axis = 0;
   std::int32_t limit = 0;
   std::int32_t step = 0;  // cuts at this distance were measured too; zero: none was found
-  bool is_below(const Lattice& v) const { return along[0] * v[0] + along[1] * v[1] + along[2] * v[2] < limit; }
+  bool is_below(const Lattice& v) const { return v[axis] < limit; }
 };
 
 // Voxels of one piece that go to another: its cap, with the centres beyond a plane.
