@@ -49,7 +49,8 @@ def most_voxels(ellipsoids: Ellipsoids) -> float:
     total = 0.0
     for start in range(0, len(ellipsoids.mean), _CHUNK):
         part = slice(start, start + _CHUNK)
-        total += float(np.prod(_extent(ellipsoids.part(part)), axis=1).sum())
+        x, y, z = _extent(ellipsoids.part(part)).T
+        total += float((x * y * z).sum())
     return total
 
 
@@ -57,7 +58,8 @@ def _extent(ellipsoids: Ellipsoids) -> NDArray[np.float64]:
     """Edges of a cube around each ellipsoid, as far as it touches the crop [voxels], rounded up."""
     size, sigma = ellipsoids.voxel_size_m, ellipsoids.sigma
     mean = ellipsoids.mean.astype(np.float64)
-    reach = sigma * ellipsoids.scale.max(axis=1).astype(np.float64)
+    x, y, z = ellipsoids.scale.T  # columns are several times as fast as the maximum along an axis
+    reach = sigma * np.maximum(np.maximum(x, y), z).astype(np.float64)
     if ellipsoids.loss is not None:
         position, scale, rotation = ellipsoids.loss.astype(np.float64).T
         reach = reach * (1 + scale) * (1 + rotation) + position
@@ -212,7 +214,8 @@ def largest_volume(ellipsoids: Ellipsoids) -> tuple[int, float]:
         ellipsoids: the sets and the lattice.
     """
     semi = ellipsoids.scale.astype(np.float64) * ellipsoids.sigma + ellipsoids.inflation_m
-    volume = 4 / 3 * math.pi * np.prod(semi / ellipsoids.voxel_size_m, axis=1)
+    x, y, z = (semi / ellipsoids.voxel_size_m).T
+    volume = 4 / 3 * math.pi * (x * y * z)
     row = int(np.argmax(volume))
     return row, float(volume[row])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,7 @@ LIMITS = (DRAWN, 0.02, 0.05, FAINT, 0.2, 0.5)
 _CELLS = 128  # along the longest side of the box
 _MARGIN = 8  # cells around the box
 _QUANTILE = 0.01  # of centres outside the box, at each side
-_CHUNK = 2**17  # rows; their temporary arrays stay in the cache
-_SAMPLE = 2**20
-_LARGEST = 1e4  # cells; longer semi-axes reach across the box anyway
-_FARTHEST = 1e6  # cells; centres beyond cannot reach the box
+_SAMPLE = 2**18  # at most, of centres
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,73 +86,15 @@ def marked_volume(
         return None
     origin = low - _MARGIN * edge
     size = np.ceil((high - low) / edge).astype(int) + 2 * _MARGIN + 1
-    steps = sorted({float(limit) for limit in limits}, reverse=True)
-    ascending = np.array(steps[::-1], np.float32)
-    # Of each cell: the number of limits above the opacity of the most opaque Gaussian that touches it.
-    grid = np.full(size, len(steps), np.uint8)
-    touched = np.zeros(size, np.bool_)
-    counts = np.zeros(len(steps) + 1, np.int64)
-    for start in range(0, len(mean), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        centre, semi, quat, alpha = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
-        # Number of limits above the opacity, compared in single precision as the import does.
-        band = (len(steps) - np.searchsorted(ascending, alpha, side="right")).astype(np.uint8)
-        counts += np.bincount(band, minlength=len(steps) + 1)
-        place = (centre - origin) / edge  # cells have the edge 1
-        is_far = np.abs(place) >= _FARTHEST
-        far = is_far.any(axis=1) if is_far.any() else None
-        place = place.astype(np.float32)
-        semi = np.clip(semi / edge, 1e-6, _LARGEST).astype(np.float32)
-        for number in range(len(steps) + 1):
-            mine = np.flatnonzero(band == number if far is None else (band == number) & ~far)
-            if not len(mine):
-                continue
-            index = _touched(place[mine], semi[mine], quat[mine], size)
-            at = tuple(index.T)
-            touched[at] = True
-            grid[at] = np.minimum(grid[at], number)
-    bands = np.bincount(grid[touched], minlength=len(steps) + 1)
+    ascending = sorted({float(limit) for limit in limits})
+    gaussians, cells = _core.tally_opacity(
+        mean, scale, quat_wxyz, opacity, np.array(ascending, np.float32), tuple(origin), edge, tuple(size)
+    )
     return MarkedVolume(
         edge,
-        int(touched.sum()),
+        sum(cells),
         tuple(
-            OpacityLimit(limit, int(counts[k + 1 :].sum()), int(bands[k + 1 :].sum()))
-            for k, limit in reversed(list(enumerate(steps)))
+            OpacityLimit(limit, sum(gaussians[: k + 1]), sum(cells[: k + 1]))
+            for k, limit in enumerate(ascending)
         ),
     )
-
-
-def _finite(*columns: NDArray[np.float32]) -> list[NDArray[Any]]:
-    """Finite rows: centres and semi-axes in double precision, unit quaternions, opacities."""
-    mean, scale, quat, opacity = columns
-    length = np.sqrt(np.einsum("ij,ij->i", quat, quat, dtype=np.float64))
-    good = np.isfinite(opacity) & (length > 0)
-    for values in (mean, scale, quat):
-        finite = np.isfinite(values)
-        if not finite.all():
-            good &= finite.all(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit = (quat / length[:, None]).astype(np.float32)
-    if good.all():
-        return [mean.astype(np.float64), scale.astype(np.float64), unit, opacity]
-    return [mean[good].astype(np.float64), scale[good].astype(np.float64), unit[good], opacity[good]]
-
-
-def _touched(
-    place: NDArray[np.float32], semi: NDArray[np.float32], quat: NDArray[np.float32], size: NDArray[np.intp]
-) -> NDArray[np.int32]:
-    """Cells of the grid that ellipsoids touch; all lengths in cells."""
-    index, *_ = _core.voxelize(
-        mean=place,
-        scale=semi,
-        quat_wxyz=quat,
-        loss=None,
-        sigma=1.0,
-        inflation=0.0,
-        voxel_size=1.0,
-        crop=(0.5, 0.5, 0.5, *(size - 0.5).tolist()),
-        min_overlap=1,
-        jobs=0,
-    )
-    inside = (index >= 0) & (index < size)
-    return index if inside.all() else index[inside.all(axis=1)]

@@ -38,6 +38,11 @@ template <class T>
 using IntoVector = Into<T, nanobind::shape<-1>>;
 
 template <class T, class Shape>
+std::span<T> as_span(const Into<T, Shape>& array) {
+  return {array.data(), array.size()};
+}
+
+template <class T, class Shape>
 std::span<T> as_span(const std::optional<Into<T, Shape>>& array) {
   if (!array) return {};
   return {array->data(), array->size()};

@@ -26,6 +26,14 @@ def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order
     OverflowError when the voxels exceed the memory budget.
     """
 
+def tally_opacity(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], limits: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: Sequence[float], edge: float, size: Sequence[int], jobs: int = 0) -> tuple[list[int], list[int]]:
+    """
+    Tally what one-sigma ellipsoids mark by their opacity, for ascending limits (L,): two lists of L + 1 counts, of
+    the rows by rank, the number of limits not above their opacity, and of the cells by the highest rank of the
+    rows that touch them. Cells have the edge `edge` and the indices 0 ... size - 1 from `origin`. Rows that are
+    not finite do not count. Raises ValueError for malformed input.
+    """
+
 def tiles_of(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, edge: int, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.int64], NDArray[numpy.uint32]]:
     """
     Find the tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64
@@ -534,6 +542,13 @@ def keep_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), orde
     Copy the rows whose removal is 0 to the outputs that are given, quaternions normalised and semi-axes no
     smaller than the floor. Returns lower, upper, scale_max, scale_median (of the longest semi-axes),
     opacity_median and floored (rows with a semi-axis below the floor) of these.
+    """
+
+def map_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, factor: float, rotation: Sequence[Sequence[float]], translation: Sequence[float], quat_wxyz: Sequence[float], out_mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], out_scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], out_quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], out_moved: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')] | None = None, jobs: int = 0) -> tuple[float, int, int]:
+    """
+    Write the rows mapped by x -> factor rotation x + translation, `quat_wxyz` being the rotation, rounded to
+    single precision. `out_moved` (N,) gets bounds on how far rounding moves each centre. Returns the largest
+    one and the first rows whose mean and scale do not fit, N if there is none.
     """
 
 def rotation_of(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:

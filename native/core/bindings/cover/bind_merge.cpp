@@ -134,7 +134,6 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       if (cover.within_budget && !given.is_paper) {
         const Budget budget = form.is_outer() ? Budget{} : options.budget;
         InterruptOnly quiet(tight);
-        retighten(occupancy, cover, budget, jobs, quiet);
         refine(occupancy, cover, budget, refine_work(occupancy.size()), jobs, tight);
         retighten(occupancy, cover, budget, jobs, quiet);
       }

@@ -4,6 +4,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include "alula/cover/voxelize.hpp"
 #include "arrays.hpp"
@@ -48,6 +49,26 @@ void bind_voxelize(nb::module_& m) {
       "unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is\n"
       "not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,\n"
       "OverflowError when the voxels exceed the memory budget.");
+  m.def(
+      "tally_opacity",
+      [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, alula::InVector<float> opacity,
+         alula::InVector<float> limits, alula::Vec3 origin, double edge, alula::Index3 size, unsigned jobs) {
+        const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz), {}};
+        alula::PythonControl control{nb::none()};
+        alula::OpacityTally tally;
+        {
+          const nb::gil_scoped_release release;
+          tally = alula::tally_opacity(splats, alula::as_span(opacity), alula::as_span(limits), origin, edge, size,
+                                       jobs, control);
+        }
+        return std::make_pair(tally.gaussians, tally.cells);
+      },
+      "mean"_a, "scale"_a, "quat_wxyz"_a, "opacity"_a, "limits"_a, "origin"_a, "edge"_a, "size"_a, "jobs"_a = 0,
+      "Tally what one-sigma ellipsoids mark by their opacity, for ascending limits (L,): two lists of L + 1 counts, "
+      "of\n"
+      "the rows by rank, the number of limits not above their opacity, and of the cells by the highest rank of the\n"
+      "rows that touch them. Cells have the edge `edge` and the indices 0 ... size - 1 from `origin`. Rows that are\n"
+      "not finite do not count. Raises ValueError for malformed input.");
   m.def(
       "tiles_of",
       [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, double sigma, double voxel_size, double inflation,

@@ -61,6 +61,21 @@ FiguresDict keep(const InRows3<float>& mean, const InRows3<float>& scale, const 
   return result;
 }
 
+std::tuple<double, std::size_t, std::size_t> map(const InRows3<float>& mean, const InRows3<float>& scale,
+                                                 const InRows4<float>& quat, double factor,
+                                                 const std::array<std::array<double, 3>, 3>& rotation,
+                                                 const std::array<double, 3>& translation,
+                                                 const std::array<double, 4>& quat_wxyz, IntoRows3<float> out_mean,
+                                                 IntoRows3<float> out_scale, IntoRows4<float> out_quat,
+                                                 std::optional<IntoVector<double>> out_moved, unsigned jobs) {
+  PythonControl control{nb::none()};
+  const MappedRows out{as_span(out_mean), as_span(out_scale), as_span(out_quat), as_span(out_moved)};
+  const nb::gil_scoped_release release;
+  const MappedFigures found = map_rows(as_span(mean), as_span(scale), as_span(quat),
+                                       {factor, rotation, translation, quat_wxyz}, out, jobs, control);
+  return {found.moved_max, found.bad_mean, found.bad_scale};
+}
+
 }  // namespace
 }  // namespace alula
 
@@ -79,4 +94,10 @@ void bind_scene_rows(nb::module_& m) {
         "Copy the rows whose removal is 0 to the outputs that are given, quaternions normalised and semi-axes no\n"
         "smaller than the floor. Returns lower, upper, scale_max, scale_median (of the longest semi-axes),\n"
         "opacity_median and floored (rows with a semi-axis below the floor) of these.");
+  m.def("map_rows", &map, "mean"_a, "scale"_a, "quat"_a, nb::kw_only(), "factor"_a, "rotation"_a, "translation"_a,
+        "quat_wxyz"_a, "out_mean"_a.noconvert(), "out_scale"_a.noconvert(), "out_quat"_a.noconvert(),
+        "out_moved"_a.noconvert().none() = nb::none(), "jobs"_a = 0,
+        "Write the rows mapped by x -> factor rotation x + translation, `quat_wxyz` being the rotation, rounded to\n"
+        "single precision. `out_moved` (N,) gets bounds on how far rounding moves each centre. Returns the largest\n"
+        "one and the first rows whose mean and scale do not fit, N if there is none.");
 }

@@ -151,7 +151,6 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
     Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, trying);
     if (options.rule != MergeRule::kPaper) {
       InterruptOnly quiet(tightening);
-      retighten(occupancy, one, {}, jobs, quiet);
       refine(occupancy, one, {}, refine_work(occupancy.size()), jobs, tightening);
       retighten(occupancy, one, {}, jobs, quiet);
     }

@@ -247,14 +247,18 @@ class Merger {
     return weight - element_[left].weight - element_[right].weight;
   }
 
-  // Lower bound on the key of two elements with these boxes: they share free volume only where the boxes overlap.
-  double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
+  // Expected key of two elements with these boxes: a lower bound, as they share free volume only where the boxes
+  // overlap, and the expected growth.
+  double expected_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
     const double u = element_[a].weight, v = element_[b].weight;
     if (options_.rule == MergeRule::kPaper) return std::max(u, v);
     double common = 1;
     for (int i = 0; i < 3; ++i)
       common *= std::max(0, std::min(box_a.upper[i], box_b.upper[i]) - std::max(box_a.lower[i], box_b.lower[i]));
-    return -std::min({u, v, common});
+    LatticeBox both = box_a;
+    both.add(box_b);
+    const double growth = std::max(0.0, volume(both) - volume(box_a) - volume(box_b));
+    return options_.expected_growth * growth - std::min({u, v, common});
   }
 
   void link(std::uint32_t a, std::uint32_t b, double key) {
@@ -300,7 +304,7 @@ class Merger {
       tree_.touching(tree_.box(i), touching_);
       lower.clear();
       for (const std::uint32_t j : touching_)
-        if (j < i) lower.push_back({j, least_key(i, j, tree_.box(i), tree_.box(j))});
+        if (j < i) lower.push_back({j, expected_key(i, j, tree_.box(i), tree_.box(j))});
       link_lower(i, lower);
       if (touching_.size() == 1) pair_with_nearest(i);
     }
@@ -313,7 +317,7 @@ class Merger {
     if (options_.rule == MergeRule::kPaper) {
       gaps_.push({near.squared_distance, i, near.item});
     } else if (!is_linked(i, near.item)) {
-      const double key = least_key(i, near.item, tree_.box(i), tree_.box(near.item));
+      const double key = expected_key(i, near.item, tree_.box(i), tree_.box(near.item));
       link(i, near.item, key);
       queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
     }
@@ -409,7 +413,7 @@ class Merger {
     tree_.insert(made, box);
     element_.push_back(std::move(merged));
     for (const std::uint32_t other : touching_)
-      merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
+      merged_links_.push_back({other, expected_key(made, other, box, tree_.box(other))});
     std::sort(merged_links_.begin(), merged_links_.end(),
               [](const Link& a, const Link& b) { return a.other != b.other ? a.other < b.other : a.key > b.key; });
     merged_links_.erase(std::unique(merged_links_.begin(), merged_links_.end(),

@@ -1,8 +1,10 @@
 #include "alula/cover/voxelize.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
+#include <mutex>
 #include <numeric>
 #include <optional>
 #include <stdexcept>
@@ -56,10 +58,12 @@ struct Boxed {
   int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
 };
 
+// Finds the voxels of sets and gives them to a writer, in runs.
+template <class Writer>
 class Marker {
  public:
-  Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range, const Stop& stop)
-      : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range), stop_(stop) {}
+  Marker(Writer& writer, double g, const CropRange& crop, const CropRange& range, const Stop& stop)
+      : writer_(writer), g_(g), inverse_g_(1 / g), crop_(crop), range_(range), stop_(stop) {}
 
   // Adds the voxels of one set within the range.
   Reach mark(const Bounds& set) {
@@ -81,8 +85,6 @@ class Marker {
     }
     return !marked ? Reach::kOutside : whole ? Reach::kWithin : Reach::kCut;
   }
-
-  void finish() { writer_.finish(); }
 
  private:
   // The second ellipsoid, where the first alone might mark many voxels more.
@@ -182,7 +184,7 @@ class Marker {
 
   Span span(std::int32_t i, double centre) const { return {double(i) * g_ - centre, (double(i) + 1) * g_ - centre}; }
 
-  OverlapGrid::Writer writer_;
+  Writer& writer_;
   double g_, inverse_g_;
   CropRange crop_, range_;
   const Stop& stop_;
@@ -204,9 +206,10 @@ template <class Marked>
 void mark_all(const Splats& splats, const Level& level, double g, const CropRange& outer, const CropRange& range,
               OverlapGrid& grid, unsigned jobs, Control& control, Marked&& marked) {
   parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end, const Stop& stop) {
-    Marker marker(grid, g, outer, range, stop);
+    OverlapGrid::Writer writer(grid);
+    Marker marker(writer, g, outer, range, stop);
     for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(bounds_of(splats, i, level)));
-    marker.finish();
+    writer.finish();
   });
 }
 
@@ -274,6 +277,79 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
            [&](std::size_t i, Reach reach) { out.reach[i] = static_cast<std::uint8_t>(reach); });
   out.voxels = grid.collect(min_overlap, jobs, collecting);
   return out;
+}
+
+namespace {
+
+constexpr double kShortest = 1e-6, kLongest = 1e4;  // semi-axes [cells]; longer ones reach across the box anyway
+constexpr double kFarthest = 1e6;                   // cells; centres beyond cannot reach the box
+
+// Raises the cells of a box to the rank of the present ellipsoid; many threads write to the same cells.
+struct RankWriter {
+  std::span<std::uint8_t> cell;
+  const Index3& size;
+  std::uint8_t rank = 0;
+
+  void add(const OverlapGrid::Run& run) {
+    const std::size_t row = (std::size_t(run.x) * std::size_t(size[1]) + std::size_t(run.y)) * std::size_t(size[2]);
+    for (std::size_t i = row + std::size_t(run.first); i <= row + std::size_t(run.last); ++i) {
+      std::atomic_ref<std::uint8_t> now(cell[i]);
+      for (std::uint8_t old = now.load(std::memory_order_relaxed); old < rank;)
+        if (now.compare_exchange_weak(old, rank, std::memory_order_relaxed)) break;
+    }
+  }
+};
+
+}  // namespace
+
+OpacityTally tally_opacity(const Splats& splats, std::span<const float> opacity, std::span<const float> limit,
+                           const Vec3& origin, double edge, const Index3& size, unsigned jobs, Control& control) {
+  const std::size_t n = splats.size(), ranks = limit.size() + 1;
+  if (splats.mean.size() != 3 * n || splats.scale.size() != 3 * n || splats.quat_wxyz.size() != 4 * n ||
+      opacity.size() != n)
+    throw std::invalid_argument("mean, scale, quat_wxyz and opacity do not have the same number of rows");
+  if (!std::is_sorted(limit.begin(), limit.end()) || ranks > 255)
+    throw std::invalid_argument("limits are not ascending, or too many");
+  if (!(edge > 0) || *std::min_element(size.begin(), size.end()) < 1 ||
+      double(size[0]) * size[1] * size[2] > double(OpacityTally::kMaxCells))
+    throw std::invalid_argument("the box has no cells, or too many");
+  std::vector<std::uint8_t> cell(std::size_t(size[0]) * std::size_t(size[1]) * std::size_t(size[2]), 0);
+  CropRange range;
+  for (std::size_t a = 0; a < 3; ++a) range.lower[a] = 0, range.upper[a] = size[a] - 1;
+  OpacityTally tally{std::vector<std::int64_t>(ranks, 0), std::vector<std::int64_t>(ranks, 0)};
+  std::mutex mutex;
+  parallel_chunks(n, kChunk, jobs, control, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+    RankWriter writer{cell, size};
+    Marker marker(writer, 1.0, range, range, stop);
+    std::vector<std::int64_t> gaussians(ranks, 0);
+    for (std::size_t i = begin; i < end; ++i) {
+      std::array<float, 3> place, semi;  // in cells
+      double squared = 0;
+      bool is_finite = std::isfinite(opacity[i]), is_far = false;
+      for (std::size_t a = 0; a < 3; ++a) {
+        const double centre = (double(splats.mean[3 * i + a]) - origin[a]) / edge, s = splats.scale[3 * i + a];
+        is_finite &= std::isfinite(centre) && std::isfinite(s);
+        is_far |= std::abs(centre) >= kFarthest;
+        place[a] = static_cast<float>(centre);
+        semi[a] = static_cast<float>(std::clamp(s / edge, kShortest, kLongest));
+      }
+      for (std::size_t a = 0; a < 4; ++a) {
+        const double q = splats.quat_wxyz[4 * i + a];
+        squared += q * q;
+      }
+      if (!is_finite || !std::isfinite(squared) || squared == 0) continue;
+      const auto rank = std::upper_bound(limit.begin(), limit.end(), opacity[i]) - limit.begin();
+      ++gaussians[static_cast<std::size_t>(rank)];
+      if (is_far) continue;
+      writer.rank = static_cast<std::uint8_t>(rank + 1);
+      marker.mark(bounds_of({place, semi, splats.quat_wxyz.subspan(4 * i, 4), {}}, 0, {}));
+    }
+    const std::lock_guard lock(mutex);
+    for (std::size_t r = 0; r < ranks; ++r) tally.gaussians[r] += gaussians[r];
+  });
+  for (const std::uint8_t rank : cell)
+    if (rank > 0) ++tally.cells[rank - 1u];
+  return tally;
 }
 
 Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,

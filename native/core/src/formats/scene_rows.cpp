@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include "alula/base/parallel.hpp"
 #include "alula/base/wide.hpp"
@@ -236,6 +237,71 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
     if (i == 1) figures.opacity_median = median(kept_opacity);
   });
   return figures;
+}
+
+MappedFigures map_rows(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat,
+                       const RowMotion& motion, const MappedRows& out, unsigned jobs, Control& control) {
+  const std::size_t count = mean.size() / 3;
+  for (const auto& [have, width] : {std::pair{mean.size(), 3},
+                                    {scale.size(), 3},
+                                    {quat.size(), 4},
+                                    {out.mean.size(), 3},
+                                    {out.scale.size(), 3},
+                                    {out.quat.size(), 4},
+                                    {out.moved.empty() ? count : out.moved.size(), 1}}) {
+    if (have != static_cast<std::size_t>(width) * count) throw std::invalid_argument("arrays of different lengths");
+  }
+  // Seven roundings of double precision at most; none where an axis is only exchanged or mirrored.
+  std::array<double, 3> unit;
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto& r = motion.rotation[j];
+    const auto ones = std::count_if(r.begin(), r.end(), [](double v) { return std::fabs(v) == 1; });
+    const bool is_exact = std::count(r.begin(), r.end(), 0.0) == 2 && ones == 1;
+    unit[j] = is_exact && motion.scale == 1 && motion.translation[j] == 0 ? 0 : 0x1p-50;
+  }
+  std::vector<MappedFigures> part(chunks_of(count), {0, count, count});
+  parallel_chunks(count, kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+    MappedFigures found{0, count, count};
+    const auto& [a, b, c, d] = motion.quat_wxyz;
+    for (std::size_t i = begin; i < end; ++i) {
+      const double x = mean[3 * i], y = mean[3 * i + 1], z = mean[3 * i + 2];
+      double squared = 0;
+      bool fits = true, scale_fits = true;
+      for (std::size_t j = 0; j < 3; ++j) {
+        const auto& r = motion.rotation[j];
+        const double a0 = r[0] * x, a1 = r[1] * y, a2 = r[2] * z, shift = motion.translation[j];
+        const double now = motion.scale * ((a0 + a1) + a2) + shift;
+        const double size = motion.scale * (std::fabs(a0) + std::fabs(a1) + std::fabs(a2)) + std::fabs(shift);
+        const float rounded = out.mean[3 * i + j] = static_cast<float>(now);
+        const double error = std::fabs(rounded - now) + unit[j] * size;
+        squared += error * error;
+        fits &= std::isfinite(rounded);
+        const float semi = static_cast<float>(motion.scale * scale[3 * i + j]);
+        out.scale[3 * i + j] = std::max(semi, std::numeric_limits<float>::min());
+        scale_fits &= std::isfinite(semi);
+      }
+      const double moved = std::sqrt(squared) * (1 + 0x1p-50);
+      found.moved_max = std::max(found.moved_max, moved);
+      if (!out.moved.empty()) out.moved[i] = moved;
+      if (!fits) found.bad_mean = std::min(found.bad_mean, i);
+      if (!scale_fits) found.bad_scale = std::min(found.bad_scale, i);
+      const double e = quat[4 * i], f = quat[4 * i + 1], g = quat[4 * i + 2], h = quat[4 * i + 3];
+      const std::array<double, 4> turned{a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,
+                                         a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e};
+      double length = 0;
+      for (const double q : turned) length += q * q;
+      length = std::sqrt(length);
+      for (std::size_t j = 0; j < 4; ++j) out.quat[4 * i + j] = static_cast<float>(turned[j] / length);
+    }
+    part[begin / kChunk] = found;
+  });
+  MappedFigures whole{0, count, count};
+  for (const MappedFigures& one : part) {
+    whole.moved_max = std::max(whole.moved_max, one.moved_max);
+    whole.bad_mean = std::min(whole.bad_mean, one.bad_mean);
+    whole.bad_scale = std::min(whole.bad_scale, one.bad_scale);
+  }
+  return whole;
 }
 
 }  // namespace alula

@@ -24,6 +24,9 @@ struct MergeOptions {
   Budget budget;                 // of the written cover
   double max_growth = 0;         // limit of 1 + sum W / voxels; 0: no limit
   std::size_t finest_hulls = 0;  // covers of up to this many hulls will be replayed from the history
+  // A union that was not measured yet is expected to add this fraction of what its bounding box adds to those of its
+  // parts. Zero examines pairs in the order of lower bounds, which measures more of them.
+  double expected_growth = 0;
 };
 
 struct Merge {

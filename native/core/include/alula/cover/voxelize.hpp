@@ -68,6 +68,22 @@ void check_each_budget(const Splats& splats, const Level& level, double g, const
 void check_budgets(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
                    Control& control);
 
+// What ellipsoids of a low opacity mark in a box of coarse cells. The rank of an opacity is the number of limits that
+// are not above it, 0 ... L.
+struct OpacityTally {
+  static constexpr std::size_t kMaxCells = std::size_t{1} << 28;
+
+  std::vector<std::int64_t> gaussians;  // (L + 1): rows of each rank
+  std::vector<std::int64_t> cells;      // (L + 1): cells by the highest rank of the rows that touch them
+};
+
+// The tally of the ellipsoids at level 1, for ascending limits, in the cells origin + edge ([i, i + 1] x ...) with
+// indices 0 ... size - 1. Rows that are not finite or have no rotation do not count; semi-axes are at least 1e-6 and
+// at most 1e4 cells. For judging limits only: cells are found in single precision. The same for every number of jobs.
+// Throws std::invalid_argument for malformed input.
+OpacityTally tally_opacity(const Splats& splats, std::span<const float> opacity, std::span<const float> limit,
+                           const Vec3& origin, double edge, const Index3& size, unsigned jobs, Control& control);
+
 // Ellipsoids that may touch each tile {edge t ... edge t + edge - 1}^3 of voxels, by their boxes
 // within the crop. Tiles that no ellipsoid may touch are left out.
 struct Tiles {

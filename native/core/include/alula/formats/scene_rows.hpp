@@ -1,4 +1,5 @@
-// Selection of the Gaussians of a file that enter a scene, and their arrays; two passes over the rows.
+// Selection of the Gaussians of a file that enter a scene, and their arrays, in two passes over the rows; and their
+// similarity transform.
 //
 // Rows are independent and sums run over fixed chunks, so results do not depend on the number of threads.
 #pragma once
@@ -71,5 +72,28 @@ struct KeptFigures {
 KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> color,
                       std::span<const std::uint8_t> removal, float scale_floor, const KeptArrays& out, unsigned jobs,
                       Control& control);
+
+// x -> scale R x + translation, with R also as a unit quaternion.
+struct RowMotion {
+  double scale;
+  std::array<std::array<double, 3>, 3> rotation;  // rows
+  std::array<double, 3> translation;
+  std::array<double, 4> quat_wxyz;
+};
+
+struct MappedRows {
+  std::span<float> mean, scale, quat;  // (N, 3), (N, 3), (N, 4)
+  std::span<double> moved;             // (N), or empty: bound on the distance of each centre from its exact place
+};
+
+struct MappedFigures {
+  double moved_max;                 // the largest bound
+  std::size_t bad_mean, bad_scale;  // the first rows that do not fit single precision; N if there is none
+};
+
+// Writes the rows in the new frame, computed in double precision and rounded: semi-axes no smaller than the least
+// normal number, quaternions of length 1. Throws std::invalid_argument when lengths do not agree.
+MappedFigures map_rows(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat,
+                       const RowMotion& motion, const MappedRows& out, unsigned jobs, Control& control);
 
 }  // namespace alula
