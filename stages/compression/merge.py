@@ -51,11 +51,12 @@ def merge(
     - method "default": repeatedly join the pair with the smallest W(i u j) - W(i) - W(j), where a hull that
       touches no other is paired with its nearest. Pairs of a joined hull are measured no earlier than the
       pairs of its parts would have been due. Large scenes are merged in tiles first, down to an eighth of the
-      clusters. With `hulls`, merging stops at 1.3 times their number, and goes on after tightening: each
-      hull is rebuilt from the voxels that no other contains, and hulls without any are dropped, which never
-      enlarges the cover. At the end hulls are tightened, then three changes are made where they reduce the
-      sum of W: the voxels of two neighbours are divided anew by a plane; one hull is divided and two others
-      are merged; voxels at an extreme point of a hull go to another. Then hulls are tightened again.
+      clusters, and pairs are measured in the order of what their common box adds. With `hulls`, merging stops
+      at 1.3 times their number, and goes on after tightening: each hull is rebuilt from the voxels that no
+      other contains, and hulls without any are dropped, which never
+      enlarges the cover. At the end three changes are made where they reduce the sum of W: the voxels of two
+      neighbours are divided anew by a plane; one hull is divided and two others are merged; voxels at an
+      extreme point of a hull go to another. Then hulls are tightened again.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
     its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume
@@ -170,7 +171,9 @@ def require_possible(config: MergeConfig) -> None:
 
 
 def merge_sets(config: MergeConfig, source: Artifact, *, jobs: int = 0) -> dict[str, Any]:
-    """Merge like `merge` with the limits of hulls and growth; also where these contradict each other.
+    """Merge like `merge` with the limits of hulls and growth, to sets that will be merged further.
+
+    They are tightened but not changed otherwise, and limits may contradict each other.
 
     Args:
         config: see `MergeConfig`.
@@ -184,7 +187,8 @@ def merge_sets(config: MergeConfig, source: Artifact, *, jobs: int = 0) -> dict[
         InputError: see `merge`.
     """
     sets = _voxels_and_sets(source)
-    return _cover(config, *sets, jobs, journal=None, progress=None, max_growth=config.max_growth or 0.0)
+    growth = config.max_growth or 0.0
+    return _cover(config, *sets, jobs, journal=None, progress=None, max_growth=growth, is_final=False)
 
 
 def _cover(
@@ -199,6 +203,7 @@ def _cover(
     max_bytes: int = 0,
     is_fitted: bool = False,
     max_growth: float = 0.0,
+    is_final: bool = True,
 ) -> dict[str, Any]:
     """Run the native merge with some of its limits replaced."""
     found: dict[str, Any] = _core.merge_cover(
@@ -213,6 +218,7 @@ def _cover(
         facet_cap=config.facet_cap if isinstance(config.facet_cap, int) else 0,
         kdop=config.kdop or 0,
         is_fitted=is_fitted,
+        is_final=is_final,
         max_growth=max_growth,
         jobs=jobs,
         journal=journal,

@@ -153,7 +153,7 @@ def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Volume [voxels] of the union of polytopes outside sorted voxels (M, 3); the union contains every voxel.
     """
 
-def merge_cover(voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64], *, block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
+def merge_cover(voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64], *, block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, is_final: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
     """
     Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an
     empty `member_start` the set cover by clusters is computed. A limit of 0 means no limit. `facet_cap` and `kdop`

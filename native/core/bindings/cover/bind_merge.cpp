@@ -69,7 +69,7 @@ struct MergeArguments {
   int block = 1;
   bool is_paper = false;
   std::size_t max_hulls = 0, max_planes = 0, max_bytes = 0, facet_cap = 0, kdop = 0;
-  bool is_fitted = false;
+  bool is_fitted = false, is_final = true;
   double max_growth = 0;
 };
 
@@ -88,6 +88,7 @@ struct Fields<MergeArguments> {
       Field{"facet_cap", &Merge::facet_cap, "maximum number of facets of a hull", none, true},
       Field{"kdop", &Merge::kdop, "number of fixed directions", none, true},
       Field{"is_fitted", &Merge::is_fitted, "choose the number of hulls", none, true},
+      Field{"is_final", &Merge::is_final, "refine the cover; else its sets will be merged further", none, true},
       Field{"max_growth", &Merge::max_growth, "limit of the growth in a merge", none, true}};
 };
 
@@ -134,7 +135,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       if (cover.within_budget && !given.is_paper) {
         const Budget budget = form.is_outer() ? Budget{} : options.budget;
         InterruptOnly quiet(tight);
-        refine(occupancy, cover, budget, refine_work(occupancy.size()), jobs, tight);
+        if (given.is_final) refine(occupancy, cover, budget, refine_work(occupancy.size()), jobs, tight);
         retighten(occupancy, cover, budget, jobs, quiet);
       }
       if (cover.within_budget && form.is_outer())
