@@ -24,7 +24,7 @@ from alula.stages.reconstruction.formats.registry import read_splats
 VOXEL_M = 0.05
 GAUSSIANS_PER_HULL = 500  # 1.5 million Gaussians get 3,000 hulls, others in proportion
 STEPS = ("read", "voxelize", "merge", "verify")
-TARGET_S, TARGET_MB = 8.0, 2000.0  # from 1.5 million Gaussians to the cover
+TARGET_S, TARGET_MB = 4.0, 2000.0  # from 1.5 million Gaussians to the cover
 
 
 def child(paths: list[str]) -> None:

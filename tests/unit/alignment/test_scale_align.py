@@ -1,6 +1,7 @@
 """The stage `scale-align`: from a scene in its own frame to metres."""
 
 import json
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -78,6 +79,25 @@ def test_the_identity_changes_no_bit_of_means_and_scales():
     for name in ("mean", "scale"):
         np.testing.assert_array_equal(after[name], before[name])
     assert (after.manifest.frame, after.manifest.unit) == ("world", "m")
+    assert after.manifest.alignment["rounding_m"] == 0
+
+
+@settings(max_examples=examples(30), deadline=None)
+@given(st.integers(0, 2**31), st.floats(1e-3, 1e3))
+def test_the_stated_rounding_bounds_the_exact_shift_closely(seed, scale):
+    before, S = scene(), similarity(seed, scale)
+    after = scale_align(ScaleAlignConfig(), before, S, 0)
+
+    def exact(point, axis):
+        turned = sum(Fraction(r) * Fraction(p) for r, p in zip(S.rotation[axis], point, strict=True))
+        return Fraction(scale) * turned + Fraction(S.translation_m[axis])
+
+    shifts = [
+        sum((Fraction(new[axis]) - exact(old, axis)) ** 2 for axis in range(3))
+        for old, new in zip(before["mean"].tolist(), after["mean"].tolist(), strict=True)
+    ]
+    bound = Fraction(after.manifest.alignment["rounding_m"])
+    assert max(shifts) <= bound**2 <= max(shifts) * Fraction(1.001)
 
 
 def test_correspondences_are_reported_item_by_item():
