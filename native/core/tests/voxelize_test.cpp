@@ -1,4 +1,5 @@
-// Voxels and their proof are the same for any number of threads, and a missing voxel is always found.
+// Voxels and their proof are the same for any number of threads, and a missing voxel is always found. A tally by
+// opacity is that of the voxels of the rows of each rank.
 #include "alula/cover/voxelize.hpp"
 
 #include <random>
@@ -54,9 +55,50 @@ void test_voxels_are_proven() {
   }
 }
 
+void test_tally_is_that_of_the_voxels() {
+  Scene scene;
+  std::mt19937 random(4);
+  std::vector<float> opacity;
+  for (float& m : scene.mean) m = 8 + 5 * m;  // in cells; some lie outside
+  for (float& s : scene.scale) s *= 4;
+  for (std::size_t i = 0; i < kEllipsoids; ++i)
+    opacity.push_back(std::uniform_real_distribution<float>(0, 1)(random));
+  const std::vector<float> limit{0.2f, 0.5f, 0.99f};
+  const Index3 size{14, 12, 13};
+  Control control;
+  const OpacityTally one = tally_opacity(scene.splats(), opacity, limit, {0, 0, 0}, 1, size, 1, control);
+  const OpacityTally many = tally_opacity(scene.splats(), opacity, limit, {0, 0, 0}, 1, size, 5, control);
+  CHECK(one.gaussians == many.gaussians && one.cells == many.cells);
+
+  std::int64_t above_rows = 0, above_cells = 0;  // of higher ranks
+  for (std::size_t rank = limit.size() + 1; rank-- > 0;) {
+    Scene part;
+    part.mean.clear(), part.scale.clear(), part.quat.clear();
+    for (std::size_t i = 0; i < kEllipsoids; ++i) {
+      if (rank > 0 && opacity[i] < limit[rank - 1]) continue;
+      const auto copy = [i](const std::vector<float>& from, std::vector<float>& to, std::size_t width) {
+        for (std::size_t a = 0; a < width; ++a) to.push_back(from[width * i + a]);
+      };
+      copy(scene.mean, part.mean, 3), copy(scene.scale, part.scale, 3), copy(scene.quat, part.quat, 4);
+    }
+    const auto rows = static_cast<std::int64_t>(part.mean.size() / 3);
+    const auto index = voxelize(part.splats(), {1, 0}, 1, std::nullopt, std::nullopt, 1, 2, control).voxels.index;
+    std::int64_t cells = 0;
+    for (std::size_t v = 0; v < index.size(); v += 3) {
+      bool inside = true;
+      for (std::size_t a = 0; a < 3; ++a) inside &= index[v + a] >= 0 && index[v + a] < size[a];
+      cells += inside;
+    }
+    CHECK(one.gaussians[rank] == rows - above_rows && one.cells[rank] == cells - above_cells);
+    CHECK(cells > above_cells && rows > above_rows);
+    above_rows = rows, above_cells = cells;
+  }
+}
+
 }  // namespace
 
 int main() {
   test_voxels_are_proven();
+  test_tally_is_that_of_the_voxels();
   return alula_failures != 0;
 }
