@@ -363,7 +363,7 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
     Raises:
         InputError: a value does not fit single precision.
     """
-    made = {name: np.empty_like(scene[name], np.float32) for name in ("mean", "scale", "quat_wxyz")}
+    made = {name: np.empty(scene[name].shape, np.float32) for name in ("mean", "scale", "quat_wxyz")}
     rotation = np.array(similarity.rotation)
     moved = np.empty(len(scene["mean"])) if "loss" in scene.arrays else None
     rounding, *bad = _core.map_rows(

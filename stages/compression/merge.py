@@ -51,12 +51,12 @@ def merge(
     - method "default": repeatedly join the pair with the smallest W(i u j) - W(i) - W(j), where a hull that
       touches no other is paired with its nearest. Pairs of a joined hull are measured no earlier than the
       pairs of its parts would have been due. Large scenes are merged in tiles first, down to an eighth of the
-      clusters, and pairs are measured in the order of what their common box adds. With `hulls`, merging stops
-      at 1.3 times their number, and goes on after tightening: each hull is rebuilt from the voxels that no
-      other contains, and hulls without any are dropped, which never
-      enlarges the cover. At the end three changes are made where they reduce the sum of W: the voxels of two
-      neighbours are divided anew by a plane; one hull is divided and two others are merged; voxels at an
-      extreme point of a hull go to another. Then hulls are tightened again.
+      clusters, and a pair not measured yet is expected to add 5 % of what its common box adds. With `hulls`,
+      merging stops at 1.3 times their number, and goes on after tightening: each hull is rebuilt from the
+      voxels that no other contains, and hulls without any are dropped, which never enlarges the cover. At the
+      end three changes are made where they reduce the sum of W: the voxels of two neighbours are divided anew
+      by a plane; one hull is divided and two others are merged; voxels at an extreme point of a hull go to
+      another. Then hulls are tightened again.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
     its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume
