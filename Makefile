@@ -25,7 +25,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz attack test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -107,6 +107,9 @@ fuzz: setup ## 20,000 mutated artifacts against every command; mutated splat fil
 	$(BIN)/python -P tests/support/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
 	.ci/system-packages --fuzz
 	$(BIN)/python -P tests/support/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
+
+attack: setup ## search for a false claim at random: an hour, a minute with QUICK=1; SEED=n draws other cases
+	PYTHONPATH=tests nice $(BIN)/python -P -m support.attack --seconds $(if $(QUICK),55,3600) --seed $(or $(SEED),0)
 
 # The wheel is built where the editable install was: what that compiled is compiled once.
 wheel: setup ## build the wheel and the sdist into dist/
