@@ -162,7 +162,7 @@ def _page(
 
     progress(1, 2)
     # The summary is part of the page, so it is known before the page is bounded.
-    text, content = within(compose, most_gaussians=config.gaussians, provenance_line="PROVENANCE")
+    text, content = within(compose, gaussians=config.gaussians, provenance_line="PROVENANCE")
     summary = _summary(content)
     text = text.replace("PROVENANCE", comment(provenance.line(summary)), 1)
     progress(2, 2)
@@ -183,7 +183,7 @@ def _picture(
     from alula.stages.viewing import encode
     from alula.stages.viewing.film import film, still
 
-    content = compose(config.gaussians)
+    content = compose(config.most_gaussians)
     summary = _summary(content)
     if form in _STILLS:
         size = pictured.size_px(_STILL_PX)
@@ -278,7 +278,7 @@ def _serve(files: tuple[Path, ...], config: ViewConfig, port: int, common: Commo
         if flight is not None and not any(flight in run.flights for run in shown.runs):
             return None
         asked = config if flight is None else dataclasses.replace(config, flight=(flight,))
-        return within(composer(shown, asked), most_gaussians=config.gaussians)[0]
+        return within(composer(shown, asked), gaussians=config.gaussians)[0]
 
     with PageServer(make, port) as server:
         if common.json:

@@ -175,7 +175,7 @@ def view(*things: Result | Run | str | Path, **fields: Unpack[ViewFields]) -> Pa
     def html() -> str:
         with on_disk() as folder, shown("view"):
             found = read_files(paths(folder), config.title)
-            return within(composer(found, config), most_gaussians=config.gaussians)[0]
+            return within(composer(found, config), gaussians=config.gaussians)[0]
 
     def write(output: Path, force: bool) -> None:
         with on_disk() as folder:

@@ -25,11 +25,11 @@ class ViewConfig:
             "metavar": "N",
         },
     )
-    gaussians: int = field(
-        default=MOST_GAUSSIANS,
+    gaussians: int | None = field(
+        default=None,
         metadata={
-            "help": "Maximum number of Gaussians to show, those that contribute most; fewer where the page "
-            "would be larger than 7 MB.",
+            "help": "Show at most so many Gaussians, those that contribute most, however large the page; "
+            f"default: at most {MOST_GAUSSIANS}, and fewer where the page would be larger than 7 MB.",
             "metavar": "N",
         },
     )
@@ -39,8 +39,13 @@ class ViewConfig:
 
     def __post_init__(self) -> None:
         """Refuse a negative number."""
-        if self.gaussians < 0:
+        if self.gaussians is not None and self.gaussians < 0:
             raise UsageError(f"--gaussians must not be negative, not {self.gaussians}")
+
+    @property
+    def most_gaussians(self) -> int:
+        """Maximum number of Gaussians of a picture."""
+        return MOST_GAUSSIANS if self.gaussians is None else self.gaussians
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -260,10 +260,7 @@ def _playback(view: View | None, flights: Sequence[Figure]) -> str:
 
 
 def _view(view: View) -> str:
-    note = (
-        f"{view.note} Drag to turn, scroll to zoom. The view needs WebGL; the picture above shows the same "
-        "from one side."
-    )
+    note = f"{view.note} Drag to turn, scroll to zoom. Without WebGL the view is a picture."
     return (
         '<h2>Look around</h2><iframe title="3D view of scene, map and flights" '
         f'sandbox="allow-scripts" loading="lazy" srcdoc="{escape(view.html)}"></iframe>'

@@ -14,6 +14,18 @@
     if (flights.length) at("words").textContent = flights[0].label + " " + flights[0].words;
     return;
   }
+  // A browser without a GPU draws little and slowly: first it shows the picture.
+  const drawnBefore = Boolean(window.alulaNote && at("still").querySelector("img"));
+  const turn = () => { at("still").hidden = true; };
+  if (drawnBefore) {
+    const button = document.createElement("button");
+    button.textContent = "show it in 3D"; button.onclick = turn;
+    at("why").textContent = "In three dimensions this page draws " + window.alulaNote + ". ";
+    at("why").append(button); at("still").hidden = false;
+    window.addEventListener("pointerdown", event => {
+      if (![at("head"), at("still")].some(part => part.contains(event.target))) turn();
+    }, true);
+  }
   if (!flights.length) return;
   root.classList.remove("no-plots");
   const choice = document.createElement("select");
@@ -37,7 +49,7 @@
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field, Math.max(0, t).toFixed(2));
     field.dispatchEvent(new Event("input", { bubbles: true }));
   };
-  choice.onchange = () => seek(flights[choice.value].begin + 0.01);
+  choice.onchange = () => { turn(); seek(flights[choice.value].begin + 0.01); };
   window.alulaSeek = seek; window.alulaTime = time;
 
   let shown = -1, canvases = [];
@@ -95,10 +107,10 @@
     let j = c.t.findIndex(s => s > t); j = j < 0 ? c.t.length - 1 : Math.max(0, j - 1);
     return (c.label === plot.name.split(" ")[0] ? "" : c.label + " ") + (c.v[j] === null ? "–" : c.v[j].toFixed(2)) + " " + (plot.name.match(/\[(.*)\]/) || ["", ""])[1];
   }).join(", ")).slice(0, 2).join("; ");
-  let before = null, isBegun = window.parent === window;
+  let before = null, isBegun = window.parent === window && !drawnBefore;
   const step = () => {
     const t = time();
-    if (t !== null && !isBegun) { // in a report it rests at the worst moment, until somebody presses play
+    if (t !== null && !isBegun) { // in a report, and behind the picture, it rests at the worst moment, until somebody presses play
       isBegun = true; seek(flights[0].begin + Math.max(0.01, flights[0].worst));
     }
     if (t === null || (t === before && canvases.length && canvases[0].width === Math.round(canvases[0].clientWidth * (window.devicePixelRatio || 1)))) return;
@@ -115,16 +127,19 @@
     const asked = event.data;
     if (event.source !== window.parent || window.parent === window || !asked || asked.alula !== "seek") return;
     const f = flights.find(one => one.run === asked.run && one.trial === asked.trial);
+    if (f) turn();
     if (f) seek(f.begin + Math.min(Math.max(asked.time - f.from, 0), f.end - f.begin));
   });
   at("plots").onclick = event => {
     const canvas = event.target.closest("canvas"), f = flights[shown];
     if (!canvas || !f) return;
+    turn();
     const box = canvas.getBoundingClientRect();
     seek(f.begin + Math.min(1, Math.max(0, (event.clientX - box.left - 42) / (box.width - 50))) * (f.end - f.begin));
   };
   window.addEventListener("keydown", event => {
     if (/INPUT|SELECT|TEXTAREA/.test(event.target.tagName) || time() === null) return;
+    turn();
     if (event.key === "ArrowRight" || event.key === "ArrowLeft") {
       seek(time() + (event.key === "ArrowRight" ? 0.5 : -0.5)); event.preventDefault();
     }

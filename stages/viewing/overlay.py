@@ -9,8 +9,8 @@ MARKUP = """
 <details id="alula-head" open><summary>TITLE</summary>
 <p id="alula-choice"></p><p id="alula-words"></p><p id="alula-now"></p>
 <p id="alula-legend"></p><p id="alula-notes" class="soft"></p>
-</details><figure id="alula-still" hidden>STILL<figcaption>This browser cannot draw in three dimensions:
-it needs WebGL 2 and scripts.</figcaption></figure>
+</details><figure id="alula-still" hidden>STILL<figcaption id="alula-why">This browser cannot draw
+in three dimensions: it needs WebGL 2 and scripts.</figcaption></figure>
 <noscript><style>#alula-still[hidden] { display: flex; }</style></noscript>
 <div id="alula-plots" role="img" aria-label="Curves of the flight over its time"></div></div>
 """

@@ -65,21 +65,19 @@ class _Recording:
         return len(self.before) + len(self.after)
 
 
-def page(content: Content, *, provenance_line: str = "", other: str = "", picture: bool = True) -> str:
+def page(content: Content, *, provenance_line: str = "", other: str = "") -> str:
     """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
 
     Args:
         content: of the view.
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
         other: how to see a flight that the page does not play, in words; "" when it plays all.
-        picture: the page has a still picture, which it shows where WebGL is missing.
 
     Returns:
         The HTML text.
     """
     found = _record(content)
-    image = _image(content) if picture else ""
-    return _around(found, f'"{found.data}"', content, provenance_line, other, image)
+    return _around(found, f'"{found.data}"', content, provenance_line, other, _image(content))
 
 
 def _image(content: Content) -> str:
@@ -92,10 +90,9 @@ def within(
     make: Callable[[int], Content],
     *,
     maximum: int = MOST_BYTES,
-    most_gaussians: int = MOST_GAUSSIANS,
+    gaussians: int | None = None,
     provenance_line: str = "",
     other: str = "",
-    picture: bool = True,
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
@@ -104,17 +101,17 @@ def within(
     Args:
         make: content of a view with at most so many Gaussians.
         maximum: number of bytes.
-        most_gaussians: number to begin with.
+        gaussians: show so many, whatever the number of bytes; None: at most `MOST_GAUSSIANS`, and fewer where
+            the page would be too large.
         provenance_line: as of `page`.
         other: as of `page`.
-        picture: as of `page`.
 
     Returns:
         The page, and what it shows.
     """
-    content = make(most_gaussians)
+    content = make(MOST_GAUSSIANS if gaussians is None else gaussians)
     light = lightened(content, make)
-    image = _image(content) if picture else ""
+    image = _image(content)
     few = _record(light)
     if light is content:
         return _around(few, f'"{few.data}"', content, provenance_line, other, image), content
@@ -122,12 +119,12 @@ def within(
     room: float = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
     while True:
         count = max(LIGHT_GAUSSIANS, LIGHT_GAUSSIANS + int(room / each))
-        if count < content.gaussians:
+        if gaussians is None and count < content.gaussians:
             content = make(count)
         many = _record(content)
         data = f'alulaDraws("{few.data}",{json.dumps(_less(light, content))},"{many.data}")'
         text = _around(many, data, content, provenance_line, other, image)
-        if len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
+        if gaussians is not None or len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
             return text, content
         room -= 1.2 * (len(text) - maximum)
 
@@ -177,11 +174,13 @@ def _around(
         "other": other,
     }
     facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    camera = {"position": [*content.camera.position], "look_at": [*content.camera.look_at]}
     style, before, script = (asset(name) for name in ("overlay.css", "before.js", "overlay.js"))
     head = (
         (f"\n<!-- {provenance_line} -->\n" if provenance_line else "")
         + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        + f"<style>{style}</style><script>{before}</script><script>{asset('measure.js')}</script>"
+        + f"<style>{style}</style><script>window.alulaCamera={json.dumps(camera)};{before}</script>"
+        f"<script>{asset('measure.js')}</script>"
     )
     body = (
         MARKUP.replace("STILL", image).replace("TITLE", escape(content.title), 1)

@@ -37,7 +37,6 @@ def view(material: Material) -> View | None:
     html, content = within(
         lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S, first=first),
         maximum=_MOST_BYTES,
-        picture=False,  # the report has one
     )
     notes = "; ".join(content.notes)
     return View(html, f"{notes[0].upper()}{notes[1:]}." if notes else "")

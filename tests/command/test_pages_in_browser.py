@@ -151,6 +151,39 @@ def test_a_report_and_the_view_in_it(name, folder, browser):
             check_curves(shown, frame)
 
 
+@pytest.mark.parametrize("window", [{"width": 1280, "height": 800}, PHONE], ids=["wide", "phone"])
+def test_a_report_neither_scrolls_nor_takes_the_focus_by_itself(window, files, browser):
+    page = write_page(files, "report", "run", *REPORTS["run"])
+    with opened(browser, page.as_uri(), **window) as shown:
+
+        def place():
+            return shown.page.evaluate("[window.scrollX, window.scrollY, document.activeElement.tagName]")
+
+        def wait():
+            frame = shown.page.frames[1]
+            frame.wait_for_function("window.alulaTime && alulaTime() > 0")
+            shown.page.wait_for_timeout(500)
+            return frame
+
+        if window is PHONE:  # the view is loaded when it comes near
+            shown.page.evaluate("window.scrollTo(0, 300)")
+        before = place()
+        assert before[2] == "BODY"
+        frame = wait()
+        assert place() == before
+        chart = shown.page.locator("figure[data-time] svg").first
+        chart.click()  # scrolls there, as a person does
+        before, time = place(), frame.evaluate("alulaTime()")
+        chart.click(position={"x": 100, "y": 60})
+        frame.wait_for_function(f"alulaTime() !== {time}")
+        shown.page.wait_for_timeout(500)
+        assert place() == before
+        frame.locator("#alula-plots canvas").first.click()
+        time = frame.evaluate("alulaTime()")
+        shown.page.keyboard.press("ArrowRight")  # goes to the view, not to its field of the time
+        frame.wait_for_function(f"alulaTime() > {time} + 0.3")
+
+
 def switch(shown, *, dark):
     """Click until the colors change: a page that loads its view may miss a click."""
 

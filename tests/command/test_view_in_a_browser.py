@@ -5,8 +5,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from alula.stages.viewing import light
+from alula.stages.viewing import page as pages
 from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.page import page
+from alula.stages.viewing.page import page, within
 from support.browser import SOFTWARE, Opened, chromium_program, near
 from support.fabricate import make_scene, make_trial
 from support.viewed_pages import RED
@@ -49,6 +51,41 @@ def test_a_page_is_a_picture_where_webgl_or_scripts_are_missing(lacks, tmp_path)
         seen = Opened(shown).pixels()
     assert requests == []
     assert near(seen, RED) > 0.01
+
+
+def test_a_browser_without_a_gpu_shows_the_picture_until_somebody_turns_it(tmp_path, monkeypatch):
+    for module in (pages, light):
+        monkeypatch.setattr(module, "LIGHT_GAUSSIANS", 100)
+    scene = make_scene(300, low=(0, -1, 0), high=(5, 1, 0.5), color=RED)
+    shown_parts = Shown(title="seen", scenes=[("s", scene)], runs=[run_of([make_trial(0)])])
+    text, _ = within(lambda most: content_of(shown_parts, most_gaussians=most))
+    (tmp_path / "page.html").write_text(text)
+    with chromium([]) as (shown, requests):
+        shown.goto(f"file://{tmp_path}/page.html")
+        still = shown.locator("#alula-still")
+        still.wait_for(state="visible", timeout=60_000)
+        assert "of 300 Gaussians, because this browser draws without a GPU" in still.text_content()
+        shown.wait_for_function("window.alulaTime && alulaTime() > 0", timeout=60_000)
+        time = shown.evaluate("alulaTime()")
+        shown.wait_for_timeout(600)
+        assert shown.evaluate("alulaTime()") == time  # nothing plays behind the picture
+        still.locator("button").click()
+        assert not still.is_visible()
+    assert requests == []
+
+
+def test_a_narrow_window_shows_the_whole_scene(tmp_path):
+    scene = make_scene(2000, low=(-2, -2, -2), high=(2, 2, 2), color=RED)
+    (tmp_path / "page.html").write_text(page(content_of(Shown(title="whole", scenes=[("s", scene)]))))
+    with chromium([]) as (shown, _):
+        shown.set_viewport_size({"width": 300, "height": 600})
+        shown.goto(f"file://{tmp_path}/page.html")
+        shown.evaluate("document.getElementById('alula-head').open = false")
+        opened = Opened(shown)
+        opened.until(lambda: near(opened.pixels(), RED) > 0.05, "nothing is red")
+        seen = opened.pixels()
+    assert near(seen[:, 100:200], RED) > 0.05
+    assert max(near(seen[:, :4], RED), near(seen[:, -4:], RED)) < 0.02  # 0.5 where the scene is cropped
 
 
 def test_two_clicks_measure_the_distance_between_gaussians(tmp_path):
