@@ -203,7 +203,7 @@ def write_flights(
         vehicle=world_words(scenario, flown.vehicle),
         trials=flown.trials,
         summary=summary,
-        guarantee=world_guarantee(flown, read.get("cover")),
+        guarantee=world_guarantee(flown, read.get("cover"), provenance.inputs),
     )
     interface = scenario.vehicle.interface
     assert interface is not None
@@ -243,15 +243,18 @@ def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialRe
     """
     from alula.schemas.run import PLAN_OUTCOMES
     from alula.stages.planning.adherence import complaint
+    from alula.stages.simulation.world.certificate import uncertified_words
     from alula.stages.simulation.world.judge import hits_static, static_clearance
 
     hits = [trial for trial in trials if hits_static(trial)]
     if hits and scenario.safety.filters:
         deepest = min(hits, key=static_clearance)
         start = " ".join(f"{value:.3f}" for value in deepest.start_m)
+        beyond = uncertified_words(scenario, hits)
         raise CheckError(
             f"{name}: {len(hits)} of {len(trials)} filtered flights touched a static obstacle or left the "
             f"fence; the deepest is trial {deepest.index} from ({start}), {-static_clearance(deepest):.4g} m"
+            + (f"; {beyond}" if beyond else "")
         )
     if scenario.mission.kind == "plan":
         trial = trials[0]

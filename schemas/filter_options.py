@@ -53,7 +53,7 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
     tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
     tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
+    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.3
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -150,7 +150,7 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
     tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
     tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
+    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.6
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -322,7 +322,7 @@ class ShieldParameters(Options, frozen=True, kw_only=True):
     tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
     tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
     tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
+    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
     k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
     k_sigma: Annotated[float, Meta(description='gain K_sigma of the attitude (hover, heading-invariant) [N m]')] = 0.3

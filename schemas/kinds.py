@@ -141,6 +141,7 @@ COVER = Kind(
         ),
         ArrayRule("history", "<f8", ("H", 3), "1", "merges: left, right, weight [voxels]", "finite"),
     ),
+    version="1.1",
     folder_suffix=".cover",
 )
 

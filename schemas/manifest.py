@@ -238,13 +238,14 @@ LEVEL = tuple(name for name in LevelManifest.__struct_fields__ if name not in Ma
 
 
 def level_fields(manifest: LevelManifest) -> dict[str, Any]:
-    """Fields that define an obstacle, and what a reader must know of them, for another manifest.
+    """Fields that define an obstacle, where it comes from, and what a reader must know of it, for a cover.
 
     Args:
-        manifest: of voxels, seen space or a cover.
+        manifest: of voxels or a cover.
     """
     requires = [need for need in manifest.requires if need == IMPORTED_MAP]
-    return {name: getattr(manifest, name) for name in LEVEL} | {"requires": requires}
+    origin = manifest.made_from if isinstance(manifest, CoverManifest) else manifest.inputs
+    return {name: getattr(manifest, name) for name in LEVEL} | {"requires": requires, "made_from": origin}
 
 
 class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):
@@ -286,7 +287,8 @@ class SeenManifest(LevelManifest, frozen=True, kw_only=True):
 class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
 
-    It has the level of the covered voxels, so that a scene can be checked against the cover alone. With
+    It has the level of the covered voxels, so that a scene can be checked against the cover alone. Since 1.1
+    it also names the files of the obstacles, so that a claim about them can be compared with a scene. With
     `polytopes` "hull" the polytopes are the convex hulls of their members. With "outer" they contain these
     hulls: their planes support the hull and include those of its bounding box; `requires` names this too.
 
@@ -294,11 +296,14 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
         conservativeness: volume of the polytopes over that of the voxels.
         certificate: what `merge` checked of its own result.
         polytopes: whether they are the convex hulls of their members or contain these.
+        made_from: the files that the covered voxels were made from, as their manifest names them; empty
+            where it is not known.
     """
 
     conservativeness: Margin
     certificate: dict[str, Any]
     polytopes: Literal["hull", "outer"] = "hull"
+    made_from: list[InputRef] = []
 
     def __post_init__(self) -> None:
         """Refuse outer polytopes that older readers would use as hulls, and entries of a wrong type."""

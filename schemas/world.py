@@ -63,6 +63,7 @@ from alula.schemas.world_tables import (
     VehicleTable,
     WorldTable,
     about,
+    default_shield_map,
 )
 from alula.schemas.world_upgrade import upgraded_tree
 
@@ -299,10 +300,10 @@ def _completed(scenario: WorldScenario, tree: Mapping[str, Any]) -> WorldScenari
         if name in names and not 1e-4 <= tick_s <= 0.1:
             raise UsageError(f"`$.rules.dt_s`: {name} runs every 0.0001 to 0.1 s, not every {tick_s:g} s")
         new[_field(name)] = _with(safety, name, tick_s=tick_s)
-    if world.scene is None:
-        for name in ("cone-ecbf", "cone-backup", "shield"):
-            if "shield_map" not in given.get(name, {}) and given.get(name, {}).get("shield", True):
-                new[_field(name)] = _with(safety, name, shield_map="hulls")
+    against = default_shield_map(has_ellipsoids=world.scene is not None, has_hulls=world.has_hulls)
+    for name in ("cone-ecbf", "cone-backup", "shield"):
+        if "shield_map" not in given.get(name, {}) and given.get(name, {}).get("shield", True):
+            new[_field(name)] = _with(safety, name, shield_map=against)
     return msgspec.structs.replace(scenario, safety=msgspec.structs.replace(safety, **new))
 
 

@@ -214,6 +214,18 @@ class WorldTable(Table, frozen=True, kw_only=True):
         return self.has_hulls or self.scene is not None or self.fence is not None
 
 
+def default_shield_map(*, has_ellipsoids: bool, has_hulls: bool) -> Literal["ellipsoids", "hulls", "both"]:
+    """What a shield certifies against where nothing else is chosen: all that flights are judged against.
+
+    Args:
+        has_ellipsoids: whether there is a scene.
+        has_hulls: whether there are hulls, of a cover, of walls or of unseen space.
+    """
+    if not has_ellipsoids:
+        return "hulls"
+    return "both" if has_hulls else "ellipsoids"
+
+
 class ControllerTable(Table, frozen=True, kw_only=True):
     """What makes the nominal command of a mission."""
 

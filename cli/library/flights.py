@@ -53,6 +53,11 @@ class _Flown:
         refs: list[InputRef] = [one.ref(role) for role, one in self.inputs.items()]
         return Provenance.now(RUN_SCHEMA, RUN_VERSION, self.mission.parameters, self.mission.seed, refs)
 
+    def statement(self) -> str:
+        from alula.stages.simulation.world.summary import world_guarantee
+
+        return world_guarantee(self.flown, self.maps.get("cover"), self.provenance().inputs).statement
+
     def write(self, path: Path) -> None:
         from alula.cli.simulate import write_flights
 
@@ -258,13 +263,7 @@ def simulate(
         )
     timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials)}
     origin = _Flown(mission, flown, timing, maps, inputs)
-    return Run(origin.summary, flown.trials, _statement(flown, maps), origin)
-
-
-def _statement(flown: WorldRun, maps: Mapping[str, Artifact]) -> str:
-    from alula.stages.simulation.world.summary import world_guarantee
-
-    return world_guarantee(flown, maps.get("cover")).statement
+    return Run(origin.summary, flown.trials, origin.statement(), origin)
 
 
 def _role(one: Result) -> str:

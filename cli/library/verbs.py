@@ -232,6 +232,7 @@ def merge(source: Source, *, jobs: int = 0, **fields: Unpack[MergeFields]) -> Co
     Raises:
         InfeasibleError: there is no cover within the limits.
     """
+    from alula.schemas.artifact import Artifact
     from alula.stages.compression.merge import merge as stage
 
     config = configured("merge", MergeConfig, fields)
@@ -239,8 +240,9 @@ def merge(source: Source, *, jobs: int = 0, **fields: Unpack[MergeFields]) -> Co
     if not isinstance(found, Voxels | Cover):
         what = f"{source}: is" if not isinstance(source, Result) else "a result is"
         raise WrongKindError(f"{what} {type(found).__name__.lower()}, but voxels or a cover are needed")
+    whole = Artifact(found.manifest, found.artifact.arrays)  # the cover names the files of its voxels
     with shown("merge") as progress:
-        return Cover(stage(config, found.artifact, jobs=jobs, progress=progress), {"source": found})
+        return Cover(stage(config, whole, jobs=jobs, progress=progress), {"source": found})
 
 
 class Proof:

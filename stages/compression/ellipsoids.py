@@ -84,6 +84,17 @@ def lacks_of(scene: SceneManifest) -> list[str]:
     return [f"{what}, not imported" for what in lacks] if isinstance(lacks, list) else []
 
 
+def removed_from(scene: SceneManifest) -> list[str]:
+    """Phrases that name what of its splat a scene does not have: what it lacks, and the rows removed.
+
+    Args:
+        scene: manifest of an `alula/scene`.
+    """
+    removed = scene.source.get("removed")
+    rows = sorted(removed.items()) if isinstance(removed, dict) else []
+    return lacks_of(scene) + [f"{count} Gaussians removed by {reason}" for reason, count in rows if count]
+
+
 def recorded_lacks(level: LevelManifest) -> list[str]:
     """The phrases of `lacks_of` that voxels, or a cover made from them, record.
 
@@ -103,12 +114,8 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
         inflation_m: radius of the ball added to each ellipsoid [m].
         ignore_loss: the scene's `loss` is not used.
     """
-    source, parts = scene.source, lacks_of(scene)
+    source, parts = scene.source, removed_from(scene)
     removed = source.get("removed")
-    if isinstance(removed, dict):
-        parts += [
-            f"{count} Gaussians removed by {reason}" for reason, count in sorted(removed.items()) if count
-        ]
     loss = source.get("loss")
     losses: dict[str, Any] = loss if isinstance(loss, dict) else {}
     if (moved := losses.get("opacity")) and isinstance(removed, dict) and removed.get("min_opacity"):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
+
+import msgspec
 
 from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import ImportedMap, LevelManifest
+from alula.schemas.manifest import LEVEL, ImportedMap, LevelManifest
 
 
 def mass_within(sigma: float) -> float:
@@ -120,3 +123,36 @@ def outside_words(level: LevelManifest) -> str:
     if level.imported.unknown == "free":
         return "space that the octree does not know"
     return "space that the octree does not know, outside of the box of its leaves"
+
+
+def recorded_level(level: LevelManifest) -> dict[str, Any]:
+    """Definition of an obstacle for a certificate, with the fraction of a Gaussian's mass inside.
+
+    Args:
+        level: definition of an obstacle.
+    """
+    found: dict[str, Any] = msgspec.to_builtins({name: getattr(level, name) for name in LEVEL})
+    return found if level.sigma is None else found | {"mass_fraction": mass_within(level.sigma)}
+
+
+def omissions(level: LevelManifest, *, below: int | None = None, is_cropped: bool = True) -> list[str]:
+    """What a level leaves out of its scene or map, in words; none where it counts every obstacle in full.
+
+    Args:
+        level: definition of an obstacle.
+        below: number of Gaussians below the minimum opacity, where it is known.
+        is_cropped: whether the claim reaches beyond the crop.
+    """
+    count = "" if below is None else f"{below} "
+    found = {
+        f"voxels that fewer than {level.min_overlap} {_several(level)} touch": level.min_overlap > 1,
+        f"{count}Gaussians of opacity below {exact(level.min_opacity)}": level.min_opacity > 0 and below != 0,
+        f"what lies outside the crop {exact(level.crop or [])} m": is_cropped and level.crop is not None,
+        "the loss of the splat file's format": level.ignore_loss,
+    }
+    return [words for words, is_so in found.items() if is_so]
+
+
+def _several(level: LevelManifest) -> str:
+    one = obstacle_of(level)
+    return "leaves" if one == "leaf" else f"{one}s"

@@ -26,21 +26,28 @@ from alula.schemas.manifest import (
     VoxelsManifest,
 )
 from alula.schemas.progress import Progress
-from alula.stages.compression.ellipsoids import excluded_errors, recorded_lacks, retained, unproven_voxels
+from alula.stages.compression.ellipsoids import (
+    excluded_errors,
+    recorded_lacks,
+    removed_from,
+    retained,
+    unproven_voxels,
+)
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.imported import ImportedSource
 from alula.stages.compression.level import (
-    mass_within,
     obstacle_of,
     obstacles_words,
+    omissions,
     outside_words,
+    recorded_level,
     require_sigma,
 )
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.verify_imported import imported_checks
 from alula.stages.progress import share
 
-SCHEMA, VERSION = "alula/certificate", "1.1"
+SCHEMA, VERSION = "alula/certificate", "1.3"
 LISTED = 100  # maximum number of offences that a check lists
 
 # Groups of the faults of native/core/include/alula/cover/cover_check.hpp.
@@ -126,6 +133,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
             mass inside its ellipsoid at `sigma`.
         given: roles of the files that were checked.
         not_checked: links of the proof that the files do not suffice for.
+        omits: what the level leaves out of the scene or map, in words, also named by `statement`.
     """
 
     covered: bool
@@ -136,6 +144,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
     level: dict[str, Any] = {}
     given: list[str] = []
     not_checked: list[str] = []
+    omits: list[str] = []
 
     def complaint(self) -> str:
         """Message with the first check that fails and its first offence; empty when covered."""
@@ -311,13 +320,17 @@ def certificate_of(
         links.append(f"that the voxels contain the {'leaves' if one == 'leaf' else one + 's'}")
         if voxels is None:
             links.append("that the members of the hulls are all voxels")
+    if scene is not None and below is None and level.min_opacity > 0:
+        below = len(scene["mean"]) - len(retained(scene, level.min_opacity))
+    left_out = omissions(level, below=below)
+    removed = removed_from(scene.manifest) if scene is not None else []
     covered = all(check.ok for check in checks)
     if not covered:
         statement = "not covered"
     elif files.get(origin) is not None:
         inside = ", ".join((["voxels"] if voxels is not None else []) + ([proven] if proven else []))
         words = obstacles_words(level)
-        statement = f"covered: {words}{',' * (', ' in words)} in {inside}"
+        statement = f"covered: {words}{',' * (', ' in words)} in {inside}{without(left_out + removed)}"
     elif voxels is not None:
         statement = f"covered: {proven} (the {origin} was not given: no {one} was checked)"
     else:
@@ -328,23 +341,23 @@ def certificate_of(
     return Certificate(
         covered=covered,
         checks=checks,
-        left_out=_left_out(level, voxels, scene, below, has_source=files.get("source") is not None),
+        left_out=_left_out(level, voxels, scene, left_out, has_source=files.get("source") is not None),
         notes=notes,
         statement=statement,
         level=recorded_level(level),
         given=[role for role, file in files.items() if file is not None],
         not_checked=links,
+        omits=left_out,
     )
 
 
-def recorded_level(level: LevelManifest) -> dict[str, Any]:
-    """Definition of an obstacle for a certificate, with the fraction of a Gaussian's mass inside.
+def without(omitted: list[str]) -> str:
+    """End of a verdict that names what it does not include; empty where it includes everything.
 
     Args:
-        level: definition of an obstacle.
+        omitted: in words.
     """
-    found: dict[str, Any] = msgspec.to_builtins({name: getattr(level, name) for name in LEVEL})
-    return found if level.sigma is None else found | {"mass_fraction": mass_within(level.sigma)}
+    return f"; not included: {', '.join(omitted)}" if omitted else ""
 
 
 def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
@@ -603,21 +616,12 @@ def _left_out(
     manifest: LevelManifest,
     voxels: Artifact | None,
     scene: Artifact | None,
-    below: int | None,
+    left_out: list[str],
     *,
     has_source: bool,
 ) -> str:
     """Obstacles and errors that the files themselves exclude, in words."""
-    parts = [outside_words(manifest)]
-    if manifest.min_overlap > 1:
-        parts.append(f"voxels that fewer than {manifest.min_overlap} {obstacle_of(manifest)}s touch")
-    if manifest.min_opacity > 0:
-        if scene is not None and below is None:
-            below = len(scene["mean"]) - len(retained(scene, manifest.min_opacity))
-        some = "" if below is None else f"{below} "
-        parts.append(f"{some}Gaussians of opacity below {exact(manifest.min_opacity)}")
-    if manifest.crop is not None:
-        parts.append(f"what lies outside the crop {exact(manifest.crop)} m")
+    parts = [outside_words(manifest), *left_out]
     if manifest.imported is not None:
         if not has_source:
             parts.append("the source itself, which was not given")

@@ -46,7 +46,7 @@ from alula.stages.compression.verify_cubes import (
 )
 from alula.stages.distribute import distribute
 
-VERSION = "1.2"
+VERSION = "1.3"
 OUTSIDE = "space without a part"
 _TOLERANCE = 1e-6  # of the volume, as `verify` allows for each part
 _NO_ELLIPSOID = check_of(SCENE_CHECK, 0, [], 0, "separating planes")

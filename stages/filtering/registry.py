@@ -8,6 +8,7 @@ from typing import Any
 from alula.schemas.errors import UsageError
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.world_tables import default_shield_map
 from alula.stages.filtering.ellipsoid_filters import (
     ELLIPSOID_FILTERS,
     HULLS,
@@ -67,32 +68,35 @@ def _factory(name: str) -> FilterFactory:
 
 
 def complete_parameters(
-    name: str, given: Mapping[str, Any], *, has_ellipsoids: bool = True
+    name: str, given: Mapping[str, Any], *, has_ellipsoids: bool = True, has_hulls: bool = False
 ) -> dict[str, Any]:
     """All parameters of a filter among ellipsoids, defaults included; of other packages' filters those given.
 
     Args:
         name: of the filter.
         given: some of its parameters.
-        has_ellipsoids: False where the hulls of a cover are all obstacles; shields certify against them.
+        has_ellipsoids: False where the hulls of a cover are all obstacles.
+        has_hulls: whether the flight has hulls. Shields certify against all that the flight has.
 
     Raises:
         UsageError: a parameter is unknown or of the wrong type, or the filter needs ellipsoids.
     """
-    if not has_ellipsoids:
-        if name not in FLIES_AMONG_HULLS:
-            raise UsageError(
-                f"{name} needs a scene, for its ellipsoids; in a cover alone a quadrotor flies behind "
-                f"{', '.join(FLIES_AMONG_HULLS)}"
-            )
-        against = HULLS if certified_against(name, parameters_of(name, {}) | dict(given)) else None
-        found = parameters_of(name, ({SHIELD_MAP: HULLS} if against else {}) | dict(given))
-        if against and found[SHIELD_MAP] != HULLS:
-            raise UsageError(
-                f"{name}: {SHIELD_MAP}={found[SHIELD_MAP]} needs a scene, for its ellipsoids; in a cover "
-                f"alone it is {HULLS}"
-            )
-        return found
+    if not has_ellipsoids and name not in FLIES_AMONG_HULLS:
+        raise UsageError(
+            f"{name} needs a scene, for its ellipsoids; in a cover alone a quadrotor flies behind "
+            f"{', '.join(FLIES_AMONG_HULLS)}"
+        )
     if name == NO_FILTER and given:
         raise UsageError("the filter none has no parameters")
-    return parameters_of(name, given) if name in ELLIPSOID_FILTERS else dict(given)
+    if name not in ELLIPSOID_FILTERS:
+        return dict(given)
+    if not certified_against(name, parameters_of(name, {}) | dict(given)):
+        return parameters_of(name, given)
+    against = default_shield_map(has_ellipsoids=has_ellipsoids, has_hulls=has_hulls or not has_ellipsoids)
+    found = parameters_of(name, {SHIELD_MAP: against} | dict(given))
+    if not has_ellipsoids and found[SHIELD_MAP] != HULLS:
+        raise UsageError(
+            f"{name}: {SHIELD_MAP}={found[SHIELD_MAP]} needs a scene, for its ellipsoids; in a cover "
+            f"alone it is {HULLS}"
+        )
+    return found

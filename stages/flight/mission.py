@@ -119,7 +119,13 @@ class Mission:
 
 
 def resolve_fly(
-    config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat: bool, has_scene: bool = True
+    config: FlyConfig,
+    plan: Artifact,
+    vehicle: Vehicle,
+    *,
+    is_splat: bool,
+    has_scene: bool = True,
+    has_cover: bool = False,
 ) -> FlyConfig:
     """Complete a configuration with values of the plan and the vehicle, and with defaults.
 
@@ -129,6 +135,7 @@ def resolve_fly(
         vehicle: contents of the vehicle's file.
         is_splat: a filter of the whole quadrotor flies.
         has_scene: there are ellipsoids.
+        has_cover: there are hulls.
 
     Raises:
         UsageError: the vehicle has no rotors, or a parameter of the filter is unknown.
@@ -141,7 +148,9 @@ def resolve_fly(
     low, high = points.min(axis=0) - _ROOM_M, points.max(axis=0) + _ROOM_M
     parameters = dict(config.filter_parameters)
     if is_splat:
-        parameters = complete_parameters(config.filter, parameters, has_ellipsoids=has_scene)
+        parameters = complete_parameters(
+            config.filter, parameters, has_ellipsoids=has_scene, has_hulls=has_cover
+        )
     elif parameters and config.filter in ("none", "polytope-cbf"):
         raise UsageError(f"--set: {config.filter} takes no parameters; polytope-cbf has --beta and --kappa")
     limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
@@ -227,7 +236,8 @@ def make_mission(
         InputError, ArtifactError: the artifacts do not match each other.
     """
     has_lag = config.velocity_lag_s is not None
-    config = resolve_fly(config, plan, vehicle, is_splat=is_splat, has_scene=scene is not None)
+    has_maps = {"has_scene": scene is not None, "has_cover": cover is not None}
+    config = resolve_fly(config, plan, vehicle, is_splat=is_splat, **has_maps)
     if not is_splat:
         _require_deceleration(config, vehicle, is_given=has_lag)
     frame = plan.manifest.frame

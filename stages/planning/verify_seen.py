@@ -11,12 +11,23 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import LEVEL, SeenManifest
+from alula.schemas.manifest import LEVEL, SceneManifest, SeenManifest
 from alula.schemas.progress import Progress
-from alula.stages.compression.ellipsoids import unproven_voxels
-from alula.stages.compression.level import level_words, require_sigma
+from alula.stages.compression.ellipsoids import (
+    UnprovenVoxels,
+    excluded_errors,
+    removed_from,
+    unproven_voxels,
+)
+from alula.stages.compression.level import (
+    beyond_words,
+    level_words,
+    omissions,
+    recorded_level,
+    require_sigma,
+)
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
-from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, recorded_level
+from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, without
 
 Mask = NDArray[np.bool_]
 
@@ -65,23 +76,41 @@ def verify_seen(
         checks.append(_untouched(manifest, marked, scene, jobs, progress))
     covered = all(check.ok for check in checks)
     given = [role for role, file in files.items() if file is not None]
+    omitted = omissions(manifest, is_cropped=False)  # nothing beyond the crop is marked as seen
+    removed = [] if scene is None else removed_from(_manifest_of(scene))
     what = (
-        f"touched by no obstacle at {level_words(require_sigma(manifest))} of the {' and the '.join(given)}"
+        f"touched by no {'retained ' * bool(omitted)}obstacle at {level_words(require_sigma(manifest))} of "
+        f"the {' and the '.join(given)}"
     )
     statement = "free: every seen voxel is " + (f"{what}, and " if given else "")
     statement += f"reached by a ball of {exact(manifest.radius_m)} m"
     if not given:
         statement += " (neither voxels nor scene were given: no obstacle was checked)"
+    if covered and scene is not None and omitted:
+        touched = _touched_by_all(manifest, marked, scene, jobs)
+        statement += f"; {touched} of {int(marked.sum())} may be touched by what is not retained"
+    statement += without(omitted + removed) if given else ""
+    beyond = [beyond_words(require_sigma(manifest)), *omitted]
+    if scene is not None:
+        beyond += excluded_errors(_manifest_of(scene), manifest.inflation_m, ignore_loss=manifest.ignore_loss)
     return Certificate(
         covered=covered,
         checks=checks,
-        left_out="what the cameras saw: the file says why its voxels were taken for free",
+        left_out="; ".join(
+            ["what the cameras saw: the file says why its voxels were taken for free", *beyond]
+        ),
         notes=_notes(manifest, files, sha256 or {}),
         statement=statement if covered else "not free",
         level=recorded_level(manifest),
         given=["seen", *given],
         not_checked=["what the cameras saw"] + ["that no obstacle touches the voxels"] * (not given),
+        omits=omitted,
     )
+
+
+def _manifest_of(scene: Artifact) -> SceneManifest:
+    assert isinstance(scene.manifest, SceneManifest)
+    return scene.manifest
 
 
 def _check(name: str, checked: int, offences: list[Offence], failed: int, detail: str) -> Check:
@@ -144,27 +173,50 @@ def _apart(manifest: SeenManifest, marked: Mask, voxels: Artifact) -> Check:
 def _untouched(
     manifest: SeenManifest, marked: Mask, scene: Artifact, jobs: int, progress: Progress | None
 ) -> Check:
-    """Prove that only voxels that are not seen, or outside of the box, touch an ellipsoid."""
+    """Prove that only voxels that are not seen, or outside of the box, touch a retained ellipsoid."""
+    found = _unproven(
+        manifest,
+        marked,
+        scene,
+        jobs,
+        progress,
+        min_overlap=manifest.min_overlap,
+        min_opacity=manifest.min_opacity,
+        ignore_loss=manifest.ignore_loss,
+    )
+    offences = _offences(manifest, "a seen voxel may touch an ellipsoid", found.voxel)
+    return _check(
+        "no ellipsoid touches a voxel", int(marked.sum()), offences, found.total, "separating planes"
+    )
+
+
+def _touched_by_all(manifest: SeenManifest, marked: Mask, scene: Artifact, jobs: int) -> int:
+    """Number of seen voxels that any ellipsoid of the scene may touch, also one that is not retained."""
+    return _unproven(manifest, marked, scene, jobs, None).total
+
+
+def _unproven(
+    manifest: SeenManifest,
+    marked: Mask,
+    scene: Artifact,
+    jobs: int,
+    progress: Progress | None,
+    **retained: Any,
+) -> UnprovenVoxels:
+    """Seen voxels that ellipsoids of the scene may touch; `retained` as of `unproven_voxels`."""
     g = manifest.voxel_size_m
     lower, size = np.array(manifest.lower), np.array(marked.shape)
     rest = np.argwhere(np.pad(~marked, 2, constant_values=True)) + lower - 2
-    crop = [*(lower * g).tolist(), *((lower + size) * g).tolist()]
-    found = unproven_voxels(
+    return unproven_voxels(
         scene,
         rest.astype(np.int32),
         voxel_size_m=g,
         sigma=require_sigma(manifest),
         inflation_m=manifest.inflation_m,
-        crop=crop,
-        min_overlap=manifest.min_overlap,
-        min_opacity=manifest.min_opacity,
-        ignore_loss=manifest.ignore_loss,
+        crop=[*(lower * g).tolist(), *((lower + size) * g).tolist()],
         jobs=jobs,
         progress=progress,
-    )
-    offences = _offences(manifest, "a seen voxel may touch an ellipsoid", found.voxel)
-    return _check(
-        "no ellipsoid touches a voxel", int(marked.sum()), offences, found.total, "separating planes"
+        **retained,
     )
 
 

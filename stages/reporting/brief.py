@@ -314,10 +314,13 @@ def _fence_numbers(run: Run) -> tuple[Number, ...]:
 
 def _map(material: Material) -> Subject:
     covered = coverage(material.certificate)
-    words = {True: "proven", False: "no", "voxels only": "voxels only"}.get(covered, "not checked")
+    words = {True: "proven", False: "no", "in part": "in part", "voxels only": "voxels only"}.get(
+        covered, "not checked"
+    )
     known: dict[bool | str, tuple[str, Tone]] = {
         True: ("The map covers the scan: checked again, and proven.", GOOD),
         False: ("The map does not cover the scan.", BAD),
+        "in part": ("The map covers the scan but for what it leaves out: checked again, and proven.", FAIR),
         "voxels only": ("The map covers the voxels; the scan itself was not checked.", FAIR),
     }
     unknown: tuple[str, Tone] = (

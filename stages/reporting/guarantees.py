@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alula.stages.filtering.registry import NO_FILTER
 from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import NOT_JUDGED, Material, coverage
+from alula.stages.reporting.material import NOT_JUDGED, Material, coverage, omitted
 from alula.stages.reporting.table import text
 
 GUARANTEES = "Guarantees and their limits"  # heading in every format
@@ -14,7 +14,7 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Proofs and checks of a report, and their limits, in plain words; equal lines once."""
     proofs, limits = [], []
     covered = coverage(material.certificate)
-    if covered is True:
+    if covered is True or covered == "in part":
         level = material.certificate.get("level") if material.certificate is not None else None
         sigma = level.get("sigma") if isinstance(level, dict) else None
         imported = level.get("imported") if isinstance(level, dict) else None
@@ -23,7 +23,8 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
         what = f"every Gaussian of the scan{size}"
         if isinstance(imported, dict):
             what = f"the whole {text(imported.get('kind'))} that was imported"
-        proofs.append(f"Proven: {what} lies inside the map.")
+        missing = "; ".join(omitted(material.certificate))
+        proofs.append(f"Proven: {what} lies inside the map{', except ' * bool(missing)}{missing}.")
     elif covered == "voxels only":
         proofs.append("Proven: every voxel of the scan lies inside the map. The scan itself was not checked.")
     elif covered is False:
@@ -31,16 +32,23 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
     elif material.cover is not None:
         limits.append("This report has no certificate of alula verify that the map covers the scan.")
     for run in material.runs:
-        claims = run.record.guarantee.claims
+        claims, trials = run.record.guarantee.claims, run.record.trials
+        touched = sum(trial.collision for trial in trials)
         if claims.get("plan_certified") is True:
             proofs.append("Proven before take-off: the plan keeps the vehicle clear of the map.")
-        if claims.get("proven_by_filter") is True:
+        if touched and (claims.get("proven_by_filter") or claims.get("every_step_certified")):
+            limits.append(
+                f"The proofs of {run.label} do not cover what its flights touched: see its statement below."
+            )
+        elif claims.get("proven_by_filter") is True:
             proofs.append(
-                f"Proven beforehand: {run.record.filter} lets the vehicle touch nothing of the map, under "
+                f"Proven beforehand: {run.record.filter} lets the vehicle touch no hull of the map, under "
                 "the conditions of its statement below."
             )
         elif claims.get("every_step_certified") is True:
-            proofs.append(f"Proven at each step of {run.label}: a safe manoeuvre remained.")
+            against = claims.get("certified_against")
+            parts = " and ".join(map(str, against)) if isinstance(against, list) and against else "the map"
+            proofs.append(f"Proven at each step of {run.label}: a manoeuvre clear of {parts} remained.")
         elif run.record.trials and run.record.filter != NO_FILTER:
             limits.append(f"No proof beforehand says that {run.record.filter} keeps these flights clear.")
         if run.record.trials and claims.get("continuous_time") is True:

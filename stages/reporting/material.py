@@ -109,11 +109,34 @@ def checks_ellipsoids(certificate: Mapping[str, Any] | None) -> bool:
 
 
 def coverage(certificate: Mapping[str, Any] | None) -> bool | str:
-    """Verdict on the obstacles; True only when their ellipsoids were checked."""
+    """Verdict on the obstacles; True only when all of their ellipsoids were checked."""
     covered = is_covered(certificate)
     if covered is None:
         return "not verified"
-    return "voxels only" if covered and not checks_ellipsoids(certificate) else covered
+    if covered and not checks_ellipsoids(certificate):
+        return "voxels only"
+    return "in part" if covered and omitted(certificate) else covered
+
+
+def omitted(certificate: Mapping[str, Any] | None) -> list[str]:
+    """What the proven map leaves out of the scan, in words; none where it contains all of it.
+
+    Certificates before version 1.3 name it in their level alone.
+    """
+    if certificate is None:
+        return []
+    if isinstance(named := certificate.get("omits"), list) and named:
+        return [str(words) for words in named]
+    level = certificate.get("level")
+    values: dict[str, Any] = level if isinstance(level, dict) else {}
+    found = {
+        f"voxels that fewer than {values.get('min_overlap')} obstacles touch": values.get("min_overlap", 1)
+        != 1,
+        f"Gaussians of opacity below {values.get('min_opacity')}": bool(values.get("min_opacity")),
+        "what lies outside its crop": values.get("crop") is not None,
+        "the loss of the splat file's format": bool(values.get("ignore_loss")),
+    }
+    return [words for words, is_so in found.items() if is_so]
 
 
 def proof(certificate: Mapping[str, Any] | None) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from alula.schemas.artifact import make_artifact
 from alula.schemas.kinds import COVER, PLAN, SCENE
-from alula.schemas.manifest import Guarantee
+from alula.schemas.manifest import Guarantee, InputRef
 from alula.stages.planning.rest_to_rest import rest_to_rest
 
 G = 0.1  # voxel size [m]
@@ -39,6 +39,7 @@ def box_cover(corners, frame="world"):
         min_overlap=1,
         conservativeness=1.0,
         certificate={},
+        made_from=[InputRef("scene", "alula/scene", "1.0", "0" * 64, "test.scene.npz")],
     )
 
 

@@ -1,13 +1,15 @@
 """Runs of the combined loop for tests: scenarios by short names of their keys, and all that a run tells."""
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import msgspec
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.manifest import Guarantee
+from alula.schemas.artifact import Artifact, encode_artifact
+from alula.schemas.kinds import COVER
+from alula.schemas.manifest import Guarantee, InputRef
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, LimitsTable, Vehicle
 from alula.schemas.vehicles import VEHICLES
@@ -35,6 +37,7 @@ class Ran:
 
     run: WorldRun
     cover: Artifact | None
+    scene: Artifact | None = None
 
     @property
     def trials(self) -> list[TrialResult]:
@@ -54,12 +57,28 @@ class Ran:
     @cached_property
     def guarantee(self) -> Guarantee:
         """Statement and claims."""
-        return world_guarantee(self.run, self.cover)
+        files = {"cover": self.cover, "scene": self.scene}
+        refs = [ref_of(role, one) for role, one in files.items() if one is not None]
+        return world_guarantee(self.run, self.cover, refs)
 
     @property
     def vehicle(self) -> str:
         """The vehicle in words."""
         return world_words(self.run.scenario, self.run.vehicle)
+
+
+def ref_of(role: str, artifact: Artifact) -> InputRef:
+    """How a manifest names an artifact that was written to a file."""
+    manifest = artifact.manifest
+    digest = hashlib.sha256(encode_artifact(artifact)).hexdigest()
+    return InputRef(role, manifest.schema, manifest.version, digest, f"{role}.npz")
+
+
+def made_from(artifact: Artifact, scene: Artifact) -> Artifact:
+    """The same voxels or cover, which name a scene as the one that they were made from."""
+    field = "made_from" if artifact.kind is COVER else "inputs"
+    named = msgspec.structs.replace(artifact.manifest, **{field: [ref_of("scene", scene)]})
+    return Artifact(named, artifact.arrays)
 
 
 def set_value(tree: dict[str, Any], path: str, value: Any) -> None:
@@ -126,4 +145,4 @@ def flown(
     files = {"has_scene": scene is not None, "has_cover": cover is not None, "has_plan": plan is not None}
     scenario = scenario_of(filters, parameters, **files, **keys)
     run = simulate_world(scenario, vehicle, scene=scene, cover=cover, plan=plan, pairs=pairs, jobs=jobs)
-    return Ran(run, cover)
+    return Ran(run, cover, scene)

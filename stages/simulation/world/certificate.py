@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
 from alula.schemas.artifact import Artifact
-from alula.schemas.decimals import exact
+from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.filter_options import FILTERS
 from alula.schemas.filters.values import Options
-from alula.schemas.manifest import CoverManifest, LevelManifest
+from alula.schemas.manifest import CoverManifest, InputRef, LevelManifest
+from alula.schemas.run import TrialResult
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
 from alula.schemas.world_tables import WorldTable
@@ -20,13 +22,21 @@ from alula.stages.compression.level import (
     mass_within,
     obstacle_of,
     obstacles_words,
+    omissions,
+    recorded_level,
     require_sigma,
 )
 from alula.stages.simulation.world.parts import plant_steps_of
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
 
+_ROUNDING_M = 1e-9  # of sums of lengths
 _SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on
+_PARTS = (  # of the world: name, in words, clearance of a trial
+    ("hulls", "a hull", "map_clearance_m"),
+    ("ellipsoids", "an ellipsoid of the scene", "scene_clearance_m"),
+    ("fence", "the fence", "fence_clearance_m"),
+)
 _AGAINST = {"ellipsoids": ("ellipsoids",), "hulls": ("hulls",), "both": ("ellipsoids", "hulls")}
 _MODELS = {"wrench": "quadrotor with rotor limits", "body-rates": "quadrotor with rotor limits"}
 
@@ -37,14 +47,34 @@ def certifying(run: WorldRun) -> list[str]:
     Args:
         run: all trials.
     """
-    names = run.scenario.safety.filters
-    if not names:
-        return []
-    given = run.scenario.safety.parameters(names[-1])
+    against = _against(run.scenario)
+    return [] if against is None else [name for name in (*against, "fence") if name in run.world.parts]
+
+
+def _against(scenario: WorldScenario) -> tuple[str, ...] | None:
+    """Maps that the last filter is to certify against, of those there may be; None without a shield."""
+    names = scenario.safety.filters
+    given = scenario.safety.parameters(names[-1]) if names else None
     against = getattr(given, "shield_map", None)
-    if against is None or not getattr(given, "shield", True):
-        return []
-    return [name for name in (*_AGAINST[against], "fence") if name in run.world.parts]
+    return None if against is None or not getattr(given, "shield", True) else _AGAINST[against]
+
+
+def uncertified_words(scenario: WorldScenario, trials: Sequence[TrialResult]) -> str:
+    """State which obstacles that the last filter does not certify flights touched; empty without any.
+
+    Args:
+        scenario: that was flown.
+        trials: verdicts.
+    """
+    against = _against(scenario)
+    touched = [name for name, _, _ in _touched(trials) if name != "fence"]
+    others = [] if against is None else [name for name in touched if name not in against]
+    if not others:
+        return ""
+    return (
+        f"{scenario.safety.filters[-1]} does not certify {_listed(others)}, which count as obstacles: "
+        "shield_map=both certifies both"
+    )
 
 
 def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> str:
@@ -124,22 +154,50 @@ def model_words(run: WorldRun) -> str:
     return _MODELS.get(interface or "", f"quadrotor by {interface}")
 
 
-def claims_of(run: WorldRun, cover: Artifact | None, left: list[str]) -> dict[str, Any]:
+def contradictions(run: WorldRun) -> list[str]:
+    """Parts of the world that the last filter certified and that flights touched all the same, in words.
+
+    Args:
+        run: all trials.
+    """
+    parts = certifying(run)
+    return [
+        f"{hits} of {len(run.trials)} flights touched {part}"
+        for name, part, hits in _touched(run.trials)
+        if name in parts
+    ]
+
+
+def _touched(trials: Sequence[TrialResult]) -> list[tuple[str, str, int]]:
+    """Parts of the world that flights touched: name, in words, number of flights."""
+    each = [
+        (name, part, sum(is_collision(getattr(trial, clearance)) for trial in trials))
+        for name, part, clearance in _PARTS
+    ]
+    return [found for found in each if found[2]]
+
+
+def claims_of(
+    run: WorldRun, cover: Artifact | None, left: list[str], inputs: Sequence[InputRef]
+) -> dict[str, Any]:
     """The claims of a run about its parts of the world, and about the steps that a shield certified.
+
+    `every_step_certified` is false where a flight touched what was certified: the truth has the last word.
 
     Args:
         run: all trials.
         cover: that was flown in.
         left: what the flights had and the model of the last filter leaves out, in words.
+        inputs: files of the run, with their hashes.
     """
     trials, world, parts = run.trials, run.world, certifying(run)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
     claims: dict[str, Any] = {
         "certified_steps": certified,
         "steps": steps,
-        "every_step_certified": bool(parts) and certified == steps,
+        "every_step_certified": bool(parts) and certified == steps > 0 and not contradictions(run),
         "certified_against": parts or None,
-        "chain": _chain(run, cover, left, complete=certified == steps) if "hulls" in parts else None,
+        "chain": _chain(run, cover, left, inputs) if "hulls" in parts else None,
         "shield": _shield_of(run.scenario) if parts and certified else {},
         "continuous_time": True,
         "path_sampling_s": run.scenario.rules.dt_s
@@ -163,21 +221,6 @@ def _contained_words(level: LevelManifest) -> str:
         return obstacles_words(level)
     grown = f"grown by {exact(level.inflation_m)} m"
     return f"the ellipsoids of the scene at {level_words(require_sigma(level))}, {grown}"
-
-
-def not_covered(level: Any) -> list[str]:
-    """What a cover leaves out of the scene by its own parameters, in words.
-
-    Args:
-        level: manifest of the cover.
-    """
-    found = {
-        f"voxels that fewer than {level.min_overlap} {obstacle_of(level)}s touch": level.min_overlap > 1,
-        f"Gaussians of opacity below {exact(level.min_opacity)}": level.min_opacity > 0,
-        "everything outside of its crop": level.crop is not None,
-        "the loss of the splat file's format": level.ignore_loss,
-    }
-    return [words for words, is_so in found.items() if is_so]
 
 
 def _certified_words(run: WorldRun, left: list[str]) -> str:
@@ -206,31 +249,33 @@ def _certified_words(run: WorldRun, left: list[str]) -> str:
             f" In {moving} of them that manoeuvre also stays clear of the tube of every tracked "
             "obstacle, for the horizon of the tubes; nothing can exclude that a vehicle at rest is hit."
         )
+    if (met := contradictions(run)) and certified:
+        words += f" This did not hold: {' and '.join(met)}."
     return f"{words} These flights had {', '.join(left)}, which that model leaves out." if left else words
 
 
-def _chain(run: WorldRun, cover: Artifact | None, left: list[str], *, complete: bool) -> dict[str, Any]:
+def _chain(
+    run: WorldRun, cover: Artifact | None, left: list[str], inputs: Sequence[InputRef]
+) -> dict[str, Any]:
     """The chain from the scene to the flight, when the shield certified against hulls.
 
     scene within cover (`alula verify`) + every step certified against the cover => the vehicle met no
-    ellipsoid of the scene.
+    ellipsoid of the scene. It holds where nothing breaks it: neither the certificate, the level and the
+    origin of the cover, what was flown, nor the judgement of the flights.
     """
     if cover is None:
-        return {
-            "holds": False,
-            "statement": "There is no cover, so nothing chains to a scene.",
-            "assumptions": [],
-        }
+        words = "There is no cover, so nothing chains to a scene."
+        return {"holds": False, "statement": words, "broken_by": [words], "assumptions": []}
     level = cover.manifest
     assert isinstance(level, CoverManifest)
+    broken = _broken(run, level, left, inputs)
     origin = "scene" if level.imported is None else level.imported.kind
-    table, rules, missing = run.scenario.vehicle, run.scenario.rules, not_covered(level)
+    table, rules = run.scenario.vehicle, run.scenario.rules
     delay, lag = table.assumed.delay_s or 0.0, table.assumed.motor_time_constant_s or 0.0
     tested = _tested(_shield_of(run.scenario))
-    beyond = f" The cover leaves out {', '.join(missing)}." if missing else ""
     assumptions = [
         f"Cover: alula verify proves that its hulls contain {_contained_words(level)}; the run does not "
-        "check this." + beyond,
+        "check this.",
         "Model: the vehicle is a rigid body with the limits of its rotors, commanded by "
         + ("thrust and torque" if table.interface == "wrench" else "thrust and body rates")
         + f" that are held for {exact(rules.dt_s * rules.filter_ticks)} s"
@@ -239,23 +284,97 @@ def _chain(run: WorldRun, cover: Artifact | None, left: list[str], *, complete: 
         "Estimation: the state that the filter gets has no error"
         + (f"; it is {exact(delay)} s old, and the model predicts the present one." if delay else "."),
         f"Delay: the filter assumes {exact(delay)} s, which must be the true one.",
-        f"Inflation: {exact(run.world.hull_keep_m - run.world.radius_m)} m beyond the vehicle's radius and "
+        f"Inflation: {exact(_beyond_m(run))} m beyond the vehicle's radius and "
         f"{exact(level.inflation_m)} m in the cover bound the error of the {origin}'s alignment and whatever "
         "else the model leaves out.",
         *([f"Rest:{tested}"] if tested else []),
         f"World: the static obstacles do not move, and the {origin} contains the real ones.",
     ]
-    words = (
-        "Every step was certified against the hulls of the cover. Where alula verify proves that the "
-        f"{origin} lies in the cover, the vehicle met no {obstacle_of(level)} of the {origin}, under the "
-        "assumptions listed."
-        if complete
-        else "Not every step was certified against the hulls of the cover, so the chain is broken."
-    )
-    words += beyond
+    if broken:
+        words = f"The chain from the {origin} to the flight is broken. {' '.join(broken)}"
+    else:
+        file = origin_of(level)[0]
+        words = (
+            "Every step was certified against the hulls of the cover. Where alula verify proves that the "
+            f"{origin} {file.name} (sha256 {file.sha256[:12]}…) lies in the cover, the vehicle met no "
+            f"{obstacle_of(level)} of the {origin}{_at_level(level)}, under the assumptions listed."
+        )
+    return {
+        "statement": words,
+        "holds": not broken,
+        "broken_by": broken,
+        "level": recorded_level(level),
+        "made_from": msgspec.to_builtins(origin_of(level)),
+        "inputs": {ref.role: ref.sha256 for ref in inputs if ref.role in ("cover", "scene")},
+        "assumptions": assumptions,
+    }
+
+
+def origin_of(level: CoverManifest) -> list[InputRef]:
+    """The files that the obstacles of a cover come from: the scene, or the imported map.
+
+    Args:
+        level: manifest of the cover.
+    """
+    return [ref for ref in level.made_from if ref.role in ("scene", "source")]
+
+
+def _at_level(level: CoverManifest) -> str:
+    """The level of the ellipsoids of a cover, after "no ellipsoid of the scene"."""
+    return "" if level.sigma is None else f" at {level_words(level.sigma)}"
+
+
+def _beyond_m(run: WorldRun) -> float:
+    """Distance that the filters keep from hulls beyond the vehicle's radius [m]."""
+    return run.world.hull_keep_m - run.world.radius_m
+
+
+def _broken(run: WorldRun, level: CoverManifest, left: list[str], inputs: Sequence[InputRef]) -> list[str]:
+    """What breaks the chain from the scene to the flight, one sentence each; none where it holds."""
+    trials, found, one = run.trials, [], obstacle_of(level)
+    steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
+    if certified < steps or not steps:
+        found.append(f"Only {certified} of {steps} steps were certified against the hulls of the cover.")
+    if missing := omissions(level):
+        found.append(f"The cover leaves out {', '.join(missing)}.")
     if left:
-        words += f" These flights had {', '.join(left)}, which the model leaves out."
-    return {"statement": words, "holds": complete and not left and not missing, "assumptions": assumptions}
+        found.append(f"These flights had {', '.join(left)}, which the model leaves out.")
+    origin = origin_of(level)
+    if len(origin) != 1:
+        found.append(f"The cover does not name the file of its {one}s; make it again with merge.")
+    if run.scenario.world.scene is not None:
+        found += _unlike_the_scene(run, level, origin, inputs)
+    found += [f"{hits} of {len(trials)} flights touched {part}." for _, part, hits in _touched(run.trials)]
+    return found
+
+
+def _unlike_the_scene(
+    run: WorldRun, level: CoverManifest, origin: list[InputRef], inputs: Sequence[InputRef]
+) -> list[str]:
+    """Differences between the obstacles in a cover and the scene that was flown in beside it."""
+    if level.imported is not None:
+        return [f"The hulls contain the {level.imported.kind} that the cover was made from, not the scene."]
+    found = []
+    flown = next((ref.sha256 for ref in inputs if ref.role == "scene"), None)
+    if flown is None:
+        found.append("The run does not know the hash of its scene.")
+    elif len(origin) == 1 and origin[0].sha256 != flown:
+        found.append(
+            f"The cover was made from another scene file, {origin[0].name} (sha256 "
+            f"{origin[0].sha256[:12]}…); that of the run has {flown[:12]}…."
+        )
+    if run.world.sigma > require_sigma(level):
+        found.append(
+            f"The ellipsoids of the run are those at {exact(run.world.sigma)} sigma, and the cover contains "
+            f"those at {exact(require_sigma(level))}."
+        )
+    kept_m = level.inflation_m + _beyond_m(run)
+    if kept_m < run.world.suggested_inflation_m - _ROUNDING_M:
+        found.append(
+            f"The inflation of the cover and of the run together is {at_least(kept_m)} m, less than the "
+            f"{at_most(run.world.suggested_inflation_m)} m that the alignment of the scene suggests."
+        )
+    return found
 
 
 def _shield_of(scenario: WorldScenario) -> dict[str, Any]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import Guarantee
+from alula.schemas.manifest import Guarantee, InputRef
 from alula.schemas.run import Outcome, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
@@ -179,12 +180,13 @@ def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
     return f"{vehicle.name}: {body}{guided}{disturbed}"
 
 
-def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
+def world_guarantee(run: WorldRun, cover: Artifact | None, inputs: Sequence[InputRef] = ()) -> Guarantee:
     """State what was proven, for which model, and what the run shows.
 
     Args:
         run: all trials.
         cover: that was flown in.
+        inputs: files of the run; a claim about a scene whose hash is not among them is not made.
     """
     trials, left = run.trials, left_out(run.scenario)
     hits = sum(trial.collision for trial in trials)
@@ -194,7 +196,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None) -> Guarantee:
         "trials": len(trials),
         "collisions": hits,
         "static_collisions": sum(map(hits_static, trials)),
-        **claims_of(run, cover, left),
+        **claims_of(run, cover, left, inputs),
     }
     names = run.scenario.safety.filters
     among, limits, proof = proof_among_hulls(run.scenario, run.vehicle, cover, trials)

@@ -59,6 +59,7 @@ class StaticWorld:
         tiles: the cover in tiles; None unless a filter reads them.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
         claims: of the guarantees of scene and cover, for that of the run.
+        suggested_inflation_m: bound of the error of the scene's alignment [m].
     """
 
     radius_m: float
@@ -77,6 +78,7 @@ class StaticWorld:
     tiles: _core.TileSet | None
     centres: FloatArray
     claims: dict[str, Any]
+    suggested_inflation_m: float
 
     @property
     def vertices(self) -> FloatArray:
@@ -253,6 +255,7 @@ def static_world(
             for name, each in (("scene", scene), ("cover", cover))
             if each is not None
         },
+        suggested_inflation_m=suggested,
     )
 
 

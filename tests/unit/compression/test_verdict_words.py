@@ -2,6 +2,7 @@
 
 import json
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -16,6 +17,7 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.onboard.verify import verify_map
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
+from alula.stages.reporting.material import coverage
 from support.covers import cover_of
 
 
@@ -72,6 +74,33 @@ def test_a_verdict_says_what_it_had_and_what_it_did_not_look_at(voxels, scene, w
     assert "beyond 1 sigma (80.2 % of its mass)" in found.left_out
 
 
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [
+        ({"min_opacity": 0.9}, "1 Gaussians of opacity below 0.9"),
+        ({"min_overlap": 2}, "voxels that fewer than 2 ellipsoids touch"),
+        ({"crop": (0.0, 0.0, 0.0, 0.1, 0.1, 0.1)}, "what lies outside the crop 0 0 0 0.1 0.1 0.1 m"),
+        ({"ignore_loss": True}, "the loss of the splat file's format"),
+    ],
+)
+def test_a_verdict_on_a_part_of_the_scene_says_so(level, words):
+    arrays = {
+        name: np.concatenate([SCENE_FILE[name]] * 2)
+        for name in ("mean", "scale", "quat_wxyz", "opacity", "color")
+    }
+    arrays["opacity"] = np.array([1.0, 0.5])
+    known = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}}
+    scene = make_artifact(SCENE, arrays, source={"removed": {"max_scale": 3, "crop": 0}}, **known)
+    cover = cover_of(voxelize(VoxelizeConfig(size_m=0.1, **level), scene))
+    found = verify(cover, scene=scene)
+    assert found.covered
+    assert found.statement.endswith(f"; not included: {words}, 3 Gaussians removed by max_scale")
+    assert found.omits == [words]
+    assert coverage(msgspec.to_builtins(found)) == "in part"
+    older = {key: value for key, value in msgspec.to_builtins(found).items() if key != "omits"}
+    assert coverage(older) == "in part"
+
+
 def test_the_verdict_on_an_onboard_map_says_so_too():
     image = decode_map(encode_map(COVER_FILE, indexed=True, jobs=1))
     found = verify_map(image, cover=COVER_FILE)
@@ -95,7 +124,7 @@ def test_the_command_prints_the_verdict_and_writes_it(tmp_path, capsys, monkeypa
     assert record["statement"] == json.loads(capsys.readouterr().out)["statement"]
     assert record["level"]["mass_fraction"] == mass_within(1.0)
     assert (record["given"], record["not_checked"]) == (["cover", "scene"], [])
-    assert record["version"] == "1.1"
+    assert record["version"] == "1.3"
 
 
 def test_voxels_state_the_mass_of_their_level():

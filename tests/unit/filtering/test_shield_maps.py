@@ -12,7 +12,7 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.ellipsoid_filters import certified_against, parameters_of
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.filtering.registry import make_filter
+from alula.stages.filtering.registry import complete_parameters, make_filter
 from support import backup_model as model
 from support import quadrotor_model as body
 from support.small_scenes import box_cover
@@ -225,6 +225,17 @@ def test_filters_certify_against_what_shield_map_names(name):
         make_filter(name, world(), {"shield_map": "both"})
     with pytest.raises(UsageError, match="shield_map"):
         make_filter(name, world(), {"shield_map": "walls"})
+
+
+def test_a_shield_certifies_against_all_that_a_flight_has():
+    def of(**has):
+        return complete_parameters("shield", {}, **has)["shield_map"]
+
+    assert of(has_hulls=True) == "both"
+    assert of() == "ellipsoids"
+    assert of(has_ellipsoids=False, has_hulls=True) == of(has_ellipsoids=False) == "hulls"
+    given = complete_parameters("cone-backup", {"shield_map": "ellipsoids"}, has_hulls=True)
+    assert given["shield_map"] == "ellipsoids"
 
 
 def test_shield_map_needs_a_shield():

@@ -227,6 +227,43 @@ def test_the_proof_holds_for_the_file_and_for_no_changed_one(room, seen):
     assert "no ellipsoid touches a voxel" in unreached.complaint()
 
 
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [
+        ({"min_opacity": 0.9}, "Gaussians of opacity below 0.9"),
+        ({"min_overlap": 4}, "voxels that fewer than 4 ellipsoids touch"),
+    ],
+)
+def test_the_verdict_names_what_the_level_leaves_out_and_counts_what_it_touches(level, words):
+    """A thin ball of Gaussians stands in the room, and the level does not count it."""
+    whole = box_scene()
+    thin = np.asarray(whole["mean"])[:300] * 0.02 + np.array([2.0, 1.5, 1.0])
+    arrays = {
+        "mean": np.concatenate([whole["mean"], thin]),
+        "scale": np.concatenate([whole["scale"], np.full((300, 3), 0.005, np.float32)]),
+        "quat_wxyz": np.concatenate([whole["quat_wxyz"], whole["quat_wxyz"][:300]]),
+        "opacity": np.concatenate([whole["opacity"], np.full(300, 0.5, np.float32)]),
+        "color": np.concatenate([whole["color"], whole["color"][:300]]),
+    }
+    if "min_overlap" in level:
+        arrays = {name: rows[: -300 + 3] for name, rows in arrays.items()}  # fewer than are needed
+    scene = make_artifact(SCENE, arrays, frame="world", unit="m", parameters={}, summary={}, source={})
+    config = dataclasses.replace(CONFIG, reach=(0.6, 1.5, 1.0), radius_m=0.11, **level)
+    seen = observe(config, scene, None)
+    found = verify_seen(seen, scene=scene)
+    assert found.covered, found.complaint()
+    assert "touched by no retained obstacle at 1 sigma" in found.statement
+    assert words in found.statement
+    assert found.omits == [words]
+    index = {tuple(voxel) for voxel in np.asarray(seen["index"]).tolist()}
+    centres = arrays["mean"][len(whole["mean"]) :]
+    inside = index & {tuple(voxel) for voxel in np.floor(centres / G).astype(int).tolist()}
+    assert inside  # the truth: seen voxels with centres of Gaussians in them
+    touched = int(found.statement.split("; ")[1].split(" of ")[0])
+    assert touched >= len(inside)
+    assert words in verify_seen(seen, voxels=voxelize(config, scene)).statement
+
+
 def test_boxes_fill_what_is_marked_once():
     rng = np.random.default_rng(0)
     for share in (0.0, 0.1, 0.5, 0.95, 1.0):

@@ -233,11 +233,15 @@ def test_infinity_stands_only_where_it_is_no_limit(write):
         read_world(write(HEAD + text + "alpha = inf"))
 
 
-def test_shields_keep_clear_of_hulls_where_there_is_no_scene(write):
+def test_shields_keep_clear_of_all_that_flights_are_judged_against(write):
     of = lambda text: read_world(write(HEAD + text)).safety.shield.shield_map  # noqa: E731
     assert of("[world]\ncover = 'a'") == "hulls"
-    assert of("[world]\ncover = 'a'\nscene = 'b'") == "ellipsoids"
-    assert of("[world]\ncover = 'a'\nscene = 'b'\n[safety.shield]\nshield_map = 'both'") == "both"
+    assert of("[world]\nscene = 'b'") == "ellipsoids"
+    assert of("[world]\ncover = 'a'\nscene = 'b'") == "both"
+    walls = "[[world.walls]]\nlower_m = [0, 0, 0]\nupper_m = [1, 1, 1]"
+    assert of(f"[world]\nscene = 'b'\n{walls}") == "both"
+    chosen = "[safety.shield]\nshield_map = 'ellipsoids'"
+    assert of(f"[world]\ncover = 'a'\nscene = 'b'\n{chosen}") == "ellipsoids"
 
 
 def test_vehicles_built_in_are_those_of_the_examples():

@@ -8,13 +8,14 @@ import pytest
 
 from alula import _core
 from alula.cli.main import run
+from alula.cli.simulate import check_trials
 from alula.schemas.artifact import write_artifact
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
-from alula.schemas.errors import UsageError
+from alula.schemas.errors import CheckError, UsageError
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.alignment.scale_align import scale_align
@@ -26,7 +27,7 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
 from alula.stages.reconstruction.import_splat import import_splat
 from support.small_scenes import ball_scene, box_cover
-from support.world_runs import flown
+from support.world_runs import flown, made_from
 from support.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled
 
 BALL = ball_scene([[2.0, 0, 1]], 0.3)
@@ -54,7 +55,7 @@ class Room:
 def room():
     splats = demo_scene(DemoSceneConfig(gaussians=20_000), 0)
     scene = scale_align(ScaleAlignConfig(), import_splat(ImportSplatConfig(), splats), world_from_scene(), 0)
-    voxels = voxelize(VoxelizeConfig(size_m=0.1), scene)
+    voxels = made_from(voxelize(VoxelizeConfig(size_m=0.1), scene), scene)
     cover = merge(MergeConfig(hulls=150), voxels)
     assert verify(cover, scene=scene).covered
     hulls = Hulls.from_cover(cover)
@@ -149,6 +150,8 @@ def test_a_shield_that_has_the_hulls_keeps_clear_of_them_and_one_without_does_no
     assert one.guarantee.claims["scene_collisions"] == other.summary["collisions"] == 0
     assert one.summary["collisions"] == one.guarantee.claims["hull_collisions"] > 0  # hulls are obstacles
     assert one.summary["min_map_clearance_m"] < -0.1
+    with pytest.raises(CheckError, match="cone-backup does not certify hulls, which count as obstacles"):
+        check_trials("a", one.run.scenario, one.trials)
     assert other.summary["min_map_clearance_m"] > 0
     assert other.summary["min_scene_clearance_m"] >= other.summary["min_map_clearance_m"]
 
@@ -214,6 +217,81 @@ def test_what_breaks_the_chain_is_said():
         chain = found.guarantee.claims["chain"]
         assert not chain["holds"]
         assert words in chain["statement"]
+
+
+def moved_ball(**fields):
+    return dataclasses.replace(BALL, manifest=msgspec.structs.replace(BALL.manifest, **fields))
+
+
+@pytest.mark.parametrize(
+    ("cover", "scene", "changes", "words"),
+    [
+        (
+            made_from(BOX, BALL),
+            BALL,
+            {"sigma": 3.0},
+            "are those at 3 sigma, and the cover contains those at 1",
+        ),
+        (
+            made_from(BOX, moved_ball(summary={"other": 1})),
+            BALL,
+            {},
+            "made from another scene file, scene.npz",
+        ),
+        (BOX, BALL, {}, "made from another scene file"),
+        (
+            made_from(BOX, moved_ball(suggested_inflation_m=0.05)),
+            moved_ball(suggested_inflation_m=0.05),
+            {"inflation_m": 0.01},
+            "together is 0.01 m, less than the 0.05 m that the alignment",
+        ),
+    ],
+    ids=["level", "another scene", "a scene unknown", "inflation"],
+)
+def test_the_chain_breaks_where_cover_and_scene_do_not_fit(cover, scene, changes, words):
+    given = {"trials": 1, "bounds_m": AROUND, "seed": 2, "margin_m": 0.2} | changes
+    chain = quick("shield", against("hulls"), cover=cover, scene=scene, **given).guarantee.claims["chain"]
+    assert not chain["holds"]
+    assert words in chain["statement"]
+    assert "met no" not in chain["statement"]
+
+
+def test_the_chain_holds_for_the_scene_that_the_cover_was_made_from():
+    given = {"trials": 1, "bounds_m": AROUND, "seed": 2, "margin_m": 0.2, "scene": BALL}
+    found = quick("shield", against("hulls"), cover=made_from(BOX, BALL), **given)
+    chain = found.guarantee.claims["chain"]
+    assert chain["holds"], chain["broken_by"]
+    assert chain["made_from"][0]["sha256"] == chain["inputs"]["scene"]
+    assert "met no ellipsoid of the scene at 1 sigma" in chain["statement"]
+    nameless = msgspec.structs.replace(BOX.manifest, made_from=[])
+    alone = quick("shield", cover=dataclasses.replace(BOX, manifest=nameless), trials=1, bounds_m=AROUND)
+    chain = alone.guarantee.claims["chain"]
+    assert not chain["holds"]
+    assert "The cover does not name the file of its ellipsoids" in chain["statement"]
+
+
+@pytest.mark.parametrize("part", ["map_clearance_m", "scene_clearance_m"])
+def test_a_hit_breaks_every_claim_about_what_was_hit(part):
+    """The judgement is replaced: a certificate that the truth contradicts must not be claimed."""
+    given = {"trials": 1, "bounds_m": AROUND, "seed": 2, "margin_m": 0.2, "scene": BALL}
+    found = quick("shield", cover=made_from(BOX, BALL), **given)
+    assert found.guarantee.claims["every_step_certified"]
+    hit = [msgspec.structs.replace(trial, collision=True, **{part: -0.1}) for trial in found.trials]
+    claims = dataclasses.replace(found, run=dataclasses.replace(found.run, trials=hit)).guarantee
+    assert not claims.claims["every_step_certified"]
+    assert not claims.claims["chain"]["holds"]
+    what = "a hull" if part == "map_clearance_m" else "an ellipsoid of the scene"
+    assert f"This did not hold: 1 of 1 flights touched {what}." in claims.statement
+    assert "met no" not in claims.statement
+
+
+def test_a_shield_certifies_by_default_all_that_flights_are_judged_against():
+    """The flights past the ball in the test above, of which most touch the wider box without its hulls."""
+    pairs = {"trials": 6, "bounds_m": AROUND, "seed": 2, "margin_m": 0.2, "scene": BALL, "cover": BOX}
+    found = quick("cone-backup", **pairs).summary
+    assert found["certified_against"] == ["ellipsoids", "hulls"]
+    assert found["certified_share_static"] == 1
+    assert found["collisions"] == 0
 
 
 def test_the_command_flies_a_quadrotor_in_a_cover_alone(tmp_path, capsys):
