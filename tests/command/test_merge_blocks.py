@@ -8,12 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from alula.cli import merge_blocks as command
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.manifest import producer
+from alula.schemas.artifact import Artifact, read_artifact, write_artifact
+from alula.schemas.manifest import InputRef, producer
 from alula.schemas.parts import open_parts
 from alula.stages.compression import block_tree
 from support.covers import furniture, voxels_of
@@ -52,6 +53,25 @@ def test_a_file_and_a_folder_have_the_same_cover_and_can_be_verified(here):
     assert parts.manifest.conservativeness == pytest.approx(cover.manifest.conservativeness, rel=1e-12)
     assert parts.manifest.guarantee == cover.manifest.guarantee
     assert not [*here.glob("*.partial")]
+
+
+def test_every_cover_names_the_file_that_its_voxels_were_made_from(here):
+    """So do covers of blocks, covers in parts, and a cover that is merged from a cover."""
+    voxels = voxels_of(furniture())
+    origin = InputRef("scene", "alula/scene", "1.0", "5" * 64, "hall.scene.npz")
+    named = msgspec.structs.replace(voxels.manifest, inputs=[origin])
+    write_artifact(Path("v.voxels.npz"), Artifact(named, voxels.arrays))
+    for words in (
+        [*WORDS, "-f"],
+        ["merge", "v.voxels.npz", "-o", "d.cover", "--hulls", "60", "--block", "1.3"],
+        ["merge", "v.voxels.npz", "-o", "e.cover.npz", "--hulls", "60"],
+        ["merge", "d.cover", "-o", "f.cover.npz", "--hulls", "30"],
+    ):
+        assert run([*words, "--jobs", "1", "-q"]) == 0
+        made = Path(words[words.index("-o") + 1])
+        opened = open_parts(made) if made.is_dir() else read_artifact(made)
+        assert opened.manifest.made_from == [origin]
+    assert all(part.manifest.made_from == [origin] for part in open_parts(Path("d.cover")))
 
 
 def test_voxels_in_parts_give_the_same(here):

@@ -175,7 +175,7 @@ def test_a_cover_beside_a_scene_is_part_of_the_world(scene, tmp_path, capsys):
     assert run([*words, "--filter", "cone-backup"]) == 0
     record = read_run(out)
     assert all(t.map_clearance_m > 0 < t.scene_clearance_m for t in record.trials)
-    assert record.guarantee.claims["certified_against"] == ["ellipsoids"]
+    assert record.guarantee.claims["certified_against"] == ["ellipsoids", "hulls"]
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scene"]
 
 

@@ -319,7 +319,7 @@ def test_the_command_writes_one_certificate_and_proves_a_part(tmp_path, monkeypa
     files = ["--voxels", "v.voxels.npz", "--scene", "s.scene.npz", "--jobs", "1"]
     assert run(["verify", "c.cover", *files, "-o", "c.json", "-q"]) == 0
     record = msgspec.json.decode(Path("c.json").read_bytes())
-    assert (record["schema"], record["version"]) == ("alula/certificate", "1.2")
+    assert (record["schema"], record["version"]) == ("alula/certificate", "1.3")
     assert [entry["name"] for entry in record["parts"][:-1]] == [
         r.file for r in open_parts(Path("c.cover")).refs
     ]
