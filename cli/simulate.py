@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -92,7 +93,9 @@ def command(
     A pair is flown straight at its goal, and filters see no way around an obstacle: among walls most flights
     end in front of one, unless they are --planned. R.run.json beside R.run.mcap has the summary and measured
     times. An interrupted run leaves OUTPUT.journal; the same command continues from it. Exit code 4: a
-    filtered flight touched what does not move, or a plan was not flown as planned.
+    filtered flight touched what does not move, or a plan, also one of --planned, was not flown as planned to
+    its goal. Exit code 5: no pair is clear, or none can be planned; single pairs without a plan are left out
+    and named.
     """
     from alula.cli.run_files import check_log_name
     from alula.schemas.world import TEXTS
@@ -245,6 +248,7 @@ def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialRe
     from alula.stages.planning.adherence import complaint
     from alula.stages.simulation.world.certificate import uncertified_words
     from alula.stages.simulation.world.judge import hits_static, static_clearance
+    from alula.stages.simulation.world.summary import good_outcomes
 
     hits = [trial for trial in trials if hits_static(trial)]
     if hits and scenario.safety.filters:
@@ -256,8 +260,15 @@ def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialRe
             f"fence; the deepest is trial {deepest.index} from ({start}), {-static_clearance(deepest):.4g} m"
             + (f"; {beyond}" if beyond else "")
         )
-    if scenario.mission.kind == "plan":
-        trial = trials[0]
-        if trial.outcome != "reached":
-            words = complaint(trial.plan) if trial.outcome in PLAN_OUTCOMES else None
-            raise CheckError(f"{name}: {words or f'the flight of the plan ended as {trial.outcome}'}")
+    good = good_outcomes(scenario.mission)
+    missed = [trial for trial in trials if trial.plan is not None and trial.outcome not in good]
+    if missed:
+        first, ends = missed[0], Counter(trial.outcome for trial in missed)
+        words = complaint(first.plan) if first.outcome in PLAN_OUTCOMES else None
+        words = words or f"the flight of the plan ended as {first.outcome}"
+        if len(trials) > 1:
+            counts = ", ".join(f"{count} {end}" for end, count in ends.items())
+            words = f"{len(missed)} of {len(trials)} plans were not flown as planned: {counts}; " + (
+                f"trial {first.index}: {words}"
+            )
+        raise CheckError(f"{name}: {words}")

@@ -22,6 +22,7 @@ from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.world import StaticWorld
 
 _ROUNDING_M = 1e-6
+_NAMED = 10  # maximum number of pairs that a note names
 
 
 class PlanMaps(NamedTuple):
@@ -112,9 +113,51 @@ def plans_of(
     return found
 
 
-def count_planned(plans: list[Artifact | None] | None) -> dict[str, int]:
-    """Counts for the summary: pairs with a plan, and pairs without one, which are flown straight."""
-    if plans is None:
-        return {}
-    without = sum(one is None for one in plans)
-    return {"planned_pairs": len(plans) - without, "unplanned_pairs": without}
+class Planned(NamedTuple):
+    """The pairs that are flown, with their plans.
+
+    Attributes:
+        pairs: those with a plan, in their order.
+        plans: of each.
+        counts: for the summary: pairs with a plan, and without.
+        notes: names the pairs without a plan, which are not flown; empty where there are none.
+    """
+
+    pairs: Pairs
+    plans: list[Artifact | None]
+    counts: dict[str, int]
+    notes: list[str]
+
+
+def planned_alone(pairs: Pairs, plans: list[Artifact | None]) -> Planned:
+    """Leave out the pairs for which there is no plan: a flight straight at the goal is no planned flight.
+
+    Args:
+        pairs: starts and goals.
+        plans: of each; None without one.
+
+    Raises:
+        InfeasibleError: no pair has a plan.
+    """
+    has = np.array([one is not None for one in plans])
+    without = np.flatnonzero(~has).tolist()
+    counts = {"planned_pairs": int(has.sum()), "unplanned_pairs": len(without)}
+    if not without:
+        return Planned(pairs, plans, counts, [])
+    names = [
+        f"pair {i} from ({_place(pairs.start[i])}) to ({_place(pairs.goal[i])})" for i in without[:_NAMED]
+    ]
+    names += [f"{len(without) - _NAMED} more"] * (len(without) > _NAMED)
+    words = f"the planner found no way for {len(without)} of {len(plans)} pairs"
+    if len(without) == len(plans):
+        raise InfeasibleError(
+            f"{words}: {'; '.join(names)}; choose others with mission.bounds_m or mission.goal_m, or fly "
+            "straight without mission.planned"
+        )
+    kept = dataclasses.replace(pairs, start=pairs.start[has], goal=pairs.goal[has])
+    note = f"{words}, which were not flown: {'; '.join(names)}"
+    return Planned(kept, [one for one in plans if one is not None], counts, [note])
+
+
+def _place(point: FloatArray) -> str:
+    return " ".join(f"{value:.3f}" for value in point)

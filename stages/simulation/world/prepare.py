@@ -172,7 +172,7 @@ def prepare(
         start_margin_m=None
         if among is None
         else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
-        notes=notes,
+        notes=notes + missions.notes,
     )
 
 

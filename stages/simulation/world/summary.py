@@ -60,7 +60,7 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         run: all trials.
     """
     trials = run.trials
-    good = ("reached", *_good(run.scenario.mission))
+    good = good_outcomes(run.scenario.mission)
     steps = sum(trial.steps for trial in trials)
     outcomes = (*outcomes_of(trials), "passed", "held")
     moving = [[one.collision for one in trial.obstacles or []] for trial in trials]
@@ -117,11 +117,15 @@ def _extremes(trials: list[TrialResult]) -> dict[str, Any]:
     }
 
 
-def _good(mission: MissionTable) -> tuple[Outcome, ...]:
-    """Outcomes besides "reached" of a flight that did what its mission asks."""
+def good_outcomes(mission: MissionTable) -> tuple[Outcome, ...]:
+    """Outcomes of a flight that did what its mission asks.
+
+    Args:
+        mission: of the scenario.
+    """
     # Such a flight waits until all obstacles have passed, and not for its goal.
     waits: tuple[Outcome, ...] = () if mission.receded_s is None else ("passed", "timeout")
-    return (*waits, *_GOOD.get(mission.kind, ()))
+    return ("reached", *waits, *_GOOD.get(mission.kind, ()))
 
 
 def world_timing(run: WorldRun) -> dict[str, Any]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +23,7 @@ from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
-from alula.stages.simulation.planned import PlanMaps, count_planned, margins, plan_config, plans_of
+from alula.stages.simulation.planned import PlanMaps, margins, plan_config, planned_alone, plans_of
 from alula.stages.simulation.world.piloted import pilots_starts
 from alula.stages.simulation.world.world import StaticWorld, require_clear
 
@@ -46,6 +47,7 @@ class Missions:
         curves: reference of each trial; None where it flies without one.
         plans: plan of each trial; None without one.
         counts: of sampled points and pairs, by the keys of the summary.
+        notes: for the summary.
     """
 
     tasks: list[_core.Task]
@@ -55,6 +57,7 @@ class Missions:
     curves: list[_core.ReferenceCurve | None]
     plans: list[Artifact | None]
     counts: dict[str, int]
+    notes: list[str] = field(default_factory=list)
 
 
 def missions_of(
@@ -95,12 +98,13 @@ def missions_of(
 
     Raises:
         UsageError: a start touches an obstacle, or there are no bounds.
-        InfeasibleError: no clear pairs were found.
+        InfeasibleError: no clear pairs were found, or no plan for any of them.
     """
     mission, model = scenario.mission, vehicle.model
     around = world.centres if psi is None else world.vertices
     plans: list[Artifact | None]
     counts: dict[str, int]
+    notes: list[str] = []
     if mission.kind == "pilot":
         assert geofence is not None
         return _piloted(scenario, world, count, geofence, jobs)
@@ -129,8 +133,11 @@ def missions_of(
                 jobs=jobs,
                 progress=progress,
             )
-            counts |= count_planned(plans)
-    return _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
+            pairs, plans, found, notes = planned_alone(pairs, plans)
+            counts |= found
+            count = len(pairs.start) if notes else count
+    made = _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
+    return dataclasses.replace(made, notes=notes)
 
 
 def _along(

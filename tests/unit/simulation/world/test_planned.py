@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
+from alula.cli.simulate import check_trials
 from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import UsageError
+from alula.schemas.errors import CheckError, InfeasibleError, UsageError
 from alula.schemas.kinds import COVER
 from alula.schemas.run import read_run
 from alula.schemas.vehicles import VEHICLES
@@ -81,14 +82,32 @@ def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
         assert trial.max_speed_m_s <= 1 + 1e-6
 
 
-def test_pairs_without_a_plan_are_flown_straight_and_counted():
+def test_pairs_without_a_plan_are_named_and_not_flown():
     cover = box_cover(SHELL + SEALED)
-    straight, planned = (simulated(cover, planned=flag, which=(0, 4)) for flag in (False, True))
+    planned = simulated(cover, planned=True, which=(0, 4))
     summary = world_summary(planned)
-    assert summary["planned_pairs"] == 1
-    assert summary["unplanned_pairs"] == 1
-    assert summary["collisions"] == 0
-    assert straight.trials[0].outcome == planned.trials[0].outcome
+    assert (summary["trials"], summary["planned_pairs"], summary["unplanned_pairs"]) == (1, 1, 1)
+    np.testing.assert_array_equal(planned.trials[0].goal_m, pairs().goal[4])
+    assert planned.trials[0].plan is not None
+    (note,) = summary["notes"]
+    where = " ".join(f"{value:.3f}" for value in pairs().start[0])
+    assert note.startswith("the planner found no way for 1 of 2 pairs, which were not flown: pair 0 from (")
+    assert where in note
+    with pytest.raises(InfeasibleError, match="no way for 1 of 1 pairs: pair 0 from"):
+        simulated(cover, planned=True, which=(0,))
+
+
+def test_plans_that_were_not_flown_to_their_goals_fail_the_check():
+    """The outcomes are replaced: a run with a flight that is stuck, late or off its plan is refused."""
+    run = simulated(box_cover(SHELL + WALL), planned=True)
+    check_trials("a", run.scenario, run.trials)
+    ends = ("reached", "stuck", "timeout", "off-plan", "reached")
+    trials = [msgspec.structs.replace(one, outcome=end) for one, end in zip(run.trials, ends, strict=True)]
+    words = "3 of 5 plans were not flown as planned: 1 stuck, 1 timeout, 1 off-plan; trial 1: the flight"
+    with pytest.raises(CheckError, match=words):
+        check_trials("a", run.scenario, trials)
+    straight = simulated(box_cover(SHELL + WALL))
+    check_trials("a", straight.scenario, straight.trials)  # nothing was promised of these
 
 
 def test_references_among_ellipsoids_follow_the_plans():
