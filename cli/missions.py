@@ -11,9 +11,12 @@ from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
+    from alula.schemas.provenance import Provenance
+    from alula.schemas.run import RunRecord
     from alula.schemas.vehicle import Vehicle
     from alula.schemas.world import WorldScenario
     from alula.stages.simulation.pairs import Pairs
+    from alula.stages.simulation.world.simulate import WorldRun
 
 MAPS = ("cover", "scene", "seen", "plan")  # roles of the artifacts of a mission
 _ROLES = {"vehicle.file": "vehicle", "mission.pairs_from": "pairs"}  # of files whose keys are named otherwise
@@ -138,6 +141,7 @@ class Mission:
         seed: of all randomness.
         paths: files by role.
         pairs: start and goal of each trial, where they come from another run.
+        pairs_run: record of that run.
     """
 
     scenario: WorldScenario
@@ -146,6 +150,7 @@ class Mission:
     seed: int
     paths: dict[str, Path]
     pairs: Pairs | None
+    pairs_run: RunRecord | None = None
 
     @classmethod
     def of(cls, scenario: WorldScenario, source: Path) -> Mission:
@@ -175,9 +180,10 @@ class Mission:
             table, name = key.split(".")
             if (file := parameters[table].pop(name)) is not None:
                 paths[_ROLES.get(key, name)] = folder / file
-        pairs = None
+        pairs = pairs_run = None
         if "pairs" in paths:
-            pairs = pairs_flown(read_run(paths["pairs"]).trials, scenario.rules.trials)
+            pairs_run = read_run(paths["pairs"])
+            pairs = pairs_flown(pairs_run.trials, scenario.rules.trials)
         dropped = ("schema", "version", "fly")
         parameters = {key: value for key, value in parameters.items() if key not in dropped}
         parameters["vehicle_file"] = contents(vehicle)
@@ -187,7 +193,26 @@ class Mission:
         parameters["safety"] = {name: safety[name] for name in ("filters", *told) if name in safety} | {
             name: safety["others"][name] for name in told if name in safety["others"]
         }
-        return cls(scenario, vehicle, parameters, parameters["rules"].pop("seed"), paths, pairs)
+        seed = parameters["rules"].pop("seed")
+        return cls(scenario, vehicle, parameters, seed, paths, pairs, pairs_run)
+
+    def summary_of(self, flown: WorldRun, provenance: Provenance) -> dict[str, Any]:
+        """Summary of a run, with a note where it differs from the run whose pairs were flown.
+
+        Args:
+            flown: all trials.
+            provenance: of the run.
+        """
+        from alula.stages.simulation.world.summary import world_summary, world_words
+        from alula.stages.unlike import Flown, unlike, unlike_words
+
+        summary = world_summary(flown)
+        if self.pairs_run is None:
+            return summary
+        found = unlike(self.pairs_run, Flown(world_words(flown.scenario, flown.vehicle), provenance))
+        if note := unlike_words(found, self.paths["pairs"].name, "this run"):
+            summary["notes"] = [note, *summary.get("notes", ())]
+        return summary
 
     def read(self, role: str) -> Artifact | None:
         """Read one of the files that is an artifact; None where the scenario names none.

@@ -132,7 +132,6 @@ def _fly(
     from alula.stages.simulation.chunks import TrialJournal
     from alula.stages.simulation.world.chunks import FlownChunk
     from alula.stages.simulation.world.simulate import simulate_world
-    from alula.stages.simulation.world.summary import world_summary
 
     mission = Mission.of(scenario, source)
     tiles = read_tiles_of(mission.paths, key_path)
@@ -160,7 +159,7 @@ def _fly(
                 is_key = "`$." in str(error)
                 raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
         timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
-        summary = world_summary(flown)
+        summary = mission.summary_of(flown, provenance)
         return lambda: write_flights(common.output, provenance, flown, summary, timing, read), summary
 
     run(common, RUN_SCHEMA, RUN_VERSION, mission.parameters, mission.paths, make, seed=mission.seed)

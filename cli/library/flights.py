@@ -44,10 +44,8 @@ class _Flown:
         maps: dict[str, Artifact],
         inputs: Mapping[str, Result | File],
     ) -> None:
-        from alula.stages.simulation.world.summary import world_summary
-
         self.mission, self.flown, self.timing, self.maps, self.inputs = mission, flown, timing, maps, inputs
-        self.summary = world_summary(flown)
+        self.summary = mission.summary_of(flown, self.provenance())
 
     def provenance(self) -> Provenance:
         refs: list[InputRef] = [one.ref(role) for role, one in self.inputs.items()]

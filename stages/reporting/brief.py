@@ -25,6 +25,7 @@ from alula.stages.reporting.material import (
     proof,
 )
 from alula.stages.reporting.tables import BYTES_PER_HALF_PLANE, gaussian_count, success_interval, voxel_count
+from alula.stages.unlike import unlike
 
 Tone = Literal["good", "fair", "bad", "plain"]
 GOOD: Final = "good"
@@ -120,6 +121,7 @@ def brief(material: Material) -> Brief:
         words = f"{gaussians:,} Gaussians. Voxelize and merge them to get a map."
         others.append(Subject("scene", "Scene", "", words, PLAIN, ()))
     verdict, tone = _overall(material.runs, runs) if runs else _first(others)
+    verdict += _unlike(material.runs)
     proofs, limits = guarantees(material)
     return Brief(material.title, verdict, tone, (*runs, *others), proofs, limits, tuple(statements(material)))
 
@@ -163,6 +165,13 @@ def _overall(runs: Sequence[Run], judged: Sequence[Subject]) -> tuple[str, Tone]
         words = words.replace("None of", "Behind a filter none of", 1)
         words += f" Without one, {hit:,} of {len(bare):,} {_bad_word(runs)}."
     return words, tone
+
+
+def _unlike(runs: Sequence[Run]) -> str:
+    """Sentence that runs differ in vehicle or map, which no comparison of their filters allows for."""
+    found = {one.what for run in runs[1:] for one in unlike(runs[0].record, run.record)}
+    kinds = [kind for kind in ("vehicle", "map") if kind in found]
+    return f" The runs differ in their {' and '.join(kinds)}, too." if kinds else ""
 
 
 def _ends_of(runs: Sequence[Run]) -> str:

@@ -25,6 +25,7 @@ from alula.stages.reporting.statistics import (
     two_sample_estimate,
 )
 from alula.stages.reporting.table import HIGH, LOW, Table
+from alula.stages.unlike import unlike, unlike_words
 from alula.stages.verdict import path_ratio
 
 _SAME_PLACE_M = 1e-6
@@ -110,12 +111,12 @@ def difference_tables(material: Material) -> list[Table]:
 
 
 def difference_words(table: Table) -> list[str]:
-    """State the differences of a table in words, each as clear or not.
+    """State the differences of a table in words, each as clear or not; first what else the runs differ in.
 
     Args:
         table: from `difference_tables`.
     """
-    found = []
+    found = [table.before] if table.before else []
     first, second = table.columns[1:3]
     for name, _, _, value, low, high, *_ in table.rows:
         if low is None or high is None or name not in _SAID:
@@ -147,7 +148,9 @@ def _table(first: Run, second: Run, name: str) -> Table:
     rows = [row for one in QUANTITIES if (row := _row(one, first, second, paired=paired)) is not None]
     note = PAIRED_NOTE.format(n=len(first.record.trials)) if paired else UNPAIRED_NOTE
     note += f" Difference: {second.label} less {first.label}."
-    return Table(name, f"{second.label} against {first.label}", columns, tuple(rows), note)
+    title = f"{second.label} against {first.label}"
+    others = unlike_words(unlike(first.record, second.record), first.label, second.label)
+    return Table(name, title, columns, tuple(rows), note, others)
 
 
 def _row(one: _Quantity, first: Run, second: Run, *, paired: bool) -> tuple[Any, ...] | None:

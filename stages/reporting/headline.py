@@ -14,6 +14,7 @@ from alula.stages.reporting.tables import (
     gaussian_count,
     voxel_count,
 )
+from alula.stages.unlike import unlike, unlike_words
 
 
 def headline(material: Material) -> dict[str, Any]:
@@ -41,11 +42,19 @@ def headline(material: Material) -> dict[str, Any]:
         trials = [trial for run in runs for trial in run.record.trials]
         if known := [clearance for trial in trials if (clearance := clearance_of(trial)) is not None]:
             found[key] = min(known)
+    if words := _unlike(material.runs):
+        found["unlike"] = words
     if notes := [
         f"{run.label}: {note}" for run in material.runs for note in run.record.summary.get("notes", ())
     ]:
         found["notes"] = notes
     return found
+
+
+def _unlike(runs: Sequence[Run]) -> list[str]:
+    """How each run differs from the first one, beside the filter."""
+    each = [unlike_words(unlike(runs[0].record, run.record), runs[0].label, run.label) for run in runs[1:]]
+    return [words for words in each if words]
 
 
 def _verdicts(runs: Sequence[Run]) -> list[str]:

@@ -22,6 +22,7 @@ class Table:
         columns: column headings.
         rows: one tuple per row, as long as `columns`.
         note: paragraph below the table.
+        before: sentence above the table; empty for none.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     note: str = ""
+    before: str = ""
 
 
 def text(value: Any) -> str:

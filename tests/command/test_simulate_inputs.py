@@ -91,6 +91,7 @@ def test_the_pairs_of_another_run_are_flown_again(maps, tmp_path, name, words):
     record = simulate(source, first, *words, "--seed", 4)
     again = simulate(source, tmp_path / "again.run.mcap", *words[:-1], "--pairs-from", first, "-q")
     assert ends(again) == ends(record)
+    assert "notes" not in again.summary
     assert [t.path_length_m for t in again.trials] == [t.path_length_m for t in record.trials]
     other = words[: words.index("--trials")] + words[words.index("--trials") + 2 :]
     faster = simulate(source, tmp_path / "faster.run.mcap", *other, "--pairs-from", first, "--speed", 2)
@@ -119,6 +120,10 @@ def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
     )
     assert ends(drawn) != ends(record)
     assert ends(given) == ends(record)
+    assert given.summary["notes"][0] == (
+        "this run and first.run.mcap also differ in world.inflation_m "
+        "(first.run.mcap: None; this run: 0.05): differences may come from these."
+    )
     assert given.summary["blocked_pairs"] == 3
 
 

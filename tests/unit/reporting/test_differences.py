@@ -6,7 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from alula.schemas.manifest import InputRef
+from alula.stages.reporting.brief import brief
 from alula.stages.reporting.differences import difference_tables, difference_words, is_paired
+from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.statistics import rate_difference, sign_test, two_sample_estimate
 from support.fabricate import make_record, make_trial
@@ -51,6 +54,57 @@ def test_other_trials_are_compared_as_samples_and_the_report_says_so():
     assert "higher" not in found
     assert "two samples" in table.note
     assert "b: mean of the minimum clearances not clearly different from a." in difference_words(table)
+
+
+def described(run, vehicle=None, inputs=(), **parameters):
+    tables = {"vehicle": {"radius_m": 0.1}} | parameters
+    provenance = msgspec.structs.replace(
+        run.record.provenance, parameters=tables, inputs=[InputRef(*one) for one in inputs]
+    )
+    record = msgspec.structs.replace(run.record, provenance=provenance)
+    return Run(run.label, msgspec.structs.replace(record, vehicle=vehicle or record.vehicle))
+
+
+COVERS = [[("cover", "alula/cover", "1.1", digit * 64, "room.cover.npz")] for digit in "12"]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "what", "words"),
+    [
+        ({}, {"vehicle": "a quadrotor"}, "vehicle", "vehicle (a: double-integrator; b: a quadrotor)"),
+        (
+            {"vehicle_file": {"body": {"radius_m": 0.1}}},
+            {"vehicle_file": {"body": {"radius_m": 0.15}}},
+            "vehicle",
+            "vehicle_file.body.radius_m (a: 0.1; b: 0.15)",
+        ),
+        (
+            {"inputs": COVERS[0]},
+            {"inputs": COVERS[1]},
+            "map",
+            "cover (a: room.cover.npz, sha256 111111111111…; b: room.cover.npz, sha256 222222222222…)",
+        ),
+        ({"inputs": COVERS[0]}, {}, "map", "cover (a: room.cover.npz; b: none)"),
+        ({"world": {"sigma": 1.0}}, {"world": {"sigma": 3.0}}, "map", "world.sigma (a: 1.0; b: 3.0)"),
+        ({"mission": {"speed_m_s": 1.0}}, {"mission": {"speed_m_s": 3.0}}, None, "mission.speed_m_s (a: 1.0"),
+        ({"safety": {"filters": ["a"]}}, {"safety": {"filters": ["b"]}}, None, None),
+        ({"rules": {"trials": 5}}, {"rules": {"trials": 9}}, None, None),
+    ],
+)
+def test_runs_that_differ_in_more_than_the_filter_say_so_first(first, second, what, words):
+    runs = described(run_of("a", [0.1, 0.2]), **first), described(run_of("b", [0.1, 0.3]), **second)
+    _, table = rows_of(*runs)
+    material = Material("t", runs)
+    verdict = f" The runs differ in their {what}, too." if what else "anything"
+    assert verdict in brief(material).verdict
+    assert ("differ" in brief(material).verdict) == (what is not None)
+    if words is None:
+        assert not any("also differ" in line for line in difference_words(table))
+        assert "unlike" not in headline(material)
+    else:
+        assert difference_words(table)[0].startswith("b and a also differ in ")
+        assert words in difference_words(table)[0]
+        assert headline(material)["unlike"] == [difference_words(table)[0]]
 
 
 def test_the_same_numbers_with_other_goals_are_no_pairs():
