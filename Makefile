@@ -102,9 +102,10 @@ onboard: setup ## run the filters on emulated microcontrollers: the host's bits,
 	$(BIN)/python -P benchmarks/onboard.py
 	$(BIN)/python -P benchmarks/glue.py
 
-fuzz: setup ## 20,000 mutated artifacts against every command; mutated splat files, and the onboard code, for FUZZ_SECONDS=600 each
+fuzz: setup ## 20,000 mutated artifacts against every command; mutated splats, meshes and onboard inputs, for FUZZ_SECONDS=600 each
 	$(BIN)/python -P tests/support/fuzz_artifacts.py --most $(or $(FUZZ_MUTANTS),20000) --keep build/fuzz-artifacts
 	$(BIN)/python -P tests/support/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
+	$(BIN)/python -P tests/support/fuzz_meshes.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz-meshes
 	.ci/system-packages --fuzz
 	$(BIN)/python -P tests/support/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 

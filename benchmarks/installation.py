@@ -55,9 +55,14 @@ OWN = (
         " loses, on which the guarantee rests; tests compare with it",
     ),
     (
+        "readers of meshes and clouds",
+        "trimesh, open3d",
+        "they skip what they do not know, so a proof could miss a wall; tests compare with both",
+    ),
+    (
         "ICP with scale",
         "open3d",
-        "its ICP gives no covariance of the similarity; clouds are read with it, the estimate is scipy's",
+        "its ICP gives no covariance of the similarity; the estimate is scipy's",
     ),
     (
         "quadratic programs of filters",

@@ -167,17 +167,20 @@ def _mark_touched(
     progress: Progress | None,
 ) -> _Marked:
     if isinstance(source, Mesh):
-        found = in_world(source.corners, config.scale, imported.up)
-        facts: dict[str, Any] = {"triangles": len(found)}
+        found = in_world(source.surface, config.scale, imported.up)
+        facts: dict[str, Any] = {"triangles": len(source.corners)}
+        if len(source.bent):
+            facts["triangles_of_polygons_that_are_not_flat"] = len(source.bent)
         native: Callable[..., Voxels] = _core.touched_by_triangles
     else:
         found = in_world(source.points, config.scale, imported.up)
         facts, native = {"points": len(found)}, _core.touched_by_points
     crop = None if config.solid else config.crop
     inside = 0.0
-    if config.solid:
-        require_watertight(found)
-        inside = abs(float(np.linalg.det(found).sum()) / 6) if config.crop is None else 0.0
+    if isinstance(source, Mesh) and config.solid:
+        closed = in_world(source.corners, config.scale, imported.up)
+        require_watertight(closed)
+        inside = abs(float(np.linalg.det(closed).sum()) / 6) if config.crop is None else 0.0
     common = {"radius": config.margin_m, "crop": crop, "jobs": jobs}
 
     def number(size: float) -> float:
@@ -185,14 +188,15 @@ def _mark_touched(
 
     _require_few(config, found, number)
     voxels = native(found, voxel_size=config.size_m, min_count=config.min_points, progress=progress, **common)
-    if config.solid:
+    if isinstance(source, Mesh) and config.solid:
         surface = len(voxels[0])
         index, count, *rest = _core.with_inside(
-            *voxels[:2], found, config.size_m, config.crop, jobs, progress
+            *voxels[:2], closed, config.size_m, config.crop, jobs, progress
         )
         voxels = (index, count, rest[0], rest[1])
         facts["voxels_of_the_surface"] = surface
-    return _Marked(voxels, facts, {})
+    left_out = {"points_of_no_triangle": source.loose} if isinstance(source, Mesh) and source.loose else {}
+    return _Marked(voxels, facts, left_out)
 
 
 def _require_few(config: ImportVoxelsConfig, points: FloatArray, number: Callable[[float], float]) -> None:
@@ -243,12 +247,22 @@ def _mark_octree(config: ImportVoxelsConfig, source: Octree, jobs: int, progress
     ratio = source.edge * decimal(config.scale) / decimal(config.size_m)
     assert np.abs(lower).max() <= OCTREE_HALF
     first, last = lattice_range(lower[marked], upper[marked], ratio)
-    if config.crop is None and ratio >= 1:  # at most eight cubes share a voxel
-        about = float(np.prod(last.astype(np.float64) - first + 1, axis=1).sum())
-        if about > 8 * config.max_voxels:
-            raise InputError(too_many(config.size_m, about, config.max_voxels, []))
+    sides = (upper[marked].astype(np.int64) - lower[marked]) * float(ratio)
+    about = _at_least(first, last, config)[(sides >= 1).all(axis=1)].sum() / 8  # at most eight share a voxel
+    if about > config.max_voxels:
+        raise InputError(too_many(config.size_m, float(about), config.max_voxels, []))
     voxels = _core.voxels_of_blocks(first, last, config.size_m, config.crop, jobs, progress)
     return _Marked(voxels, facts, {})
+
+
+def _at_least(first: NDArray[np.int32], last: NDArray[np.int32], config: ImportVoxelsConfig) -> FloatArray:
+    """Voxels of boxes first ... last that lie in the crop, shape (N,)."""
+    low, high = first.astype(np.float64), last.astype(np.float64)
+    if config.crop is not None:
+        low = np.maximum(low, np.ceil(np.array(config.crop[:3]) / config.size_m))
+        high = np.minimum(high, np.floor(np.array(config.crop[3:]) / config.size_m) - 1)
+    found: FloatArray = np.maximum(high - low + 1, 0).prod(axis=1)
+    return found
 
 
 def _guarantee(config: ImportVoxelsConfig, imported: ImportedMap, left_out: dict[str, Any]) -> Guarantee:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Literal
 
@@ -22,10 +22,19 @@ class Mesh:
     Attributes:
         corners: shape (T, 3, 3), units and axes of the file.
         up: axis that points up, by the file's format.
+        bent: triangles of all other ways to cut polygons that are not flat, shape (B, 3, 3).
+        loose: points of the file that belong to no triangle.
     """
 
     corners: FloatArray
     up: Literal["y", "z"] = "z"
+    bent: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)))
+    loose: int = 0
+
+    @property
+    def surface(self) -> FloatArray:
+        """All triangles that can be a part of the surface, shape (T + B, 3, 3)."""
+        return np.concatenate([self.corners, self.bent])
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ def imported_checks(
         )
     if isinstance(source, Octree):
         return [_octree_check(level, source, index)]
-    points = source.corners if isinstance(source, Mesh) else np.repeat(source.points[:, None], 3, axis=1)
+    points = source.surface if isinstance(source, Mesh) else np.repeat(source.points[:, None], 3, axis=1)
     corners = in_world(points, imported.scale, imported.up)
     crop = None if level.crop is None else tuple(level.crop)
     voxels = np.ascontiguousarray(index, np.int32)
@@ -107,8 +107,9 @@ def imported_checks(
     faults = [f"{what} {number} may touch an unmarked voxel" for number in row.tolist()]
     name = f"every {what} lies in the voxels"
     checks = [Finding(name, len(corners), total, "separating planes", faults, missing.astype(np.int64))]
-    if imported.solid:
-        checks.append(_solid_check(level, corners, voxels, jobs, share(progress, 0.8, 1)))
+    if isinstance(source, Mesh) and imported.solid:
+        closed = in_world(source.corners, imported.scale, imported.up)
+        checks.append(_solid_check(level, closed, voxels, jobs, share(progress, 0.8, 1)))
     return checks
 
 

@@ -10,6 +10,7 @@ import trimesh
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
 from alula.schemas.kinds import COVER, VOXELS
+from support.mesh_files import Glb
 
 SIZE = 0.25
 
@@ -285,3 +286,68 @@ def test_the_library_writes_the_bytes_of_the_command_and_proves_them(solid, tmp_
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "a.ply")
     with pytest.raises(alula.InputError, match="a cloud, but the voxels are those of a mesh"):
         alula.verify(voxels, source=tmp_path / "a.ply")
+
+
+def plate(x):
+    """OBJ text of a square at x = const, with indices that count backwards."""
+    corners = "".join(f"v {x} {y} {z}\n" for y, z in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    return f"{corners}f -4 -3 -2 -1\n"
+
+
+def test_no_wall_of_an_obj_with_relative_indices_vanishes(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(plate(0.125) + plate(2.125))
+    sides = [(y, z) for y in range(-1, 5) for z in range(-1, 5)]
+    found = imported(path)
+    assert cells(found["index"]) == {(x, *side) for x in (0, 8) for side in sides}
+    assert found.manifest.summary["triangles"] == 4
+    assert run(["verify", str(path.with_suffix(".voxels.npz")), "--source", str(path), "-q"]) == 0
+
+
+def test_metres_of_a_quantised_glb_stay_metres(tmp_path):
+    glb = Glb()
+    glb.tree["extensionsUsed"] = glb.tree["extensionsRequired"] = ["KHR_mesh_quantization"]
+    corners = [(0, 0, 0), (127, 0, 0), (0, 127, 0)]
+    where = glb.accessor(corners, "i1", "VEC3", pad=1, normalized=True)
+    glb.tree["meshes"].append({"primitives": [{"attributes": {"POSITION": where}}]})
+    glb.node(mesh=0, scale=[5, 5, 5], translation=[0.125, 0.125, 0.125])
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb.bytes())
+    found = imported(path)
+    low, high = np.array(found.manifest.summary["lower_m"]), np.array(found.manifest.summary["upper_m"])
+    assert low.tolist() == [0, -0.25, 0]  # y became z, and z became -y
+    assert high.tolist() == [5.25, 0, 5.25]
+    assert run(["verify", str(path.with_suffix(".voxels.npz")), "--source", str(path), "-q"]) == 0
+
+
+def test_a_bent_polygon_marks_both_ways_to_cut_it_and_its_solid_is_closed(tmp_path):
+    path = tmp_path / "a.obj"
+    top = [(0, 0, 2.1), (2, 0, 4.1), (2, 2, 2.1), (0, 2, 4.1)]
+    corners = [(x, y, 0.1) for x, y, _ in top] + top
+    faces = [(4, 3, 2, 1), (5, 6, 7, 8), (1, 2, 6, 5), (2, 3, 7, 6), (3, 4, 8, 7), (4, 1, 5, 8)]
+    text = "".join(f"v {x + 0.1} {y + 0.1} {z}\n" for x, y, z in corners)
+    path.write_text(text + "".join(f"f {a} {b} {c} {d}\n" for a, b, c, d in faces))
+    index = cells(imported(path)["index"])
+    assert (4, 4, 8) in index  # the middle of the top's one diagonal, at 2.1 m
+    assert (4, 4, 16) in index  # and of the other, at 4.1 m
+    solid = imported(path, "--solid")
+    assert solid.manifest.summary["triangles"] == 12
+    assert solid.manifest.summary["triangles_of_polygons_that_are_not_flat"] == 2
+    assert (4, 4, 4) in cells(solid["index"]) - index
+    assert run(["verify", str(path.with_suffix(".voxels.npz")), "--source", str(path), "-q"]) == 0
+
+
+def test_points_of_no_triangle_are_named_as_left_out(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 1 2 3\n")
+    left_out = imported(tmp_path / "a.obj").manifest.guarantee.claims["left_out"]
+    assert left_out["points_of_no_triangle"] == 1
+
+
+def test_points_with_commas_are_refused_by_import_and_proof(tmp_path, capsys):
+    path = tmp_path / "a.xyz"
+    path.write_text("0 0 0\n1 1 1\n")
+    imported(path, "--radius", "0.1")
+    path.write_text("0 0 0\n1,1,1\n")
+    refused(capsys, path, code=3, says="a.xyz: line 2: a point needs numbers with spaces between them")
+    assert run(["verify", str(path.with_suffix(".voxels.npz")), "--source", str(path)]) == 3
+    assert "a.xyz: line 2" in capsys.readouterr().err

@@ -25,7 +25,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -204,14 +204,31 @@ def mutants(seed: Case, rng: random.Random) -> Iterator[Case]:
 
 
 def _kind(name: str) -> str:
-    """What takes turns: the encoders made here, and the suffixes of real files."""
-    return "real " + name.rpartition(".")[2] if "/" in name else name
+    """What takes turns: the encoders made here, without a number, and the suffixes of real files."""
+    return "real " + name.rpartition(".")[2] if "/" in name else name.partition(":")[0]
 
 
-def fuzz(seconds: float, seed: int, keep: Path, most: int = sys.maxsize) -> Counter[str]:
-    """Run until the time or the number of cases is over; failures are kept and counted."""
+def fuzz(
+    seconds: float,
+    seed: int,
+    keep: Path,
+    most: int = sys.maxsize,
+    *,
+    inputs: dict[str, Case] | None = None,
+    run: Callable[[Case, Path], str] = run_case,
+) -> Counter[str]:
+    """Run until the time or the number of cases is over; failures are kept and counted.
+
+    Args:
+        seconds: time.
+        seed: of the mutations.
+        keep: folder for what fails.
+        most: number of cases.
+        inputs: valid ones by name, those of `seeds` by default.
+        run: what a case is given to, and its outcome.
+    """
     rng = random.Random(seed)
-    streams = {name: mutants(case, rng) for name, case in seeds().items()}
+    streams = {name: mutants(case, rng) for name, case in (seeds() if inputs is None else inputs).items()}
     counts: Counter[str] = Counter()
     end = time.monotonic() + seconds
     kinds: dict[str, list[str]] = {}
@@ -233,7 +250,7 @@ def fuzz(seconds: float, seed: int, keep: Path, most: int = sys.maxsize) -> Coun
             (keep / "running.json").write_text(json.dumps({"seed": name, "number": number}))
             signal.alarm(HANG_S)
             try:
-                outcome = run_case(case, folder)
+                outcome = run(case, folder)
             except Exception as error:  # noqa: BLE001  whatever it is, it must not come out of a reader
                 outcome = "FAILED"
                 place = keep / f"{number:07d}-{type(error).__name__}"

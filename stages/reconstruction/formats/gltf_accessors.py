@@ -122,7 +122,7 @@ class Scene(Struct):
 
 
 class Document(Struct, rename="camel"):
-    """Parts of a glTF file that a splat uses."""
+    """Parts of a glTF file that a splat or a mesh uses."""
 
     asset: Asset = msgspec.field(default_factory=Asset)
     extensions_required: list[str] = []
@@ -180,14 +180,16 @@ class Tables:
     """A parsed file: its document and the tables in it.
 
     Attributes:
-        document: the JSON.
+        text: the JSON.
+        document: what a splat or a mesh uses of it.
         notes: notes for the user about the container.
     """
 
     def __init__(self, source: Source) -> None:
         self._source = source
         self.notes: list[str] = []
-        text, self._binary = self._container(source.data)
+        self.text, self._binary = self._container(source.data)
+        text = self.text
         if text.count(b"{") > _OBJECTS:
             raise ArtifactError(f"glTF: more than {_OBJECTS} JSON objects")
         try:

@@ -55,14 +55,14 @@ def placed_primitives(document: Document, notes: list[str]) -> list[Placed]:
     if not any(splats):
         raise ArtifactError(f"glTF: no primitive has {NAME}: an ordinary scene, not a Gaussian splat")
     found, reached = [], set()
-    stack = [(index, np.eye(4), True) for index in reversed(_roots(document, notes))]
+    stack = [(index, np.eye(4), True) for index in reversed(roots_of(document, notes))]
     while stack:
         index, above, above_exact = stack.pop()
         node = item(document.nodes, index, "node")
         if index in reached:
             raise ArtifactError(f"glTF: node {index} is reached twice: nodes must be a tree")
         reached.add(index)
-        local, exact = _local(node, index)
+        local, exact = local_matrix(node, index)
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = local if above_exact else above @ local
         exact = exact and above_exact
@@ -89,7 +89,13 @@ def placed_primitives(document: Document, notes: list[str]) -> list[Placed]:
     return found
 
 
-def _roots(document: Document, notes: list[str]) -> list[int]:
+def roots_of(document: Document, notes: list[str]) -> list[int]:
+    """Roots of the default scene, or of all nodes in a file without scenes.
+
+    Args:
+        document: a parsed file.
+        notes: list to which notes about other scenes are added.
+    """
     if not document.scenes:
         children = {child for node in document.nodes for child in node.children}
         notes.append("no scene: all nodes were read")
@@ -101,8 +107,16 @@ def _roots(document: Document, notes: list[str]) -> list[int]:
     return item(document.scenes, document.scene or 0, "scene").nodes
 
 
-def _local(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
-    """4 by 4 matrix of a node, and True when it is exactly the identity."""
+def local_matrix(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
+    """4 by 4 matrix of a node, and True when it is exactly the identity.
+
+    Args:
+        node: the node.
+        index: its index, for messages.
+
+    Raises:
+        ArtifactError: a part of it has too few numbers, or some that are not finite.
+    """
     parts = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
     for name, length in parts.items():
         values = getattr(node, name)

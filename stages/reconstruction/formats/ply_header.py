@@ -21,10 +21,19 @@ _BYTE_ORDER = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """One column; `type` is a NumPy code without byte order, empty for a list of values."""
+    """One column; codes are NumPy's, without byte order.
+
+    Attributes:
+        name: as in the header.
+        type: code of a value, empty for a list of values.
+        length: code of a list's length, else empty.
+        item: code of a list's values, else empty.
+    """
 
     name: str
     type: str
+    length: str = ""
+    item: str = ""
 
     @property
     def size(self) -> int:
@@ -125,7 +134,7 @@ def parse_header(start: bytes) -> Header:
 def _property(words: list[str]) -> Property | None:
     match words:
         case ["list", count, item, name] if count in _TYPES and item in _TYPES:
-            return Property(name, "")
+            return Property(name, "", _TYPES[count], _TYPES[item])
         case [type_, name] if type_ in _TYPES:
             return Property(name, _TYPES[type_])
     return None

@@ -107,13 +107,13 @@ def npz(points, compression=zipfile.ZIP_DEFLATED, shape=None):
 ZEROS = np.broadcast_to(np.zeros(3, np.float32), (8_000_000, 3))  # 96 MB in 93 kB
 FACES = b"element face 999999999999\nproperty list uchar int i\n"
 CLOUDS = {
-    "rows.ply": (ply(HUGE), r"states \d+ points of at least 12 bytes, but 120 bytes follow"),
+    "rows.ply": (ply(HUGE), r"states \d+ rows of vertex of at least 12 bytes, but 120 bytes follow"),
     "rows_as_text.ply": (ply(HUGE, "ascii", b"0 0 0\n" * 20), "states"),
-    "one_row_more.ply": (ply(11), "states 11 points"),
+    "one_row_more.ply": (ply(11), "states 11 rows"),
     "lists.ply": (
         ply(1, body=b"").replace(b"end_header", FACES + b"end_header")
         + b"\0" * 20,
-        "states 999999999999 points",
+        "states 999999999999 rows of face",
     ),
     "no_columns.ply": (
         b"ply\nformat ascii 1.0\nelement vertex 999999999999\nend_header\n0 0 0\n", "no columns"
