@@ -9,6 +9,7 @@ import click
 from alula.cli import grouped, options
 from alula.cli.set_values import settings_of
 from alula.schemas.errors import OutputError, UsageError
+from alula.schemas.scenarios import NAMES
 
 EXAMPLES = """\b
 Examples:
@@ -16,6 +17,7 @@ Examples:
   alula scenario room.toml --set vehicle.type=crazyflie21 --set safety.cone-backup.horizon_s=2
   alula scenario old.toml -o new.toml
   alula scenario --keys safety.cone-backup
+  alula scenario --example room-mocap -o balls.toml
 """
 
 
@@ -32,6 +34,12 @@ Examples:
     metavar="[PART]",
     help="List all keys that a scenario can have, or those of a part of it.",
 )
+@click.option(
+    "--example",
+    type=click.Choice(NAMES),
+    help="Write a scenario to begin with: room-mocap is a Crazyflie and two thrown balls in the map "
+    "room.cover.npz, outdoor-radar a quadrotor and two other vehicles in the open.",
+)
 @click.option("-o", "--output", type=options.PATH, help="Write the scenario to this file (.toml).")
 @click.option("-f", "--force", is_flag=True, help="Replace an output that exists.")
 @options.reporting
@@ -39,6 +47,7 @@ def command(
     file: Path | None,
     settings: tuple[str, ...],
     part: str | None,
+    example: str | None,
     output: Path | None,
     force: bool,
     json: bool,
@@ -55,13 +64,17 @@ def command(
     from alula.cli.present import echo, print_json
 
     if part is not None:
-        if file is not None or settings or output is not None:
-            raise UsageError("--keys lists keys, and takes no FILE, --set or --output")
+        if file is not None or settings or output is not None or example is not None:
+            raise UsageError("--keys lists keys, and takes no FILE, --set, --example or --output")
         _list_keys(part, json=json, quiet=quiet)
         return
+    if example is not None:
+        if file is not None or settings or json:
+            raise UsageError("--example writes a scenario, and takes no FILE, --set or --json")
+        _show_example(example, output, force=force, quiet=quiet)
+        return
     if file is None:
-        raise UsageError("needs a FILE, or --keys")
-    from alula.schemas.atomic import write_text
+        raise UsageError("needs a FILE, --example or --keys")
     from alula.schemas.files import printable
     from alula.schemas.world import TEXTS, read_sources
     from alula.schemas.world_check import refusal
@@ -74,14 +87,31 @@ def command(
         raise UsageError(f"{file}: {words}")
     values = values_of(read, vehicle, printable(file.name))
     if output is not None:
-        if output.exists() and not force:
-            raise OutputError(f"{output}: exists; -f replaces it")
-        write_text(output, toml_of(moved(values, file.parent, output.parent)))
+        _write(output, toml_of(moved(values, file.parent, output.parent)), force=force)
     if json:
         print_json({"values": [{**item._asdict(), "value": _json(item.value)} for item in values]})
     elif output is None and not quiet:
         for line in toml_of(values).splitlines():
             echo(line)
+
+
+def _show_example(name: str, output: Path | None, *, force: bool, quiet: bool) -> None:
+    from alula.cli.present import echo
+    from alula.schemas.scenarios import text_of
+
+    text = text_of(name)
+    if output is not None:
+        _write(output, text, force=force)
+    elif not quiet:
+        echo(text.rstrip())
+
+
+def _write(output: Path, text: str, *, force: bool) -> None:
+    from alula.schemas.atomic import write_text
+
+    if output.exists() and not force:
+        raise OutputError(f"{output}: exists; -f replaces it")
+    write_text(output, text)
 
 
 def _json(value: object) -> object:

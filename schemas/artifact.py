@@ -28,7 +28,7 @@ from alula.schemas.atomic import atomic_output
 from alula.schemas.checks import check_arrays, check_shapes, present
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
-from alula.schemas.files import READ_AT_ONCE, check_no_stream
+from alula.schemas.files import READ_AT_ONCE, check_no_stream, what_it_is
 from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
 
@@ -335,7 +335,7 @@ def _open_archive(path: Path) -> zipfile.ZipFile:
             is_zip = file.read(4) == b"PK\x03\x04"
         if is_zip:
             raise DamagedError(f"{path}: truncated or corrupt artifact ({error})") from error
-        raise ArtifactError(f"{path}: is not an alula artifact") from error
+        raise ArtifactError(f"{path}: is not an alula artifact{what_it_is(path)}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
 

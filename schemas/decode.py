@@ -7,6 +7,7 @@ guards the making of every decoder, and a decoder describes its type completely 
 
 from __future__ import annotations
 
+import difflib
 import re
 import threading
 from collections.abc import Hashable
@@ -200,4 +201,31 @@ def convert(tree: Any, kind: type[T]) -> T:
         try:
             return msgspec.convert(tree, kind)
         except msgspec.ValidationError as error:
-            raise MalformedError(str(error)) from error
+            raise MalformedError(f"{error}{_nearest(str(error), kind)}") from error
+
+
+_UNKNOWN = re.compile(r"Object contains unknown field `([^`]*)`(?: - at `\$(.*)`)?$")
+
+
+def _nearest(message: str, kind: Any) -> str:
+    """Name of the known field that an unknown one most resembles, in words; "" without one."""
+    found = _UNKNOWN.match(message)
+    if found is None:
+        return ""
+    at = [msgspec.inspect.type_info(kind)]
+    for part in re.findall(r"\.([^.\[]+)|\[", found[2] or ""):
+        at = [inner for one in at for inner in _inside(one, part)]
+    names = [field.encode_name for one in at for field in getattr(one, "fields", ())]
+    close = [name for name in names if name.startswith(f"{found[1]}_")]
+    close += difflib.get_close_matches(found[1], names, 1)
+    return f"; did you mean `{close[0]}`?" if close else ""
+
+
+def _inside(kind: Any, part: str) -> list[Any]:
+    """Types of a field, or without its name those of the items of a list."""
+    if part:
+        found = [one.type for one in getattr(kind, "fields", ()) if one.encode_name == part]
+    else:
+        found = [kind.item_type] if hasattr(kind, "item_type") else []
+    found = [getattr(one, "type", one) for one in found]  # without its description
+    return [one for each in found for one in getattr(each, "types", (each,))]

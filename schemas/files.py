@@ -90,3 +90,24 @@ def printable(name: str) -> str:
         name: the name, with surrogate escapes for bytes that are not UTF-8.
     """
     return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
+_KINDS = (
+    (b"\x89MCAP0\r\n", "it is a run, which report, view, info and simulate --pairs-from read"),
+    (b"PK\x03\x04", "it is an artifact or another ZIP, which info names"),
+    (b"ply\n", "it is a PLY file, which import-splat or import-voxels reads"),
+    (b"glTF", "it is a glTF file, which import-splat or import-voxels reads"),
+)
+
+
+def what_it_is(path: Path) -> str:
+    """What a file of another kind is, as words after the refusal; "" where that is unknown.
+
+    Args:
+        path: the file, which can be read.
+    """
+    if path.suffix == ".toml":
+        return "; it is a TOML file, such as a scenario or a vehicle"
+    with path.open("rb") as file:
+        head = file.read(16)
+    return next((f"; {words}" for begin, words in _KINDS if head.startswith(begin)), "")

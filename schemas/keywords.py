@@ -101,7 +101,7 @@ class ViewFields(TypedDict, total=False):
 
     title: str
     flight: Sequence[int] | NDArray[Any]
-    gaussians: int
+    gaussians: int | None
     up: Literal["+z", "-z", "+y", "-y", "+x", "-x"]
 
 

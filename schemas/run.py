@@ -13,7 +13,7 @@ from alula.schemas import contents
 from alula.schemas.contents import FenceSummary, RunParameters, RunSummary
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
-from alula.schemas.files import check_no_stream
+from alula.schemas.files import check_no_stream, what_it_is
 from alula.schemas.manifest import VERSION, Guarantee, Vector
 from alula.schemas.mcap_log import MAGIC, metadata
 from alula.schemas.provenance import RUN_METADATA, Provenance
@@ -375,7 +375,7 @@ def open_log(log: Path) -> Iterator[BinaryIO]:
             if not magic:
                 raise ArtifactError(f"{log}: is empty")
             if magic != MAGIC:
-                raise ArtifactError(f"{log}: is not an MCAP log")
+                raise ArtifactError(f"{log}: is not an MCAP log{what_it_is(log)}")
             file.seek(0)
             yield file
     except AlulaError:

@@ -53,6 +53,7 @@ from alula.schemas.filter_options import FILTERS
 from alula.schemas.manifest import parse_version
 from alula.schemas.scenario import SCENARIO_SCHEMA, FlyTable
 from alula.schemas.toml_file import read_tree
+from alula.schemas.world_presets import with_preset
 from alula.schemas.world_tables import (
     NO_FILTER,
     EstimationTable,
@@ -218,6 +219,7 @@ def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | Non
     if isinstance(safety, dict):
         _gather(safety, where, _filters(tree) if known is None else known)
     try:
+        tree = with_preset(tree)
         scenario = _completed(convert(tree, WorldScenario), tree)
         world_ranges.check_finite(scenario)
         _check(scenario)

@@ -372,6 +372,15 @@ class SensorTable(DetectorTable, frozen=True, kw_only=True):
 class EstimationTable(Table, frozen=True, kw_only=True):
     """What the vehicle knows of its own state, and of what moves."""
 
+    preset: Annotated[
+        Literal["room-mocap", "outdoor-radar"] | None,
+        about(
+            "values of the sensor and of dr-acbf that the scenario does not give: room-mocap for objects "
+            "thrown in a room with motion capture, outdoor-radar for traffic seen by a radar; default: "
+            "room-mocap for a crazyflie21, else outdoor-radar"
+        ),
+    ] = None
+
     position_noise_m: Annotated[
         NotNegative | None, about("standard deviation of the measured position; default: the vehicle's [m]")
     ] = None

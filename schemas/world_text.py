@@ -20,6 +20,7 @@ from alula.schemas.toml_file import toml_key, toml_value
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import ELSEWHERE, FILES, Read, WorldScenario, plain
 from alula.schemas.world_defaults import completed
+from alula.schemas.world_presets import PRESETS
 from alula.schemas.world_ranges import USED
 
 _COMMENT_COLUMN = 48  # comments of shorter lines begin here
@@ -31,7 +32,7 @@ class Value(NamedTuple):
     Attributes:
         path: of its key, with dots; a number is the place in a list.
         value: plain, as in TOML.
-        source: where it comes from: a file, `--set`, a vehicle, or `default`.
+        source: where it comes from: a file, `--set`, a preset, a vehicle, or `default`.
     """
 
     path: str
@@ -50,12 +51,15 @@ def values_of(read: Read, vehicle: Vehicle, file: str) -> list[Value]:
     full = completed(read.scenario, vehicle)
     own = plain(read.scenario)
     name = f"{file}, upgraded" if read.is_upgraded else file
+    preset = PRESETS.get(read.scenario.estimation.preset or "", {})
 
     def source(path: str) -> str:
         if any(path == key or path.startswith(f"{key}.") for key in read.changed):
             return "--set"
         if _find(read.given, path) is not None:
             return name
+        if _find(preset, path) is not None:
+            return f"preset {read.scenario.estimation.preset}"
         is_own = _find(own, path) is not None or path in ("vehicle.type", "vehicle.actuation_delay_s")
         return "default" if is_own else f"vehicle {vehicle.name}"
 
@@ -92,9 +96,9 @@ def _used(scenario: WorldScenario, read: Read) -> dict[str, Any]:
     for key in ("moving", "walls"):
         if not tree["world"][key]:
             tree["world"].pop(key)
-    for key in ("sensor", "tracker"):
+    for key in ("preset", "sensor", "tracker"):
         if not (scenario.world.moving or is_given(f"estimation.{key}")):
-            tree["estimation"].pop(key)
+            tree["estimation"].pop(key, None)
     for name in FILTERS:
         if name not in safety.filters and not is_given(f"safety.{name}"):
             tree["safety"].pop(name, None)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -38,16 +37,29 @@ _DARK_BY_SYSTEM = "{darkMode:matchMedia('(prefers-color-scheme: dark)').matches}
 
 
 @contextmanager
+def _silent() -> Iterator[None]:
+    """Viser prints its address and its end with rich, which a notebook shows wherever stdout leads."""
+    from rich import get_console
+
+    console = get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
+
+
+@contextmanager
 def recording() -> Iterator[Any]:
     """Context with a `viser.ViserServer` to draw into; it listens on loopback while the context is open."""
     import viser
 
-    with redirect_stdout(io.StringIO()):  # viser prints its address
+    with _silent():
         server = viser.ViserServer(host=HOST, port=0, verbose=False)
     try:
         yield server
     finally:
-        with redirect_stdout(io.StringIO()):
+        with _silent():
             server.stop()
 
 

@@ -329,3 +329,9 @@ def test_the_tutorial_notebook_runs_and_every_result_is_shown(tmp_path, monkeypa
     assert all(one._repr_html_() for one in results if one is not report)
     assert names["run"].summary["reached"] == 1
     assert (tmp_path / "room.report.html").exists()
+    flight = names["run"].flights[0]
+    inside = np.array([(0, 0, 0), (8, 6, 3)])
+    assert (flight.position_world > inside[0]).all()
+    assert (flight.position_world < inside[1]).all()
+    assert np.abs(names["scene"].mean.min(axis=0)).max() < 0.1  # level, with a corner at the origin
+    assert names["cover"].summary["conservativeness"] < 1.4

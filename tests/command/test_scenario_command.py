@@ -1,11 +1,18 @@
 """`alula scenario` as a user runs it: text with sources, upgrade to a file, list of keys, refusals."""
 
 import json
+from copy import deepcopy
+from typing import get_args, get_type_hints
 
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.world import is_world, read_world
+from alula.schemas.artifact import write_artifact
+from alula.schemas.scenarios import NAMES
+from alula.schemas.world import decoded, is_world, read_world
+from alula.schemas.world_presets import PRESETS
+from alula.schemas.world_tables import EstimationTable, SafetyTable, SensorTable
+from support.covers import boxes_cover
 from support.paths import EXAMPLES
 
 OLD = EXAMPLES / "geofencing" / "combined.toml"
@@ -79,7 +86,7 @@ def test_keys_are_listed_by_part(capsys):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["scenario"], 2, "needs a FILE, or --keys"),
+        (["scenario"], 2, "needs a FILE, --example or --keys"),
         (["scenario", "--keys", "wings"], 2, "no part or key is called 'wings'"),
         (["scenario", "FILE", "--keys", "world"], 2, "--keys lists keys, and takes no FILE"),
         (["scenario", "FILE", "--set", "vehicle.wings=2"], 2, "unknown field `wings` - at `$.vehicle`"),
@@ -101,3 +108,44 @@ def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(words, code, m
     assert message in error
     assert len(error.splitlines()) == 1
     assert not out.exists()
+
+
+# A room of 8 x 6 x 3 m with a pillar and a shelf, in units of 0.1 m.
+ROOM = [
+    *((-1, -1, -1, 81, 61, 0), (-1, -1, 30, 81, 61, 31), (-1, 0, 0, 0, 60, 30), (80, 0, 0, 81, 60, 30)),
+    *((-1, -1, 0, 81, 0, 30), (-1, 60, 0, 81, 61, 30), (38, 28, 0, 42, 32, 30), (0, 40, 0, 5, 60, 20)),
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_flies_and_its_filters_evade(name, tmp_path, capsys):
+    write_artifact(tmp_path / "room.cover.npz", boxes_cover(ROOM))
+    path = tmp_path / "own.toml"
+    assert run(["scenario", "--example", name, "-o", str(path)]) == 0
+    assert run(["simulate", str(path), "-o", str(tmp_path / "own.run.mcap"), "--json"]) in (0, 4)
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert summary["trials"] == 50
+    assert summary["moving_collisions"] <= 1
+    assert summary["static_collisions"] == 0
+    words = ["--set", "safety.filters=none", "--set", "rules.logged=0"]
+    run(["simulate", str(path), "-o", str(tmp_path / "none.run.mcap"), "--json", *words])
+    assert json.loads(capsys.readouterr().out)["summary"]["moving_collisions"] >= 4
+
+
+def test_a_crazyflie_among_moving_obstacles_is_in_a_room_unless_the_scenario_says_otherwise():
+    moving = {"vehicle": {"type": "crazyflie21"}, "world": {"moving": [{"motion": "ballistic"}]}}
+    found = decoded(deepcopy(moving))
+    assert found.estimation.sensor.kind == "mocap"
+    assert found.safety.dr_acbf.obstacle_braking_m_s2 == 0
+    assert found.safety.mpc == SafetyTable().mpc  # the comparators have their own
+    own = decoded(moving | {"estimation": {"sensor": {"rate_hz": 60}}})
+    assert (own.estimation.sensor.kind, own.estimation.sensor.rate_hz) == ("mocap", 60)
+    outside = decoded(moving | {"estimation": {"preset": "outdoor-radar"}})
+    assert outside.estimation.sensor == SensorTable()
+    assert outside.safety.dr_acbf == SafetyTable().dr_acbf
+    assert decoded({"vehicle": {"type": "crazyflie21"}}).estimation == EstimationTable()
+
+
+def test_presets_have_one_list_of_names():
+    (literal,) = [one for one in get_args(get_type_hints(EstimationTable)["preset"]) if get_args(one)]
+    assert set(get_args(literal)) == set(NAMES) == set(PRESETS)

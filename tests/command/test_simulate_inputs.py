@@ -5,6 +5,7 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import write_artifact
+from alula.schemas.mcap_log import MAGIC
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 from support.fabricate import box, make_cover, make_scene
@@ -175,16 +176,19 @@ def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, messag
             "`$.world.confidence` sets sigma; give one",
         ),
         (["BOTH"], 2, "`$.map.confidence`: sets sigma; give one of the two"),
-        (["SCENE", "--filter", "none", "--pairs-from", "SCENE"], 3, "is not an MCAP log"),
+        (["SCENE", "--filter", "none", "--pairs-from", "SCENE"], 3, "is not an MCAP log; it is an artifact"),
+        (["RUN"], 3, "is not an alula artifact; it is a run, which report, view, info and"),
         (["SCENE", "--filter", "none", "--pairs-from", "absent.run.mcap"], 3, "cannot read"),
     ],
 )
 def test_inputs_that_do_not_fit_are_one_line(maps, tmp_path, capsys, words, code, message):
     (tmp_path / "both.toml").write_text('[map]\nscene = "x"\nsigma = 2\nconfidence = 0.9\n')
+    (tmp_path / "own.run.mcap").write_bytes(MAGIC)
     names = {
         "COVER": maps / "two.cover.npz",
         "SCENE": maps / "field.scene.npz",
         "BOTH": tmp_path / "both.toml",
+        "RUN": tmp_path / "own.run.mcap",
         "DOT": VEHICLES / "single-integrator.toml",
         "QUADROTOR": VEHICLES / "fastbridge.toml",
     }

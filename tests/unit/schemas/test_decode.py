@@ -13,10 +13,12 @@ from alula.schemas.decode import (
     MOST_TOML,
     MOST_VALUES,
     MalformedError,
+    convert,
     decode_json,
     decode_toml,
     json_depth,
 )
+from alula.schemas.world import WorldScenario
 from support.effort import examples
 from support.paths import ROOT
 
@@ -135,3 +137,18 @@ def test_strings_and_comments_of_toml_are_no_keys():
     dots = ".".join(["a"] * 40)
     text = f'# {dots}\na = "{dots}"\nb = \'{dots}\'\nc = \'\'\'\n{dots}\'\'\'\nd = """{dots}\\"""""\n'
     assert decode_toml(text.encode()) == {"a": dots, "b": dots, "c": dots, "d": dots + '""'}
+
+
+@pytest.mark.parametrize(
+    ("tree", "said"),
+    [
+        ({"vehicle": {"radius": 0.1}}, "did you mean `radius_m`?"),
+        ({"world": {"moving": [{"radius": 0.1}]}}, "did you mean `radius_m`?"),
+        ({"rules": {"trails": 5}}, "did you mean `trials`?"),
+        ({"rules": {"xyzzy": 5}}, "`$.rules`"),
+    ],
+)
+def test_an_unknown_key_is_said_with_the_one_that_it_resembles(tree, said):
+    with pytest.raises(MalformedError) as caught:
+        convert(tree, WorldScenario)
+    assert str(caught.value).endswith(said)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rich.console
 from PIL import Image
 
 from alula.stages.drawing.content import Lines, segments_of
@@ -67,6 +68,15 @@ def test_a_page_has_a_small_picture_that_is_hidden_at_first():
     with Image.open(io.BytesIO(data)) as image:
         assert np.ptp(np.asarray(image.convert("L"))) > 50
     assert len(data) < 150_000
+
+
+def test_a_page_is_written_without_a_word_of_the_recorder(monkeypatch):
+    console = rich.console.Console(file=io.StringIO())  # a notebook's shows what it gets, whatever stdout is
+    monkeypatch.setattr(rich, "_console", console)
+    page(content_of(Shown(title="t", scenes=[("s", make_scene(5))])))
+    assert console.file.getvalue() == ""
+    console.print("later")
+    assert console.file.getvalue() == "later\n"
 
 
 def test_names_run_nothing_and_the_policy_blocks_requests():
