@@ -36,6 +36,7 @@ from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_fit, require_room, via_tolerance
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
+from alula.stages.planning.joins import require_motion
 from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
@@ -235,6 +236,7 @@ def make_mission(
         UsageError: a parameter is invalid.
         InputError, ArtifactError: the artifacts do not match each other.
     """
+    require_motion(plan)
     has_lag = config.velocity_lag_s is not None
     has_maps = {"has_scene": scene is not None, "has_cover": cover is not None}
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat, **has_maps)

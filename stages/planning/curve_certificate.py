@@ -20,7 +20,7 @@ from alula.stages.planning.trajectory import DEGREE, control_points
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
 MAP_METHOD = "distances of chords less those of Bernstein control points from them, by subdivision"
 _DEPTH = 14  # of the subdivision of a piece
-_JOINED_M = 1e-6  # consecutive pieces meet up to this
+_JOINED_M = 1e-6  # consecutive pieces meet up to this, with all errors of the arithmetic
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def certify_curve(
     proven, clearance, pairs, depth = check_curves(obstacles, points, slack, radius_m, _DEPTH, jobs)
     # A jump between pieces is no part of any of them.
     jump = (
-        np.abs(points[1:, 0] - points[:-1, -1]).max(axis=1, initial=0.0) > _JOINED_M + slack[1:] + slack[:-1]
+        np.abs(points[1:, 0] - points[:-1, -1]).max(axis=1, initial=0.0) + slack[1:] + slack[:-1] > _JOINED_M
     )
     clear = proven.astype(np.bool_)
     clear[:-1] &= ~jump

@@ -12,6 +12,11 @@ from alula.schemas.arrays import FloatArray
 Vector = tuple[Fraction, Fraction, Fraction]
 Points = list[Vector]  # control points of one piece
 _DEGREE = 7
+_INSTANTS = 16  # of a piece, at which it may be well behind a plane
+THROUGH_M = 1e-2
+"""Distance before and behind the plane of a gate that a flight through it reaches at least [m]."""
+PLANE_M = 1e-9
+"""Distance from a plane that counts as none [m]."""
 _HALVINGS = 14  # the peak of a straight plan is then proven within 1e-7 of a limit
 
 
@@ -91,6 +96,49 @@ def is_slow_in(points: Points, velocity: Points, box: Sequence[float], speed: fl
         return False
     halves = zip(_halves(points), _halves(velocity), strict=True)
     return all(is_slow_in(p, v, box, speed, halvings - 1) for p, v in halves)
+
+
+def is_crossed(pieces: Sequence[Points], knot: int, centre: Sequence[float], normal: Sequence[float]) -> bool:
+    """Whether a curve is proven to cross a plane along its normal between two pieces, not only to touch it.
+
+    Where they meet, it is in the plane. Back from there no control point lies behind the plane, until a point
+    of the curve that is `THROUGH_M` before it at least; and the other way round behind the plane.
+
+    Args:
+        pieces: control points of all pieces.
+        knot: number of the piece that begins in the plane.
+        centre: a point of the plane [m].
+        normal: of the plane, unit length.
+    """
+    if not 0 < knot < len(pieces):
+        return False
+    n, c = [Fraction(x) for x in normal], [Fraction(x) for x in centre]
+
+    def heights(piece: Points, side: int) -> list[Fraction]:
+        return [side * sum(a * (x - b) for a, x, b in zip(n, p, c, strict=True)) for p in piece]
+
+    def leaves(numbers: range, side: int) -> bool:
+        for k in numbers:
+            row = heights(pieces[k], side)
+            if min(row) < -Fraction(PLANE_M):
+                return False
+            if max(row) >= THROUGH_M and _most(row) >= THROUGH_M:
+                return True
+        return False
+
+    at = heights(pieces[knot][:1], 1)[0]
+    return abs(at) <= PLANE_M and leaves(range(knot - 1, -1, -1), -1) and leaves(range(knot, len(pieces)), 1)
+
+
+def _most(row: list[Fraction]) -> Fraction:
+    """Largest of some values of a polynomial, from its control points."""
+    found = [row[0], row[-1]]
+    for i in range(1, _INSTANTS):
+        t, level = Fraction(i, _INSTANTS), row
+        while len(level) > 1:
+            level = [(1 - t) * a + t * b for a, b in pairwise(level)]
+        found.append(level[0])
+    return max(found)
 
 
 def nothing(_: Vector) -> bool:

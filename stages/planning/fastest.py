@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.planning.corridor import Corridor
+from alula.stages.planning.joins import LEAST_DURATION_S
 from alula.stages.planning.limits import WITHIN, Limits
 from alula.stages.planning.trajectory import DEGREE
 
@@ -172,9 +173,10 @@ def hold_curve(point: FloatArray, duration_s: float, segment: int) -> Curve:
 
     Args:
         point: shape (3,) [m].
-        duration_s: of the rest [s].
+        duration_s: of the rest; 2 ms at least [s].
         segment: of the corridor that begins there.
     """
+    duration_s = max(duration_s, 2 * LEAST_DURATION_S)  # the rounding of knots takes a little
     begin = np.full(2, _HOLD_PIECE_S)
     duration = np.array([*begin, duration_s - 2 * begin.sum(), *begin])
     if duration[2] < _HOLD_PIECE_S:

@@ -16,6 +16,7 @@ from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.manifest import PlanManifest, PlanPass
 from alula.schemas.mission import Mission, PassTable, complaint
+from alula.stages.planning.exact import THROUGH_M
 from alula.stages.planning.opening import Opening
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.space import PlanSpace
@@ -23,6 +24,7 @@ from alula.stages.planning.space import PlanSpace
 _SHARE = 0.5  # of the room of a gate or a tolerance, that a curve may use where the margin would take more
 _FRACTIONS = (0.0, 0.35, 0.7, 0.95)  # of the disc, where a path may go through a gate
 _ANGLES = 16
+_LEAST_REACH = 1.1  # of that part, in `THROUGH_M`
 _REACHES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a straight part before and behind a gate, in distances to keep
 
 
@@ -164,12 +166,12 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
     order = np.argsort(-own, kind="stable")
     if own[0] >= radius_m:
         order = np.concatenate([[0], order])
-    for reach in _REACHES:
-        half = reach * radius_m * disc.normal
+    for half_m in (max(reach * radius_m, _LEAST_REACH * THROUGH_M) for reach in _REACHES):
+        half = half_m * disc.normal
         for i in order[own[order] >= radius_m]:
             ends = np.stack([points[i] - half, points[i] + half])
             if space.map.segment_distance(ends[:1], ends[1:], enough)[0] >= radius_m:
-                return points[i], reach * radius_m
+                return points[i], half_m
     best = int(order[0])
     where = f"{passage.name} at ({exact(passage.point)}) is not free"
     if own[best] >= radius_m:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,8 @@ from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
+from alula.stages.planning.exact import control_points as control_fractions
+from alula.stages.planning.exact import is_crossed
 from alula.stages.planning.fastest import (
     PIECES_PER_CELL,
     Curve,
@@ -145,7 +148,6 @@ def plan(
         require_seen(within, list(zip(names, path.flown, strict=True)))
     zones = [Zone.of(table) for table in mission.zones]
     path = _split(path, zones)
-    corridor = corridor_around(path, passages, space, zones, jobs=jobs)
 
     def solve(cells: Corridor) -> Curve:
         number = {int(i): j - 1 for j, i in enumerate(cells.chosen)}  # of the joint at a point of the path
@@ -163,11 +165,15 @@ def plan(
         ]
         return passes, *_heading(mission, passages, passes, along.time, along.coefficient(), limits)
 
-    curve, acting = solve(corridor), 0
-    if behind is not None and motion is None:
-        corridor, curve, acting = slowed(
-            corridor, curve, behind, config.speed_m_s, lambda *flown: headed(*flown)[1], solve
-        )
+    for is_led in (False, True):
+        corridor = corridor_around(path, passages, space, zones, is_led=is_led, jobs=jobs)
+        curve, acting = solve(corridor), 0
+        if behind is not None and motion is None:
+            corridor, curve, acting = slowed(
+                corridor, curve, behind, config.speed_m_s, lambda *flown: headed(*flown)[1], solve
+            )
+        if _crosses_all(curve, _passed(curve, corridor, path), passages):
+            break
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
 
@@ -241,6 +247,7 @@ def corridor_around(
     space: PlanSpace,
     zones: Sequence[Zone] = (),
     *,
+    is_led: bool = False,
     jobs: int = 0,
 ) -> Corridor:
     """The corridor of a plan.
@@ -250,11 +257,17 @@ def corridor_around(
         passages: waypoints and gates, in their order.
         space: obstacles.
         zones: boxes with a lower top speed.
+        is_led: a curve in it crosses also the planes before and behind each gate to which the path leads
+            straight; without this it may only touch that of the gate.
         jobs: threads; the result does not depend on it.
     """
     marks = np.zeros(len(path.point), np.bool_)
     marks[list(path.at)] = True
     room = {i: each.opening for i, each in zip(path.at, passages, strict=True) if each.opening is not None}
+    gates = [each for each in passages if each.is_gate for _ in ("before", "behind")] if is_led else []
+    for i, each in zip(path.beside, gates, strict=False):  # those of zones follow
+        assert each.opening is not None
+        marks[i], room[i] = True, dataclasses.replace(each.opening, centre=path.point[i])
     box = (path.lower, path.upper)
     return find_corridor(
         *(path.point, marks, space.solids(), space.keep_m, box),
@@ -262,6 +275,19 @@ def corridor_around(
         opening=room,
         zones=zones,
         jobs=jobs,
+    )
+
+
+def _crosses_all(curve: Curve, at: Sequence[int], passages: Sequence[Passage]) -> bool:
+    """Whether the stored curve crosses the planes of the gates where the pieces with these numbers begin."""
+    gates = [(i, each) for i, each in zip(at, passages, strict=True) if each.is_gate]
+    if not gates:
+        return True
+    duration = [b - a for a, b in pairwise(map(Fraction, curve.time.tolist()))]
+    pieces = [control_fractions(c, t) for c, t in zip(curve.coefficient(), duration, strict=True)]
+    return all(
+        each.opening is not None and is_crossed(pieces, i, each.opening.centre, each.opening.normal)
+        for i, each in gates
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_most
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass
 from alula.stages.clearance import hull_obstacles, scene_obstacles
@@ -22,19 +23,16 @@ from alula.stages.compression.verify import LISTED, Certificate, Check, Offence,
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
+from alula.stages.planning.joins import APART, ORDERS, faults_of_joins, orders_of
 from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.unseen import is_seen, unseen_hulls
 
-_JUMP = (
-    2.0**-30
-)  # of the size of control points, over a power of the duration: rounding of stored coefficients
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
+_PASSED_S = 1e-9  # the time at which a plan says that it passes a point, at the end of a piece
 _ZONE_HALVINGS = 12  # of a piece beside a zone
 _HOLD_S = 1e-9  # that the rest at a point may be short of its time
 _CORRIDOR = ("cell_normal", "cell_offset", "cell_start", "piece_cell")
 _YAW_LIMITS = ("yaw_rate_rad_s", "yaw_acceleration_rad_s2")
-_REST = (Fraction(0), Fraction(0), Fraction(0))
-_ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 
 
 def verify_plan(
@@ -54,7 +52,7 @@ def verify_plan(
     level, or else of those that the cover was made to contain, by duality in numbers rounded to the safe
     side. Each piece in its cell, and limits of the motion over every piece: by control points in rational
     arithmetic, halved where that does not decide. Continuity, up to snap for a plan that records its limits
-    and up to jerk for an older one, to the rounding of the stored coefficients; start, waypoints, gates and
+    and up to jerk for an older one, within the absolute bounds of `joins`; start, waypoints, gates and
     goal in their order; rest where the plan holds, and at the goal.
 
     Args:
@@ -129,7 +127,15 @@ def verify_plan(
     if pieces.turns:
         checks.append(pieces.heading())
     proven = all(check.ok for check in checks)
-    notes = [] if manifest.limits else ["an older plan: its limit of speed and three derivatives are checked"]
+    older = "an older plan: its limit of speed and three derivatives are checked"
+    notes = [] if manifest.limits else [older]
+    notes += [
+        f"the {name} of the plan is {at_most(pieces.moved_m(name))} m from the one asked for (--snap)"
+        for name in ("start", "goal")
+        if pieces.is_moved(name)
+    ]
+    if (speed := math.hypot(*pieces.coefficient[0, :, 1].tolist())) > APART[1]:
+        notes.append(f"the plan begins in motion, at {at_most(speed)} m/s")
     recorded = {ref.role: ref.sha256 for ref in manifest.inputs}
     for role in ("cover", "scene", "within"):
         if sha256 and role in recorded and given[role] is not None and sha256.get(role) != recorded[role]:
@@ -203,25 +209,23 @@ class _Pieces:
                     if not exact.holds(points, is_inside):
                         fault = f"piece {i} exceeds the limit {name}"
                         offences.append(Offence(fault=fault, place_m=self.where(i)))
-        return _check("limits", checked, offences, "Bernstein bounds, in rational arithmetic")
+        bounds = self.manifest.limits or {"speed_m_s": self.manifest.speed_m_s}
+        detail = ", ".join(f"{name} {value:.6g}" for name, value in bounds.items())
+        return _check("limits", checked, offences, f"Bernstein bounds, in rational arithmetic: {detail}")
 
     def continuity(self) -> Check:
-        """Check that derivatives agree where pieces meet."""
-        orders = 5 if self.manifest.limits else 4
-        offences = []
-        for i in range(len(self.points) - 1):
-            before, after = self.points[i], self.points[i + 1]
-            size = Fraction(max(abs(c) for p in before + after for c in p) + 1)
-            shortest = min(self.duration[i], self.duration[i + 1])
-            for order in range(orders):
-                jump = max(abs(a - b) for a, b in zip(before[-1], after[0], strict=True))
-                if jump > Fraction(_JUMP) * size / shortest**order:
-                    fault = f"the {_ORDERS[order]} jumps by {float(jump):.3g} after piece {i}"
-                    offences.append(Offence(fault=fault, place_m=self.where(i + 1)))
-                    break
-                before = exact.derivative(before, self.duration[i])
-                after = exact.derivative(after, self.duration[i + 1])
-        return _check("continuity", len(self.points) - 1, offences, f"up to {_ORDERS[orders - 1]}")
+        """Check that derivatives agree where pieces meet, within bounds that do not depend on the plan."""
+        orders = orders_of(self.manifest)
+        every = np.asarray(self.plan["coefficient"], np.float64)
+        offences = [
+            Offence(fault=fault, place_m=self.where(min(i + 1, len(self.points) - 1)))
+            for i, fault in faults_of_joins(self.time, every, orders)
+        ]
+        within = ", ".join(
+            f"{each:g} m/s^{order}" if order > 1 else f"{each:g} m{'/s' * order}"
+            for order, each in enumerate(APART[:orders])
+        )
+        return _check("continuity", len(self.points) - 1, offences, f"up to {ORDERS[orders - 1]}: {within}")
 
     def zones(self) -> Check:
         """Check that each piece is slow wherever it may be in a zone."""
@@ -247,89 +251,87 @@ class _Pieces:
         yaw = np.asarray(self.plan["coefficient"], np.float64)[:, 3:]
         rows = np.concatenate([yaw, np.zeros((len(yaw), 2, yaw.shape[2]))], axis=1)
         offences: list[Offence] = []
-        last: list[exact.Vector] | None = None
+        turning: list[tuple[str, Fraction]] = []  # rate and acceleration at the beginning and at the end
         for i, (row, duration) in enumerate(zip(rows, self.duration, strict=True)):
             points = exact.control_points(row, duration)
-            ends = []
-            for order, name in enumerate(("", *_YAW_LIMITS)):
-                points = points if order == 0 else exact.derivative(points, duration)
-                ends.append((points[0], points[-1]))
-                if order and not exact.holds(points, exact.ball(self.manifest.limits.get(name, 0.0))):
+            for order, name in enumerate(_YAW_LIMITS, 1):
+                points = exact.derivative(points, duration)
+                if not exact.holds(points, exact.ball(self.manifest.limits.get(name, 0.0))):
                     offences.append(
                         Offence(fault=f"piece {i} exceeds the limit {name}", place_m=self.where(i))
                     )
-            for order, (begin, _) in enumerate(ends):
-                before = (last or [begin, *[_REST] * 2])[order]
-                if abs(begin[0] - before[0]) > Fraction(_JUMP) * (1 + abs(begin[0])) / duration**order:
-                    fault = f"the heading jumps in derivative {order} before piece {i}"
-                    offences.append(Offence(fault=fault, place_m=self.where(i)))
-            last = [end for _, end in ends]
-        if last is not None and any(
-            abs(last[order][0]) > Fraction(_JUMP) / self.duration[-1] ** order for order in (1, 2)
-        ):
-            offences.append(Offence(fault="the heading turns at the end"))
+                ends = {"beginning": points[0][0]} if i == 0 else {}
+                ends |= {"end": points[-1][0]} if i == len(rows) - 1 else {}
+                turning += [(where, abs(value) / Fraction(APART[order])) for where, value in ends.items()]
+        for where in dict.fromkeys(where for where, ratio in turning if ratio > 1):
+            offences.append(Offence(fault=f"the heading turns at the {where}"))
         return _check("heading", len(rows), offences, "rate and acceleration, in rational arithmetic")
 
     def passed(self) -> Check:
-        """Check start, waypoints, gates and goal, in their order, and rest at the goal."""
+        """Check start, waypoints, gates and goal, each at its time, in their order, and rest at the goal."""
         ends = [p[0] for p in self.points] + [self.points[-1][-1]]
         knots = np.array([[float(c) for c in p] for p in ends])
         parameters = self.manifest.parameters
         passes = passes_of(self.plan)
         laps = laps_of(passes)
         offences: list[Offence] = []
-        start, goal = (_point(parameters.get(name)) for name in ("start", "goal"))
-        if parameters.get("start") is not None and not np.linalg.norm(knots[0] - start) <= _PASSED_M:
-            offences.append(Offence(fault="the start is not passed", place_m=start))
+        for name, knot in (("start", 0), ("goal", -1)):
+            if parameters.get(name) is None or self.is_moved(name):
+                continue
+            given = _point(parameters[name])
+            if not np.linalg.norm(knots[knot] - given) <= _PASSED_M:
+                offences.append(Offence(fault=f"the {name} is not passed", place_m=given))
         first = 0
         for each in passes:
-            at = next((k for k in range(first, len(knots)) if self._is_passed(each, k, knots)), None)
+            at = int(np.abs(self.time - each.time_s).argmin())
             x, y, z = each.point_m
-            if at is None:
-                offences.append(Offence(fault=f"the {name_of(each, laps)} is not passed", place_m=(x, y, z)))
-                continue
-            first = at + 1
-            if not self._rests(at, each.hold_s):
-                fault = f"the plan does not rest at the {name_of(each, laps)}"
+            fault = f"the {name_of(each, laps)} is not passed"
+            if at < first or abs(self.time[at] - each.time_s) > _PASSED_S:
+                fault += f" at {each.time_s:.6g} s, in its order"
+            elif self._is_passed(each, at, knots):
+                rest = f"the plan does not rest at the {name_of(each, laps)}"
+                fault = "" if self._rests(at, each.hold_s) else rest
+            if fault:
                 offences.append(Offence(fault=fault, place_m=(x, y, z)))
-        if parameters.get("goal") is not None and not np.linalg.norm(knots[-1] - goal) <= _PASSED_M:
-            offences.append(Offence(fault="the goal is not passed", place_m=goal))
-        last, size = self.points[-1], Fraction(float(np.abs(knots).max()) + 1)
+            first = max(first, at + 1)
+        last = self.points[-1]
         for order in range(1, 4):
             last = exact.derivative(last, self.duration[-1])
-            if max(abs(c) for c in last[-1]) > Fraction(_JUMP) * size / self.duration[-1] ** order:
-                offences.append(Offence(fault=f"the {_ORDERS[order]} is not zero at the end"))
+            if max(abs(c) for c in last[-1]) > Fraction(APART[order]):
+                offences.append(Offence(fault=f"the {ORDERS[order]} is not zero at the end"))
                 break
         count = len(passes) + sum(parameters.get(name) is not None for name in ("start", "goal"))
         has_gates = any(each.kind == "gate" for each in passes)
         name = "start, vias, gates, goal" if has_gates else "start, vias, goal"
-        return _check(name, count, offences, "and rest at the end")
+        fits = f"; a vehicle of {self.body_m:g} m fits through the gates" if has_gates else ""
+        return _check(name, count, offences, f"each at its time, and rest at the end{fits}")
+
+    def is_moved(self, name: str) -> bool:
+        """Whether start or goal is another point than the one asked for, as --snap permits."""
+        return self.manifest.parameters.get("snap") is True and self.moved_m(name) > _PASSED_M
+
+    def moved_m(self, name: str) -> float:
+        """Distance of the plan's start or goal from the point that was asked for [m]."""
+        end = self.points[0][0] if name == "start" else self.points[-1][-1]
+        return math.dist(_point(self.manifest.parameters.get(name)), [float(c) for c in end])
 
     def _is_passed(self, each: PlanPass, knot: int, knots: FloatArray) -> bool:
-        """Whether a knot is at a waypoint, or in a gate that the pieces beside it pass in its direction.
+        """Whether a knot is at a waypoint, or in a gate that the flight passes in its direction.
 
-        The piece before the gate has no control point before its plane and one behind it, the piece after it
-        the other way round; the knot is in the plane, where the vehicle's radius fits into the opening.
+        The knot is in the plane of the gate, where the vehicle's radius fits into the opening, and the flight
+        does not only touch the plane, see `exact.is_crossed`.
         """
         if each.kind == "waypoint":
             allowed = _PASSED_M if each.tolerance_m is None else each.tolerance_m
             return bool(np.linalg.norm(knots[knot] - each.point_m) <= allowed)
-        body_m = max(self.manifest.radius_m - self.manifest.margin_m, 0.0)
-        if not 0 < knot < len(knots) - 1:
-            return False
-        n, c = [Fraction(x) for x in each.normal], [Fraction(x) for x in each.point_m]
+        return exact.is_crossed(self.points, knot, each.point_m, each.normal) and exact.ball(
+            each.radius_m - self.body_m, each.point_m
+        )(self.points[knot][0])
 
-        def height(p: exact.Vector) -> Fraction:
-            return n[0] * (p[0] - c[0]) + n[1] * (p[1] - c[1]) + n[2] * (p[2] - c[2])
-
-        before, after = (list(map(height, self.points[k])) for k in (knot - 1, knot))
-        flat = Fraction(_PASSED_M)
-        crosses = max(before) <= flat and min(after) >= -flat and min(before) < -flat and max(after) > flat
-        return (
-            crosses
-            and abs(after[0]) <= flat
-            and exact.ball(each.radius_m - body_m, each.point_m)(self.points[knot][0])
-        )
+    @property
+    def body_m(self) -> float:
+        """Radius of the vehicle that fits through the gates [m]."""
+        return max(self.manifest.radius_m - self.manifest.margin_m, 0.0)
 
     def _rests(self, knot: int, hold_s: float) -> bool:
         """Whether the pieces from a knot on stand still for a time."""
@@ -352,12 +354,14 @@ def _point(value: object) -> tuple[float, float, float]:
 
 def _limit_sets(manifest: PlanManifest) -> list[tuple[str, int, Callable[[exact.Vector], bool]]]:
     """Recorded limits: name, order of the derivative, convex set."""
-    limits = manifest.limits or {"speed_m_s": manifest.speed_m_s}
+    limits = {"speed_m_s": manifest.speed_m_s} | manifest.limits
     g = limits.get("gravity_m_s2", 0.0)
     sets: list[tuple[str, int, Callable[[exact.Vector], bool]]] = []
     for order, name in enumerate(("speed_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_m_s4"), 1):
         if name in limits:
             sets.append((name, order, exact.ball(limits[name])))
+    if limits["speed_m_s"] != manifest.speed_m_s:
+        sets.append(("speed_m_s", 1, exact.ball(manifest.speed_m_s)))
     if "most_thrust_m_s2" in limits:
         sets.append(("most_thrust_m_s2", 2, exact.ball(limits["most_thrust_m_s2"], (0, 0, -g))))
     if "least_thrust_m_s2" in limits:

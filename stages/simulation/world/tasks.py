@@ -20,6 +20,7 @@ from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.behind import Behind
+from alula.stages.planning.joins import require_motion
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
@@ -97,6 +98,7 @@ def missions_of(
         progress: of planning.
 
     Raises:
+        ArtifactError: the given plan is no motion, see `require_motion`.
         UsageError: a start touches an obstacle, or there are no bounds.
         InfeasibleError: no clear pairs were found, or no plan for any of them.
     """
@@ -113,6 +115,7 @@ def missions_of(
         return _hovering(scenario, world, np.array(mission.start_m), count, model, speed_m_s, jobs)
     if mission.kind == "plan":
         assert plan is not None
+        require_motion(plan)
         curve = curve_of(plan)
         ends = curve.at(np.array([0.0, curve.duration_s]))[:, :3]
         pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
