@@ -111,7 +111,7 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
         try:
             parts = list(export(found, name, provenance))
         except InputError as error:
-            raise type(error)(f"{artifact}: {error}") from error
+            raise error.reworded(f"{artifact}: {error}") from error
 
         if config.target != "none":
             image, target = decode_map(parts[0]), TARGETS[config.target]

@@ -84,7 +84,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
             except AlulaError as error:
                 if str(error).startswith(f"{path}"):
                     raise
-                raise type(error)(f"{path}: {error}") from error
+                raise error.reworded(f"{path}: {error}") from error
             index = sealed(cut, key_id=key_id(key), provenance=provenance)
             facts = {"format": "tiles", **tiles_facts(index), "notes": []}
             if cover.is_folder:

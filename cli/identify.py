@@ -207,7 +207,7 @@ def _conclude(
         is_away = any(
             verdict.name in ("start", "fence") and not verdict.holds for verdict in loop.checks.verdicts
         )
-        raise type(error)(f"{error}; here the plan is the box's centre") if is_away else error
+        raise error.reworded(f"{error}; here the plan is the box's centre") if is_away else error
     if cause is Event.CHECKS_PASSED_DRY:
         checks = {verdict.name: verdict.words for verdict in loop.checks.verdicts}
         show(

@@ -49,6 +49,6 @@ def command(source: Path, config: ImportVoxelsConfig, common: options.Common) ->
         try:
             return import_voxels(config, found, jobs=common.jobs, progress=progress)
         except (ArtifactError, InputError, InfeasibleError) as error:
-            raise type(error)(f"{source}: {error}") from error
+            raise error.reworded(f"{source}: {error}") from error
 
     run_stage(common, VOXELS, config, {"source": source}, build)

@@ -30,6 +30,7 @@ _CANDIDATES = 12  # free points
 _TRIES = 8  # pairs of them
 _RISE_M = (1.0, 0.7, 0.5, 0.3, 0.0)  # from where the rehearsed vehicle stands to the start of the plan [m]
 
+_LEAST = 20  # Gaussians of a scene
 _KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
 _KEEP_M = 0.25  # radius and margin of the default vehicle
 LEARN_SCALE = (
@@ -233,8 +234,15 @@ def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
             raise
         fields["drop_nan"] = True
         whole = import_splat(splat, drop_nan=True)
+        if len(whole.mean) < _KEPT * whole.summary["rows"]:
+            raise
+    if len(whole.mean) < _LEAST:
+        raise InputError(
+            f"{splat}: {len(whole.mean)} Gaussians are no scene to fly in; alula info says what the file has"
+        )
     words = ["--drop-nan"] if fields else []
-    total, removed = len(whole.mean), []
+    total = whole.summary["rows"] if fields else len(whole.mean)
+    removed = [f"{total - len(whole.mean):,} by --drop-nan and the minimum opacity"] if fields else []
     for option, more in (
         (f"--min-opacity {FAINT:g}", {"min_opacity": FAINT}),
         ("--drop-floaters", {"drop_floaters": True}),

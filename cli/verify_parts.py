@@ -83,7 +83,7 @@ def verified_part(proven: Path, certificate: Path, voxels: Path | None, scene: P
     try:
         return prove_part(whole, part, file_hash(proven), **_others(voxels, scene))
     except ArtifactError as error:
-        raise type(error)(f"{certificate}: {error}") from error
+        raise error.reworded(f"{certificate}: {error}") from error
 
 
 def _others(voxels: Path | None, scene: Path | None) -> dict[str, Parts | None]:

@@ -85,6 +85,6 @@ def command(
                 progress=progress,
             )
         except (InputError, InfeasibleError) as error:
-            raise type(error)(f"{scene}: {error}") from error
+            raise error.reworded(f"{scene}: {error}") from error
 
     run_stage(common, VOXELS, config, {"scene": scene}, build)

@@ -79,7 +79,7 @@ def _voxelizer(
     except (InputError, InfeasibleError) as error:
         if str(error).startswith(f"{scene}"):
             raise
-        raise type(error)(f"{scene}: {error}") from error
+        raise error.reworded(f"{scene}: {error}") from error
 
 
 def _parts(

@@ -131,6 +131,9 @@ class SceneSource(msgspec.Struct, frozen=True):
     """Source of a scene."""
 
     removed: dict[str, _Whole] | None = None
+    lacks: list[str] | None = None
+    applied: list[str] | None = None
+    unknown_properties: list[str] | None = None
     loss: SourceLoss | None = None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Any, Self, TypeVar
 
 
 class ExitCode(IntEnum):
@@ -23,6 +24,24 @@ class AlulaError(Exception):
     """Base of all errors that a user can act on; the text is one line."""
 
     exit_code = ExitCode.INTERNAL
+
+    def reworded(self, text: str) -> Self:
+        """The same error, with all of its attributes, and another text."""
+        return _remade(type(self), text, self.__dict__)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by text and attributes, whatever arguments the class is made from."""
+        return _remade, (type(self), str(self), self.__dict__)
+
+
+_Error = TypeVar("_Error", bound=AlulaError)
+
+
+def _remade(kind: type[_Error], text: str, attributes: dict[str, Any]) -> _Error:
+    error = kind.__new__(kind)
+    error.args = (text,)
+    error.__dict__.update(attributes)
+    return error
 
 
 class UsageError(AlulaError):

@@ -436,4 +436,4 @@ def _named(source: object, call: Callable[[], Any]) -> Any:
     except (InputError, InfeasibleError) as error:
         if isinstance(source, Result):
             raise
-        raise type(error)(f"{source}: {error}") from error
+        raise error.reworded(f"{source}: {error}") from error

@@ -48,7 +48,8 @@ class ImportSplatConfig:
         default=False,
         metadata={
             "group": "Filtering",
-            "help": "Leave out Gaussians with a value that is not finite, instead of failing.",
+            "help": "Leave out Gaussians with a value that is not finite, or any number with a quaternion of "
+            "length zero, instead of failing.",
         },
     )
     min_opacity: float = field(

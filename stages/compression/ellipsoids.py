@@ -15,6 +15,7 @@ from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import SPLAT_LOSS, LevelManifest, SceneManifest
 from alula.schemas.progress import Progress
+from alula.stages.reconstruction.formats.properties import unknown_words
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +76,14 @@ def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = Fals
 
 
 def lacks_of(scene: SceneManifest) -> list[str]:
-    """Phrases that name what a scene lacks of its capture, such as files of its level of detail.
+    """Phrases that name what a scene lacks of its capture: files of its level of detail, unknown properties.
 
     Args:
         scene: manifest of an `alula/scene`.
     """
-    lacks = scene.source.get("lacks")
-    return [f"{what}, not imported" for what in lacks] if isinstance(lacks, list) else []
+    lacks, unknown = scene.source.get("lacks") or [], scene.source.get("unknown_properties") or []
+    words = [f"{what}, not imported" for what in lacks]
+    return [*words, f"what {unknown_words(unknown)}, may do to its Gaussians"] if unknown else words
 
 
 def removed_from(scene: SceneManifest) -> list[str]:

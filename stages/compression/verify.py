@@ -639,7 +639,7 @@ def _left_out(
 def notes_of(
     cover: Described, voxels: Described | None, scene: Described | None, sha256: Mapping[str, str]
 ) -> list[str]:
-    """Notes about files that are not the inputs that the manifests record.
+    """Notes about files that are not the inputs that the manifests record, and what changed the ellipsoids.
 
     Args:
         cover: an `alula/cover`.
@@ -654,4 +654,6 @@ def notes_of(
         made_from = [ref for ref in maker.manifest.inputs if ref.schema == given.manifest.schema]
         if made_from and sha256[role] not in {ref.sha256 for ref in made_from}:
             notes.append(f"the {what} was made from another {role} file, {made_from[0].name}")
+    if scene is not None and isinstance(scene.manifest, SceneManifest):
+        notes += [f"in the scene, {words}" for words in scene.manifest.source.get("applied") or []]
     return notes

@@ -14,7 +14,7 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import SPLAT_LOSS, Manifest, SceneManifest
 from alula.stages.reconstruction.faint import FAINT
 from alula.stages.reconstruction.formats.capture import lacking, level_facts
-from alula.stages.reconstruction.formats.splats import LOSSES, Level
+from alula.stages.reconstruction.formats.splats import LOSSES, Level, Properties
 from alula.stages.reconstruction.import_splat import (
     NOTABLE,
     SCALE_FLOOR,
@@ -22,6 +22,8 @@ from alula.stages.reconstruction.import_splat import (
     check_whole,
     import_guarantee,
     import_splat,
+    property_notes,
+    zero_notes,
 )
 from alula.stages.reconstruction.pieces import Piece, decode_piece, sliced
 
@@ -124,13 +126,19 @@ def whole_scene(
     lower = [min(one["bounds"]["lower"][axis] for one in sources) for axis in range(3)]
     upper = [max(one["bounds"]["upper"][axis] for one in sources) for axis in range(3)]
     loss = _loss([one["loss"] for one in sources])
+    properties = Properties(
+        *(
+            tuple(dict.fromkeys(what for one in sources for what in one[key]))
+            for key in ("applied", "unknown_properties")
+        )
+    )
     format_ = " + ".join(dict.fromkeys(one["format"] for one in sources))
     frames = list(dict.fromkeys(one["frame"]["file"] for one in sources))
     frame = frames[0] if len(frames) == 1 else "several"
     notes = [f"the scene is not the whole capture: it lacks {'; '.join(lacks)}"] if lacks else []
     if len(frames) > 1:
         notes.append(f"the files state different frames ({', '.join(frames)}); none was turned")
-    notes += _notes(config, sources, loss)
+    notes += [*zero_notes(dict(removed), rows), *property_notes(properties), *_notes(config, sources, loss)]
     kept = sum(one["kept"] for one in sources)
     summary = {
         "gaussians": kept,
@@ -155,7 +163,7 @@ def whole_scene(
         "frame": "scene",
         "unit": "arbitrary",
         "summary": summary,
-        "guarantee": import_guarantee(config, dict(removed), loss, lacks),
+        "guarantee": import_guarantee(config, dict(removed), loss, lacks, properties),
         "requires": requires,
         "source": {
             "format": format_,
@@ -165,6 +173,8 @@ def whole_scene(
             "rules": {},
             "levels_of_detail": level_facts(levels),
             "lacks": lacks,
+            "applied": list(properties.applied),
+            "unknown_properties": list(properties.unknown),
             "scale_floor": SCALE_FLOOR,
             "scale_floored": sum(one["scale_floored"] for one in sources),
             "bounds": {"lower": lower, "upper": upper},

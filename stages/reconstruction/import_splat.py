@@ -20,11 +20,14 @@ from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
-from alula.stages.reconstruction.formats.splats import LOSSES, Level, Splats
+from alula.stages.reconstruction.formats.properties import unknown_words
+from alula.stages.reconstruction.formats.splats import LOSSES, Level, Properties, Splats
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
+_ZERO = "zero_rotation"
+_MOST_ZERO = 0.1  # fraction of the rows without a rotation above which the file is refused
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
-_REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
+_REASONS = (*_NOT_FINITE, _ZERO, "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
 NOTABLE = 0.02  # fraction of the volume that is worth a note
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
@@ -34,10 +37,11 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     """Keep the valid Gaussians that the configuration selects, and count the others by reason.
 
     Invalid are a NaN and an infinite mean, scale or rotation, which are an error unless `drop_nan` is set,
-    and a quaternion of length zero, which no viewer draws. The configuration removes further Gaussians. A
-    row counts for the first reason that applies, in the order of `summary["removed"]`. Scales below 1e-9
-    file units become 1e-9, quaternions are normalised, and with `turn` the frame is turned by 180 degrees,
-    which changes signs alone. Nothing else changes, so the ellipsoids of the scene are those of the file.
+    and a quaternion of length zero, which no viewer draws; more than a tenth of such rows are an error too.
+    The configuration removes further Gaussians. A row counts for the first reason that applies, in the order
+    of `summary["removed"]`. Scales below 1e-9 file units become 1e-9, quaternions are normalised, and with
+    `turn` the frame is turned by 180 degrees, which changes signs alone. Nothing else changes, so the
+    ellipsoids of the scene are those of the file.
     The scene's array `loss` bounds the precision that the file's format may have lost. Some files of a level
     of detail without the others are refused unless `part` is set; the guarantee names what is lacking.
 
@@ -49,8 +53,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         An `alula/scene`, frame `scene`, unit `arbitrary`, rows in the order of the file.
 
     Raises:
-        InputError: no Gaussian is left, one has a value that is not finite, or files of a level of detail are
-            lacking.
+        InputError: no Gaussian is left, one has a value that is not finite, many have no rotation, or files
+            of a level of detail are lacking.
     """
     check_whole(config, splats.levels)
     splats = turned(splats, config.turn)
@@ -81,6 +85,13 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             f"{sum(bad.values())} of {len(splats)} Gaussians have values that are not finite ({reasons}), "
             f"the first in row {first_bad}; --drop-nan leaves them out"
         )
+    zero = removed.get(_ZERO, 0)
+    if zero > _MOST_ZERO * len(splats) and not config.drop_nan:
+        raise InputError(
+            f"{zero} of {len(splats)} Gaussians have a quaternion of length zero, the first in row "
+            f"{int(np.argmax(removal == 1 + _REASONS.index(_ZERO)))}: the file is damaged, or was not "
+            "written to its end; --drop-nan leaves them out"
+        )
     _check_some_left(removal, removed)
 
     volume = _volume(config, splats, removal)
@@ -110,8 +121,14 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
     unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
-    lacks = lacking(splats.levels)
-    notes = [*_opacity_notes(config, volume, removed, len(splats)), *splats.notes, *unsure]
+    lacks, properties = lacking(splats.levels), splats.properties
+    notes = [
+        *zero_notes(removed, len(splats)),
+        *_opacity_notes(config, volume, removed, len(splats)),
+        *property_notes(properties),
+        *splats.notes,
+        *unsure,
+    ]
     if lacks:
         notes.insert(0, f"the scene is not the whole capture: it lacks {'; '.join(lacks)}")
         summary["lacks"] = lacks
@@ -124,7 +141,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         unit="arbitrary",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=import_guarantee(config, removed, loss["figures"], lacks),
+        guarantee=import_guarantee(config, removed, loss["figures"], lacks, properties),
         requires=[SPLAT_LOSS] if "loss" in arrays else [],
         source={
             "format": splats.format,
@@ -135,6 +152,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "opacity": None if volume is None else dataclasses.asdict(volume),
             "levels_of_detail": level_facts(splats.levels),
             "lacks": lacks,
+            "applied": list(properties.applied),
+            "unknown_properties": list(properties.unknown),
             "scale_floor": SCALE_FLOOR,
             "scale_floored": figures["floored"],
             "bounds": bounds,
@@ -296,7 +315,11 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
 
 
 def import_guarantee(
-    config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any], lacks: list[str]
+    config: ImportSplatConfig,
+    removed: dict[str, int],
+    loss: dict[str, Any],
+    lacks: list[str],
+    properties: Properties,
 ) -> Guarantee:
     """Guarantee of an imported scene.
 
@@ -305,6 +328,7 @@ def import_guarantee(
         removed: number of rows that each rule removed.
         loss: the entry `loss` of the scene's `source`.
         lacks: phrases that name what the scene lacks of its capture.
+        properties: further properties of the files.
     """
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
@@ -317,11 +341,16 @@ def import_guarantee(
     for quantity, why in loss["unbounded"].items():
         lossy += f" The bound of {quantity} is not certain: {why}."
     whole = f" The files are not the whole capture, which also has {'; '.join(lacks)}." if lacks else ""
+    ellipsoids = "".join(f" Of the file, {sentence}." for sentence in properties.applied)
+    if properties.unknown:
+        ellipsoids += f" Not read: {unknown_words(properties.unknown)}."
     return Guarantee(
         statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
-        f"out: {removals}.{lossy}{whole}",
+        f"out: {removals}.{lossy}{ellipsoids}{whole}",
         claims={
             "lacks": lacks,
+            "applied": list(properties.applied),
+            "unknown_properties": list(properties.unknown),
             "left_out": left_out,
             "min_opacity": config.min_opacity,
             "crop": list(config.crop) if config.crop is not None else None,
@@ -332,6 +361,34 @@ def import_guarantee(
             "loss": loss,
         },
     )
+
+
+def zero_notes(removed: dict[str, int], rows: int) -> list[str]:
+    """Note about rows without a rotation, which are left out.
+
+    Args:
+        removed: number of rows that each rule removed.
+        rows: number of all rows.
+    """
+    if not (zero := removed.get(_ZERO, 0)):
+        return []
+    return [
+        f"{zero} of {rows} Gaussians have a quaternion of length zero and were left out; no viewer draws "
+        "them, but what they stood for is missing"
+    ]
+
+
+def property_notes(properties: Properties) -> list[str]:
+    """Notes about further properties of the files.
+
+    Args:
+        properties: of the files.
+    """
+    unknown = [
+        f"{unknown_words(properties.unknown)}; not read: if one of them changes the shape of Gaussians, the "
+        "scene is wrong"
+    ]
+    return [*properties.applied, *(unknown if properties.unknown else [])]
 
 
 def _check_some_left(removal: NDArray[np.uint8], removed: dict[str, int]) -> None:

@@ -247,6 +247,8 @@ def splat_facts(splats: Splats) -> Facts:
         "unit": "arbitrary",
         "lost by the format": _loss_facts(splats.loss),
         "lacks of its capture": lacking(splats.levels),
+        "properties applied": list(splats.properties.applied),
+        "properties of unknown meaning": list(splats.properties.unknown),
         "tags": splats.tags,
         "comments": list(splats.comments),
         "notes": list(splats.notes),

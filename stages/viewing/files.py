@@ -145,4 +145,4 @@ def _import(path: Path) -> Artifact:
     try:
         return import_splat(ImportSplatConfig(), decoded)
     except InputError as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise error.reworded(f"{path}: {error}") from error

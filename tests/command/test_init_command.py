@@ -12,6 +12,7 @@ import pytest
 import alula
 from alula.cli.main import run
 from alula.cli.project import LEARN_SCALE
+from alula.schemas.errors import InputError
 from alula.schemas.world import read_world
 from support.doc_files import write_garden
 from support.pipeline import COLUMNS
@@ -133,6 +134,41 @@ def test_a_splat_without_free_space_is_refused(tmp_path, capsys):
     assert run(["init", str(tmp_path / "dot.ply"), "-o", str(tmp_path / "dot"), "--height", "1"]) == 3
     assert "is flat" in capsys.readouterr().err
     assert not (tmp_path / "dot").exists()
+
+
+def dots(path, count, opacity=3.0, no_rotation=0):
+    rows = np.zeros(count, [(name, "<f4") for name in COLUMNS])
+    rows["x"], rows["y"], rows["z"] = np.random.default_rng(0).uniform(-2, 2, (3, count))
+    rows["opacity"], rows["rot_0"] = opacity, 1.0
+    rows["rot_0"][count - no_rotation :] = 0.0
+    for axis in range(3):
+        rows[f"scale_{axis}"] = -3.0
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header += [f"property float {name}" for name in COLUMNS] + ["end_header", ""]
+    path.write_bytes("\n".join(header).encode() + rows.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"count": 1, "opacity": -3.0}, "1 Gaussians are no scene"),
+        ({"count": 60, "opacity": -9.0}, "no Gaussian is left of 60: removed 60 by min_opacity"),
+        ({"count": 60, "no_rotation": 59}, "59 of 60 Gaussians have a quaternion of length zero"),
+    ],
+)
+def test_a_file_of_which_nearly_nothing_is_left_makes_no_project(fields, text, tmp_path, capsys):
+    dots(tmp_path / "dot.ply", **fields)
+    assert run(["init", str(tmp_path / "dot.ply"), "-o", str(tmp_path / "dot")]) == 3
+    printed = capsys.readouterr()
+    assert text in printed.err
+    assert len(printed.err.splitlines()) == 1
+    assert not (tmp_path / "dot").exists()
+
+
+def test_the_library_names_the_file_of_which_nothing_is_left(tmp_path):
+    dots(tmp_path / "dot.ply", 3, opacity=-3.0)
+    with pytest.raises(InputError, match=r"dot\.ply: no Gaussian is left of 3: removed 3 by min_opacity"):
+        alula.import_splat(tmp_path / "dot.ply", min_opacity=0.5)
 
 
 @pytest.mark.slow

@@ -230,4 +230,4 @@ def read_map(raw: bytes, name: object) -> MapImage:
     try:
         return decode_map(raw)
     except ArtifactError as error:
-        raise type(error)(f"{name}: {error}") from error
+        raise error.reworded(f"{name}: {error}") from error

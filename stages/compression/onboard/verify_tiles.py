@@ -84,7 +84,7 @@ def verify_tiles(
         try:
             image = decode_map(raw)
         except ArtifactError as error:
-            raise type(error)(f"{tile.file}: {error}") from error
+            raise error.reworded(f"{tile.file}: {error}") from error
         first = first or image
         found.append(_tile_checks(index, tile, image, columns, hulls, jobs))
         if reports is not None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula.schemas.errors import ArtifactError
-from alula.stages.reconstruction.formats.splats import Level, Loss, Splats
+from alula.stages.reconstruction.formats.splats import Level, Loss, Properties, Splats
 
 _LISTED = 3  # maximum number of files that a phrase names
 _COMMENTS = 100
@@ -107,7 +107,21 @@ def joined(parts: Sequence[tuple[str, Splats]]) -> Splats:
         tags=tags,
         notes=tuple(notes),
         levels=_joined_levels(splats),
+        properties=_joined_properties(names, splats),
     )
+
+
+def _joined_properties(names: Sequence[str], splats: Sequence[Splats]) -> Properties:
+    """Properties of all files; a sentence that not all files share names its files."""
+    applied: dict[str, list[str]] = {}
+    for name, one in zip(names, splats, strict=True):
+        for sentence in one.properties.applied:
+            applied.setdefault(sentence, []).append(name)
+    sentences = [
+        sentence if len(of) == len(splats) else f"{_some(of)}: {sentence}" for sentence, of in applied.items()
+    ]
+    unknown = dict.fromkeys(name for one in splats for name in one.properties.unknown)
+    return Properties(tuple(sentences), tuple(unknown))
 
 
 def _joined_loss(names: Sequence[str], splats: Sequence[Splats]) -> Loss | None:

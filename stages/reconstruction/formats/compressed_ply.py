@@ -12,11 +12,13 @@ from alula.schemas.progress import Progress
 from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply import COMMENT_LIMIT, check_harmonics, check_room, tags_of
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
+from alula.stages.reconstruction.formats.properties import ELEMENTS, judged
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import (
     SH_C0,
     Loss,
+    Properties,
     Splats,
     color_from_sh0,
     exp,
@@ -110,6 +112,7 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
         )[:count]
         bound = loss_bound(count, position=per_chunk[:, 0], scale=per_chunk[:, 1], rotation=turn)
 
+    unknown = judged(item.name for item in vertex.properties if item.name not in _WORDS)
     notes, unbounded = [], {}
     if clamped:
         unbounded["scale"] = f"log scales are cut off at 20 in this format, which {clamped} Gaussians have"
@@ -127,6 +130,7 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
         comments=tuple(c[:500] for c in comments[:COMMENT_LIMIT]),
         tags=tags_of(comments),
         notes=tuple(notes),
+        properties=Properties(unknown=unknown),
     )
 
 
@@ -202,6 +206,7 @@ def _elements(header: Header) -> tuple[Element, Element]:
         needed += colors
     _check_columns(chunk, needed, "f4")
     _check_columns(vertex, _WORDS, "u4")
+    judged((e.name for e in header.elements if e not in (chunk, vertex, sh)), "element", ELEMENTS)
     if vertex.count == 0:
         raise ArtifactError("compressed PLY: has no Gaussians (element vertex 0)")
     chunks = -(-vertex.count // CHUNK)

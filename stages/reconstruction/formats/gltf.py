@@ -22,9 +22,18 @@ from alula.stages.reconstruction.formats.gltf_accessors import (
     Tables,
     item,
 )
-from alula.stages.reconstruction.formats.gltf_nodes import NAME, Placed, placed_primitives
+from alula.stages.reconstruction.formats.gltf_nodes import NAME, Placed, check_still, placed_primitives
+from alula.stages.reconstruction.formats.properties import judged
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Splats, color_from_sh0, exp, growth, rounded_up
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Properties,
+    Splats,
+    color_from_sh0,
+    exp,
+    growth,
+    rounded_up,
+)
 from alula.stages.rotation import multiply_quat_wxyz
 
 _KNOWN = (NAME, "KHR_mesh_quantization")
@@ -137,7 +146,11 @@ def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
         )
     notes += seen
     if document.animations:
-        notes.append(f"{len(document.animations)} animations were not applied")
+        check_still(document)
+        notes.append(f"{len(document.animations)} animations do not move Gaussians; they were not read")
+    primitives = [_primitive(document, place) for place in parts]
+    others = dict.fromkeys(name for one in primitives for name in one.attributes if not _is_known(name))
+    unknown = judged(name.removeprefix("_").removeprefix(f"{NAME}:") for name in others)
     notes.append("glTF is y up; some writers turn PLY data by 180 degrees about z, which --turn z undoes")
 
     out = _Output(count, logarithms, not all(p.exact and _is_float(parts[p.primitive]) for p in placed))
@@ -153,7 +166,7 @@ def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
     tags = {"frame": "glTF, y up"}
     if document.asset.generator:
         tags["generator"] = document.asset.generator[:200]
-    return out.splats(tags, tuple(notes))
+    return out.splats(tags, tuple(notes), Properties(unknown=unknown))
 
 
 class _Output:
@@ -216,11 +229,12 @@ class _Output:
         scale = np.maximum(stored, rounded_up((stored + step) / (1.0 + loss)))
         return scale, loss[:, 0]
 
-    def splats(self, tags: dict[str, str], notes: tuple[str, ...]) -> Splats:
+    def splats(self, tags: dict[str, str], notes: tuple[str, ...], properties: Properties) -> Splats:
         """Gaussians that were read, with their loss.
 
         Args:
             tags: see `Splats.tags`.
+            properties: see `Splats.properties`.
             notes: notes for the user.
         """
         unbounded = {}
@@ -240,7 +254,17 @@ class _Output:
             loss=loss,
             tags=tags,
             notes=notes,
+            properties=properties,
         )
+
+
+def _is_known(attribute: str) -> bool:
+    """Test whether an attribute is read, or belongs to ordinary meshes and only shades."""
+    return (
+        attribute in _KINDS
+        or attribute.startswith(f"{NAME}:SH_")
+        or re.fullmatch(r"NORMAL|TANGENT|(COLOR|TEXCOORD)_[0-9]+", attribute) is not None
+    )
 
 
 def _primitive(document: Document, place: tuple[int, int]) -> Primitive:

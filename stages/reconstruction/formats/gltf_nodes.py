@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
-from alula.stages.reconstruction.formats.gltf_accessors import Document, Node, item
+from alula.stages.reconstruction.formats.gltf_accessors import Document, Natural, Node, item
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 NAME = "KHR_gaussian_splatting"
@@ -87,6 +88,47 @@ def placed_primitives(document: Document, notes: list[str]) -> list[Placed]:
     if not found:
         raise ArtifactError("glTF: no node of the scene has Gaussians")
     return found
+
+
+class _Target(msgspec.Struct):
+    node: Natural | None = None
+
+
+class _Channel(msgspec.Struct):
+    target: _Target = msgspec.field(default_factory=_Target)
+
+
+class _Animation(msgspec.Struct):
+    channels: list[_Channel] = []
+
+
+def check_still(document: Document) -> None:
+    """Check that no animation moves a node with Gaussians, or one above it.
+
+    Args:
+        document: a parsed file whose nodes form a tree.
+
+    Raises:
+        ArtifactError: one does, or an animation is damaged.
+    """
+    try:
+        animations = [msgspec.json.decode(raw, type=_Animation) for raw in document.animations]
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ArtifactError(f"glTF: an animation is damaged: {error}") from error
+    targets = (channel.target.node for one in animations for channel in one.channels)
+    moved = {target for target in targets if target is not None}
+    left = list(moved)
+    while left:
+        index = left.pop()
+        node = item(document.nodes, index, "node")
+        mesh = None if node.mesh is None else item(document.meshes, node.mesh, "mesh")
+        if mesh is not None and any(NAME in one.extensions for one in mesh.primitives):
+            raise ArtifactError(
+                f"glTF: an animation moves Gaussians of node {index}, whose places are then known at a time "
+                "only; export it without animations"
+            )
+        left += [child for child in node.children if child not in moved]
+        moved |= set(node.children)
 
 
 def roots_of(document: Document, notes: list[str]) -> list[int]:

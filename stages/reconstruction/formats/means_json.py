@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
+from alula.stages.reconstruction.formats.properties import judged
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Splats, exp, growth, logistic, loss_bound
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Properties,
+    Splats,
+    exp,
+    growth,
+    logistic,
+    loss_bound,
+)
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
@@ -78,6 +87,7 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     for key in _KEYS[:4]:
         if key not in found:
             raise ArtifactError(f"JSON: Gaussians need {key!r}, which is missing")
+    unknown = judged(key for key in found if key not in _KEYS)
     lists = {key: np.frombuffer(memoryview(found[key]), np.uint8) for key in _KEYS if key in found}
     count = len(_row_ends(lists["means"], "means"))
     if count == 0:
@@ -141,6 +151,7 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         if lossy
         else None,
         notes=tuple(notes),
+        properties=Properties(unknown=unknown),
     )
 
 

@@ -16,8 +16,9 @@ from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import decode_ply
+from alula.stages.reconstruction.formats.properties import FILTER, FILTER_WORDS, filtered, judged
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Splats, color_from_sh0, exp, logistic
+from alula.stages.reconstruction.formats.splats import Properties, Splats, color_from_sh0, exp, logistic
 from alula.stages.reconstruction.formats.torch_pickle import Tensor
 
 FRAME = "nerfstudio training frame"
@@ -103,7 +104,7 @@ def _decode_checkpoint(
     buffer: memoryview, method: str, notes: tuple[str, ...], progress: Progress | None
 ) -> Splats:
     checkpoint = Checkpoint(buffer)
-    tensors = _parameters(checkpoint.tree, method)
+    tensors, others = _parameters(checkpoint.tree, method)
     count = tensors["means"].shape[0] if tensors["means"].shape else 0
     arrays: dict[str, NDArray[Any]] = {}
     for name, row in _SHAPES.items():
@@ -121,6 +122,12 @@ def _decode_checkpoint(
     if count == 0:
         raise ArtifactError("nerfstudio: has no Gaussians (means of 0 rows)")
     logits = rest is not None and rest.shape[1] == 0
+    unknown = judged(others, applied=(FILTER,))
+    filter_3d = None
+    if FILTER in others:
+        if others[FILTER].shape not in ((count,), (count, 1)):
+            raise ArtifactError(f"nerfstudio: {FILTER} has shape {others[FILTER].shape}, not ({count}, 1)")
+        filter_3d = checkpoint.array(others[FILTER], FILTER).reshape(count).astype(np.float32)
 
     mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
@@ -137,6 +144,8 @@ def _decode_checkpoint(
             )
             if progress is not None:
                 progress(part.stop, count)
+    if filter_3d is not None:
+        scale, alpha = filtered(scale, alpha, filter_3d)
     return Splats(
         format="nerfstudio",
         mean=mean,
@@ -146,21 +155,28 @@ def _decode_checkpoint(
         color=color,
         tags={"frame": FRAME} | ({"generator": f"nerfstudio {method}"} if method else {}),
         notes=notes or ("the frame is nerfstudio's of training, whose scale only its folder tells",),
+        properties=Properties((FILTER_WORDS,) if filter_3d is not None else (), unknown),
     )
 
 
-def _parameters(tree: Any, method: str) -> dict[str, Tensor]:
-    """The tensors of the Gaussians, by name, from a checkpoint of any age."""
+def _parameters(tree: Any, method: str) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """The tensors of the Gaussians that are read, and further ones, by name, from a checkpoint of any age."""
     state = tree.get("pipeline") if isinstance(tree, dict) else None
+    if not isinstance(state, dict) and isinstance(tree, dict) and isinstance(tree.get("splats"), dict):
+        raise ArtifactError("checkpoint of gsplat: import the .ply that its trainer saves (--save_ply)")
     if not isinstance(state, dict):
         raise ArtifactError("nerfstudio: the checkpoint has no 'pipeline', so nerfstudio did not write it")
-    found = {}
+    found, others = {}, {}
     for key, value in state.items():
         if isinstance(key, str) and isinstance(value, Tensor):
             key = key.removeprefix("module.").replace("_model.module.", "_model.", 1)
-            match = re.fullmatch(r"_model\.(?:gauss_params\.)?(\w+)", key)
-            if match is not None and (match[1] in _SHAPES or match[1] == "features_rest"):
-                found[match[1]] = value
+            match = re.fullmatch(r"_model\.(gauss_params\.)?(\w+)", key)
+            if match is None:
+                continue
+            if match[2] in _SHAPES or match[2] == "features_rest":
+                found[match[2]] = value
+            elif match[1] or match[2] == FILTER:
+                others[match[2]] = value
     missing = [name for name in _SHAPES if name not in found]
     if missing == list(_SHAPES):
         raise ArtifactError(
@@ -168,7 +184,7 @@ def _parameters(tree: Any, method: str) -> dict[str, Tensor]:
         )
     if missing:
         raise ArtifactError(f"nerfstudio: the checkpoint lacks {missing[0]} among its gauss_params")
-    return found
+    return found, others
 
 
 def _method(source: Source) -> str:

@@ -21,6 +21,7 @@ from alula.stages.reconstruction.formats.nerfstudio import (
     members_of_nerfstudio,
 )
 from alula.stages.reconstruction.formats.ply import count_ply, decode_ply
+from alula.stages.reconstruction.formats.properties import FILES, judged
 from alula.stages.reconstruction.formats.sog import is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import count_splat, decode_splat
@@ -81,12 +82,20 @@ def _of_file(
     return lambda source, progress: decode(source.data, progress)
 
 
+def _ply(source: Source) -> memoryview:
+    """Bytes of a PLY file, after a check that no network is beside it, without which rows mean nothing."""
+    of_run = source.folder.parent.name == "point_cloud"
+    names = (name for known in FILES for name in known.names if of_run or not name.startswith(".."))
+    judged((name for name in names if (source.folder / name).exists()), "beside it", FILES)
+    return source.data
+
+
 PLY = SplatFormat(
     "ply",
     lambda source: re.match(rb"ply\s", source.head) is not None,
-    _of_file(decode_ply),
+    lambda source, progress: decode_ply(_ply(source), progress),
     windows=Windows(
-        lambda source: count_ply(source.data), lambda source, rows: decode_ply(source.data, window=rows)
+        lambda source: count_ply(_ply(source)), lambda source, rows: decode_ply(_ply(source), window=rows)
     ),
 )
 COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decode_compressed_ply))

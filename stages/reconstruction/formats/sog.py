@@ -21,6 +21,7 @@ from alula.stages.reconstruction.formats.sog_meta import SogMeta, parse_json, pa
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import (
     Loss,
+    Properties,
     Splats,
     color_from_sh0,
     exp,
@@ -159,6 +160,7 @@ def _decode(meta: SogMeta, read: Read, progress: Progress | None) -> Splats:
         loss=Loss(bound, steps, unbounded),
         tags=meta.tags,
         notes=(*meta.notes, *notes),
+        properties=Properties(unknown=meta.unknown),
     )
 
 

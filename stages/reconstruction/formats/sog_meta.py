@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.stages.reconstruction.formats.properties import judged
 from alula.stages.reconstruction.formats.source import relative_name
 
+_SECTIONS = {"version", "count", "asset", "model", "antialias", "means", "scales", "quats", "sh0", "shN"}
 _WIDTHS = {1: 64 * 3, 2: 64 * 8, 3: 64 * 15}  # of the texture of centroids, by bands
 
 
@@ -52,6 +54,7 @@ class SogMeta:
         harmonics: None without any.
         tags: see `Splats.tags`.
         notes: notes for the user.
+        unknown: names of sections of unknown meaning.
     """
 
     version: int
@@ -68,6 +71,7 @@ class SogMeta:
     harmonics: Harmonics | None
     tags: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -142,6 +146,7 @@ def parse_meta(raw: bytes) -> SogMeta:
         harmonics=_harmonics(meta, version),
         tags=_tags(meta),
         notes=tuple(notes),
+        unknown=judged((name for name in meta if name not in _SECTIONS), "section"),
     )
     if len(set(result.files)) < len(result.files):
         raise ArtifactError("SOG: meta.json names a file twice")

@@ -52,6 +52,19 @@ class Level:
     index: str
 
 
+@dataclass(frozen=True, slots=True)
+class Properties:
+    """Properties of a file besides those that every splat has.
+
+    Attributes:
+        applied: sentences about those that changed the ellipsoids.
+        unknown: names of those whose meaning is not known; they were not read.
+    """
+
+    applied: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Splats:
     """Result of a decoder: activated values, not yet checked row by row.
@@ -72,6 +85,7 @@ class Splats:
         notes: notes for the user about the reading of the file.
         levels: levels of detail that the Gaussians come from; empty where the file is no part of a capture
             that is spread over several files.
+        properties: further properties of the file.
     """
 
     format: str
@@ -85,6 +99,7 @@ class Splats:
     tags: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     levels: tuple[Level, ...] = ()
+    properties: Properties = Properties()
 
     def __len__(self) -> int:
         return len(self.mean)

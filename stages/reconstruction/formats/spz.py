@@ -13,6 +13,7 @@ from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
 from alula.stages.reconstruction.formats.splats import (
     Loss,
+    Properties,
     Splats,
     color_from_sh0,
     exp,
@@ -111,6 +112,7 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
             "frame": frame if frame is not None else FRAME_UNKNOWN,
         },
         notes=(*(() if frame is not None else (_FRAME_NOTE,)), *packed.notes),
+        properties=Properties(unknown=packed.unknown),
     )
 
 

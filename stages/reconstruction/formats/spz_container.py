@@ -24,6 +24,7 @@ FRAMES = (
 )  # from 1
 HAS_EXTENSIONS = 2
 COMMENT_RECORD = 0x414C0001  # a line of text; "AL" is nobody's vendor number
+_KNOWN_RECORDS = (0xADBE0001, 0xADBE0002, FRAME_RECORD, COMMENT_RECORD)  # of harmonics, and of a camera
 
 _PIECE = 2**20
 _READ = 2**16  # bytes of a gzip stream at once; so many are copied at the end of each member
@@ -67,12 +68,14 @@ class Packed:
         array: bytes of each array.
         frame: name of the frame; None where the file does not name it.
         notes: notes for the user.
+        unknown: names of extensions of unknown meaning.
     """
 
     header: Header
     array: dict[str, memoryview]
     frame: str | None
     notes: list[str] = field(default_factory=list)
+    unknown: tuple[str, ...] = ()
 
     def rows(self, name: str, part: slice) -> NDArray[np.uint8]:
         """Rows of an array, one per Gaussian."""
@@ -195,8 +198,9 @@ def _stream(buffer: memoryview, pieces: Iterator[tuple[bytes | memoryview, int |
         )
     frame, unread = None, done - need
     notes: list[str] = []
+    unknown: tuple[str, ...] = ()
     if header.flags & HAS_EXTENSIONS:
-        frame, notes, unread = _extensions(bytes(extra), unread)
+        frame, notes, unread, unknown = _extensions(bytes(extra), unread)
     if unread + trailing:
         notes.append(
             f"{unread + trailing} bytes follow the data that the header announces; they were not read"
@@ -206,7 +210,7 @@ def _stream(buffer: memoryview, pieces: Iterator[tuple[bytes | memoryview, int |
         if name != "sh":
             array[name] = view[at : at + width * header.count]
             at += width * header.count
-    return Packed(header, array, frame, notes)
+    return Packed(header, array, frame, notes, unknown)
 
 
 def _frames(buffer: memoryview) -> Packed:
@@ -237,14 +241,14 @@ def _frames(buffer: memoryview) -> Packed:
         if name != "sh":
             array[name] = _unzstd(frame_bytes, name, size)
         at += compressed
-    frame, notes, unread = _extensions(
+    frame, notes, unread, unknown = _extensions(
         bytes(buffer[LONG_HEADER_SIZE : min(table, LONG_HEADER_SIZE + _EXTRA)]), table - LONG_HEADER_SIZE
     )
     if unread:
         notes.append(f"{unread} bytes of extensions are no records; they were not read")
     if at < len(buffer):
         notes.append(f"{len(buffer) - at} bytes follow the data; they were not read")
-    return Packed(header, array, frame, notes)
+    return Packed(header, array, frame, notes, unknown)
 
 
 def _check_frame(raw: memoryview, name: str, size: int) -> None:
@@ -274,9 +278,10 @@ def _unzstd(raw: memoryview, name: str, size: int) -> memoryview:
     return memoryview(out)
 
 
-def _extensions(raw: bytes, size: int) -> tuple[str | None, list[str], int]:
-    """Frame that a record names, notes, and the number of the `size` bytes from `raw` that are no records."""
+def _extensions(raw: bytes, size: int) -> tuple[str | None, list[str], int, tuple[str, ...]]:
+    """Frame that a record names, notes, number of bytes of `size` that are no records, unknown records."""
     at, frame = 0, None
+    unknown: dict[str, None] = {}
     notes: list[str] = []
     while at + 8 <= len(raw):
         kind, length = struct.unpack_from("<II", raw, at)
@@ -289,8 +294,10 @@ def _extensions(raw: bytes, size: int) -> tuple[str | None, list[str], int]:
                 frame = FRAMES[value - 1]
             else:
                 notes.append("names a frame that the format does not have")
+        elif kind not in _KNOWN_RECORDS:
+            unknown[f"extension {kind:#010x}"] = None
         at += 8 + length
-    return frame, notes, size - at
+    return frame, notes, size - at, tuple(unknown)
 
 
 def pack(header: Header, arrays: Mapping[str, Iterator[bytes]], comment: str = "") -> Iterator[bytes]:

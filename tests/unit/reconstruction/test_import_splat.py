@@ -105,6 +105,18 @@ def test_a_scene_without_gaussians_is_refused_with_the_reasons():
         import_splat(config, splats(mean={0: np.inf}))
 
 
+def test_a_few_rows_without_a_rotation_are_told_and_many_are_refused():
+    one = import_splat(ImportSplatConfig(), splats(quat_wxyz={3: (0, 0, 0, 0)}))
+    assert any(
+        "1 of 12 Gaussians have a quaternion of length zero" in n for n in one.manifest.summary["notes"]
+    )
+    many = splats(quat_wxyz=dict.fromkeys(range(3, 9), (0, 0, 0, 0)))
+    words = "6 of 12 Gaussians have a quaternion of length zero, the first in row 3: .*--drop-nan"
+    with pytest.raises(InputError, match=words):
+        import_splat(ImportSplatConfig(), many)
+    assert removed(import_splat(ImportSplatConfig(drop_nan=True), many)) == {"zero_rotation": 6}
+
+
 def test_values_that_are_not_finite_are_refused_unless_they_are_to_be_dropped():
     given_ = splats(mean={7: np.inf}, opacity={4: np.nan})
     words = (
