@@ -53,10 +53,11 @@ void Sensor::reset(const State& x) {
 void Sensor::record(double time, const State& x) {
   if (options_.noise_time_s > 0) {
     const double kept = std::exp((time_ - time) / options_.noise_time_s), fresh = std::sqrt(1 - kept * kept);
-    time_ = time, ++steps_;
+    ++steps_;
     position_error_ = kept * position_error_ + fresh * random_.normals(steps_, kPosition);
     velocity_error_ = kept * velocity_error_ + fresh * random_.normals(steps_, kVelocity);
   }
+  time_ = time;
   if (options_.delay_s == 0) {  // only the newest is measured
     at(0) = {time, x};
     return;
@@ -71,8 +72,25 @@ void Sensor::record(double time, const State& x) {
     oldest_ = (oldest_ + 1) % ring_.size(), --count_;
 }
 
+// The state at the exact age: between two steps the path is the cubic through their positions and velocities, and the
+// body turns by its mean rates.
+State Sensor::delayed() const {
+  const Sample& a = at(0);
+  const double since = time_ - options_.delay_s - a.time;
+  if (count_ < 2 || !(since > kSameTime)) return a.x;
+  const Sample& b = at(1);
+  const double h = b.time - a.time, s = since / h;
+  const Vec3 mean = 1 / h * (b.x.p - a.x.p), rates = a.x.omega + s / 2 * (b.x.omega - a.x.omega);
+  State x = a.x;
+  x.v = (1 - s) * (1 - 3 * s) * a.x.v + s * (3 * s - 2) * b.x.v + 6 * s * (1 - s) * mean;
+  x.p = a.x.p + since * ((1 - s) * (1 - s) * a.x.v + s * (s - 1) * b.x.v + s * (3 - 2 * s) * mean);
+  x.sigma = turned(a.x.sigma, since * rates);
+  x.omega = a.x.omega + s * (b.x.omega - a.x.omega);
+  return x;
+}
+
 State Sensor::measured(std::uint64_t step) const {
-  State x = at(0).x;
+  State x = delayed();
   const auto noise = [&](double deviation, Channel channel) { return deviation * random_.normals(step, channel); };
   if (options_.noise_time_s > 0) {
     x.p += options_.position_noise_m * position_error_;

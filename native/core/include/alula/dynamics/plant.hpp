@@ -23,7 +23,7 @@ struct SensorOptions {
   double attitude_noise_rad = 0;  // of a random rotation vector about the body's axes
   double rate_noise_rad_s = 0;
   double noise_time_s = 0;  // correlation time of the errors of position and velocity; 0: white
-  double delay_s = 0;       // the newest state at least this old is measured; the first state until there is one
+  double delay_s = 0;       // the state this long ago is measured; the first state until there is one
 };
 
 // Throws std::invalid_argument for a number that is negative or not finite.
@@ -43,6 +43,7 @@ class Sensor {
     double time;
     State x;
   };
+  State delayed() const;
   Sample& at(std::size_t i) { return ring_[(oldest_ + i) % ring_.size()]; }
   const Sample& at(std::size_t i) const { return ring_[(oldest_ + i) % ring_.size()]; }
 
