@@ -132,7 +132,6 @@ void Flight::reset() {
   last_ = {}, attitude_.reset();
   now_ = 0, arrived_ = -1, age_.reset();
   has_state_ = has_target_ = is_other_ = false;
-  begins_ = true;
   tick_ = 0, oldest_ = 0;
   decision_ = {};
 }
@@ -307,7 +306,7 @@ void Flight::lower(CommandKind from, CommandKind to) {
   }
   if (to == CommandKind::sticks && from < CommandKind::sticks) {
     const Wrench u = vehicle_.body.limited(nominal_.wrench);
-    const double held = options_.dt_s * static_cast<double>(options_.filter_ticks);
+    const double held = held_s(options_.filter_ticks);
     nominal_.sticks = RacerCommand{
         vehicle_.racer.throttle_for(u.thrust / vehicle_.body.mass()),
         body_rates(vehicle_.body, x, u, rate_lead_s(vehicle_.rate_time_constant_s, held), vehicle_.max_rate)};
@@ -351,7 +350,8 @@ const Decision& Flight::decide() {
   const bool is_aimless = mission_.kind == MissionKind::given && !has_target_;
   decision_.is_stale = is_aimless || (!seen_.is_known && mission_.kind != MissionKind::pilot);
   if (decision_.is_stale) {
-    decision_.is_refused = begins_ = true;
+    decision_.is_refused = true, decision_.is_filtered = false;
+    tick_ = 0;  // controller and filters begin anew
     level_ = std::min(innermost(vehicle_.interface),
                       vehicle_.interface == Interface::sticks ? CommandKind::sticks : CommandKind::wrench);
     stand_in(level_);
@@ -359,8 +359,8 @@ const Decision& Flight::decide() {
     finish();
     return decision_;
   }
-  const bool is_controlled = begins_ || is_turn(options_.controller_ticks);
-  const bool is_filtered = begins_ || is_turn(options_.filter_ticks);
+  const bool is_controlled = is_turn(options_.controller_ticks), is_filtered = is_turn(options_.filter_ticks);
+  decision_.is_filtered = is_filtered;
   if (is_controlled) make_nominal(), first_ = nominal_, first_level_ = level_;
   if (is_filtered || is_controlled) {
     decision_.is_refused = false;
@@ -387,7 +387,7 @@ const Decision& Flight::decide() {
     }
   }
   finish();
-  begins_ = false;
+  ++tick_;
   return decision_;
 }
 
@@ -428,12 +428,16 @@ void Flight::finish() {
         c.wrench = flown_, c.rates = u.rates;
         decision_.acceleration.reset();
       } else {
-        if (is_turn(held_ticks) || begins_) {
+        if (is_turn(held_ticks)) {
           const Wrench wanted = nominal_.wrench;
           flown_ = vehicle_.body.limited(wanted);
           decision_.is_limited = flown_.thrust != wanted.thrust || flown_.torque.x != wanted.torque.x ||
                                  flown_.torque.y != wanted.torque.y || flown_.torque.z != wanted.torque.z;
-          const double held = options_.dt_s * static_cast<double>(held_ticks);
+          // One command for the whole hold, as filters roll it out: rotors with lag reach the wrench at its end.
+          const double held = held_s(decision_.is_stale ? 1 : held_ticks);
+          c.wrench = predictor_.lead(
+              observer_.is_on() ? vehicle_.body.limited({level_out_.scale() * flown_.thrust, flown_.torque}) : flown_,
+              held);
           decision_.acceleration =
               by_wrench ? acceleration_of(vehicle_.body, seen_.x, wanted.thrust) : nominal_.acceleration;
           if (decision_.is_stale)
@@ -442,10 +446,6 @@ void Flight::finish() {
             c.rates = body_rates(vehicle_.body, seen_.x, flown_, rate_lead_s(vehicle_.rate_time_constant_s, held),
                                  vehicle_.max_rate);
         }
-        if (!observer_.is_on())
-          c.wrench = predictor_.lead(flown_);
-        else
-          c.wrench = predictor_.lead(vehicle_.body.limited({level_out_.scale() * flown_.thrust, flown_.torque}));
       }
       seen_.thrust_rate =
           by_wrench ? records_.back().report.thrust_rate : (flown_.thrust - seen_.thrust) / options_.dt_s;
@@ -457,7 +457,6 @@ void Flight::finish() {
       c.sticks = nominal_.sticks.value_or(RacerCommand{});  // silent: the motors stand still, as receivers do
       break;
   }
-  ++tick_;
 }
 
 // The plan's time, after a tick with a command.

@@ -198,7 +198,7 @@ void Trial::note_state() {
 
 // The last filter of each kind, where it was called in this tick.
 void Trial::watch(const Observation& seen, const Decision& decision, double now) {
-  if (log_.ticks % spec_.options.filter_ticks != 0) return;
+  if (!decision.is_filtered) return;
   const std::span<const FilterRecord> records = flight_.records();
   if (fence_ && !records.empty() && records.back().report.fence)
     fence_->note(vehicle_.racer(), seen.sticks, *records.back().report.fence);

@@ -164,13 +164,17 @@ def test_flights_among_hulls_do_not_depend_on_jobs(room):
     assert one.flights == many.flights
 
 
-def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
-    lags = {"motor_time_constant_s": 0.03, "delay_s": 0.02}
-    vehicle = msgspec.structs.replace(
+def late_as_assumed(lag_s, delay_s=0.0):
+    late, replace = {"motor_time_constant_s": lag_s, "delay_s": delay_s}, msgspec.structs.replace
+    return replace(
         FASTBRIDGE,
-        disturbance=msgspec.structs.replace(FASTBRIDGE.disturbance, **lags),
-        assumed=msgspec.structs.replace(FASTBRIDGE.assumed, **lags),
+        disturbance=replace(FASTBRIDGE.disturbance, **late),
+        assumed=replace(FASTBRIDGE.assumed, **late),
     )
+
+
+def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
+    vehicle = late_as_assumed(0.03, 0.02)
     found = quick("shield", trials=6, speed_m_s=1.5, max_time_s=8.0, vehicle=vehicle, cover=room.cover)
     assert found.summary["certified_share_static"] == 1
     assert found.summary["min_map_clearance_m"] > 0
@@ -178,6 +182,28 @@ def test_lag_and_delay_that_are_assumed_leave_the_chain_whole(room):
     assert chain["holds"]
     assert any("a motor time constant of 0.03 s" in words for words in chain["assumptions"])
     assert any("it is 0.02 s old" in words for words in chain["assumptions"])
+
+
+@pytest.mark.parametrize(("interface", "delay_s"), [("wrench", 0.0), ("body-rates", 0.0325)])
+def test_commands_held_for_some_ticks_stay_certified_with_lag(room, interface, delay_s):
+    """One wrench is held for four ticks, by rotors that need longer than one."""
+    found = quick(
+        "shield",
+        trials=6,
+        speed_m_s=3.0,
+        max_time_s=4.0,
+        seed=11,
+        interface=interface,
+        filter_ticks=4,
+        vehicle=late_as_assumed(0.05, delay_s),
+        scene=room.scene,
+        cover=room.cover,
+        which="blocked",
+        parameters=against("hulls"),
+    )
+    assert found.summary["certified_share_static"] == 1
+    assert found.summary["min_map_clearance_m"] > 0.005
+    assert found.guarantee.claims["chain"]["holds"]
 
 
 def test_a_map_that_a_shield_needs_is_asked_for_in_one_sentence():
@@ -210,7 +236,7 @@ def test_what_breaks_the_chain_is_said():
     )
     thin = dataclasses.replace(BOX, manifest=msgspec.structs.replace(BOX.manifest, min_overlap=2))
     for body, cover, words in (
-        (vehicle, BOX, "These flights had drag, wind"),
+        (vehicle, BOX, "These flights had drag (linear_drag_n_s_m 0.001 0 0), wind (wind_m_s 1 0 0), which"),
         (FASTBRIDGE, thin, "The cover leaves out voxels that fewer than 2 ellipsoids touch"),
     ):
         found = quick("shield", trials=1, bounds_m=AROUND, vehicle=body, cover=cover)

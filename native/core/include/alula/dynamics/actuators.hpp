@@ -61,9 +61,9 @@ State following_step(const Quadrotor& body, double lag, const State& x, Vec4& ro
   });
 }
 
-// The command with which the rotors produce `target` at the end of a tick, within their limits.
-inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, const Wrench& target, double tick_s) {
-  const double gain = 1 / -std::expm1(-tick_s / lag);
+// The command with which the rotors produce `target` when it has been held for a time, within their limits.
+inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, const Wrench& target, double held_s) {
+  const double gain = 1 / -std::expm1(-held_s / lag);
   Vec4 f = body.rotor_thrust(target);
   for (std::size_t i = 0; i < 4; ++i) f[i] = rotors[i] + gain * (f[i] - rotors[i]);
   return body.limited(body.wrench(f));

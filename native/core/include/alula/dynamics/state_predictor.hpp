@@ -12,8 +12,9 @@
 
 namespace alula::flight {
 
-// The predictor of one flight. In each tick, `now` gives the state for controller and filter, `lead` converts their
-// wrench to a command, and `fly` records that command. Allocates in the constructor only.
+// The predictor of one flight. In each tick, `now` gives the state for controller and filter, and `fly` records the
+// command. `lead` converts their wrench to a command that may be held for several ticks. Allocates in the constructor
+// only.
 class StatePredictor {
  public:
   // Throws std::invalid_argument for a model or a tick out of range.
@@ -30,11 +31,12 @@ class StatePredictor {
   // Current thrusts of the rotors [N].
   const Vec4& rotors() const { return rotors_; }
 
-  // The command that brings the rotors to `target` by the end of a tick that begins now; `target` itself without lag.
-  Wrench lead(const Wrench& target) const {
+  // The command that brings the rotors to `target` when it has been held for a time; `target` itself without lag.
+  Wrench lead(const Wrench& target, double held_s) const {
     const double lag = model_.motor_time_constant_s;
-    return lag > 0 ? leading(body_, lag, rotors_, target, tick_s_) : target;
+    return lag > 0 ? leading(body_, lag, rotors_, target, held_s) : target;
   }
+  Wrench lead(const Wrench& target) const { return lead(target, tick_s_); }
 
   // Records that `command` acts from now on for a tick; if it is not finite, the rotors keep the last one.
   void fly(const Wrench& command) { fly(command, {}, {}); }

@@ -98,7 +98,8 @@ struct Decision {
   Command command;
   bool is_refused = false;  // the last filter refused, or there is no state
   bool is_stale = false;
-  bool is_limited = false;  // rotors or limits of a point cannot realise what the filters returned
+  bool is_filtered = false;  // filters were called in this tick; in the others their last command is held
+  bool is_limited = false;   // rotors or limits of a point cannot realise what the filters returned
   // What the command asks of the body, held with it: of a wrench, that of its thrust along the axis that the filters
   // saw. Without a value for velocities and sticks. The body's difference from it is FastBridge's realisation error
   // (eq. 11-12): what attitude, rotors and air leave of the command.
@@ -135,6 +136,7 @@ class Flight {
 
  private:
   bool is_turn(std::int64_t ticks) const { return tick_ % ticks == 0; }
+  double held_s(std::int64_t ticks) const { return options_.dt_s * static_cast<double>(ticks); }
   bool is_rigid() const { return vehicle_.model == VehicleModel::quadrotor; }
   void predict();
   void estimate_disturbance(const State& measured, const std::optional<double>& age_s);
@@ -170,8 +172,7 @@ class Flight {
   double now_ = 0, arrived_ = -1;
   std::optional<double> age_;  // of that measurement, if it is known
   bool has_state_ = false, has_target_ = false;
-  bool begins_ = true;  // neither controller nor filters have run since the state became known
-  std::int64_t tick_ = 0;
+  std::int64_t tick_ = 0;  // since the state became known, from which controller and filters count theirs
   Wrench flown_;
   bool is_other_ = false;  // the applied thrust differs from the controller's
   // Velocities or accelerations that were sent in the last ticks, a ring; none where others were sent.
