@@ -29,7 +29,7 @@ from alula.stages.simulation.world.filters import filter_world, needs_image, saf
 from alula.stages.simulation.world.vehicle import vehicle_spec, velocity_lags_s
 from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
-_PLANT_STEP_S = 1e-3
+PLANT_STEP_S = 1e-3  # longest step of the plant by default, and period of the modelled rate loop [s]
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
 
 
@@ -252,7 +252,7 @@ def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
         return scenario.rules.plant_steps
     if is_point and not scenario.world.moving and not scenario.estimation.delay_s:
         return 1
-    return max(1, math.ceil(scenario.rules.dt_s / _PLANT_STEP_S - 1e-9))
+    return max(1, math.ceil(scenario.rules.dt_s / PLANT_STEP_S - 1e-9))
 
 
 def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from alula.stages.simulation.world.certificate import (
 )
 from alula.stages.simulation.world.encounters import encounter_summary, encounter_timing
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
+from alula.stages.simulation.world.left_out import left_out
 from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import head, mean, mean_path_ratio, minimum, statement, totals
@@ -247,39 +248,6 @@ def disturbances(scenario: WorldScenario) -> list[str]:
     return [words for words, has in found.items() if has]
 
 
-def left_out(scenario: WorldScenario) -> list[str]:
-    """What flights have and the model of their last filter leaves out, in words.
-
-    Args:
-        scenario: completed.
-    """
-    table, known = scenario.vehicle, scenario.estimation
-    own, assumed = table.disturbance, table.assumed
-    by_sticks = table.interface == "sticks"
-    mass = _changed(mass_scale=table.mass_scale, thrust_scale=table.thrust_scale)
-    gain, sag = _changed(rate_gain_scale=table.rate_gain_scale), own.sag_share or 0.0
-    lag_s, assumed_s = own.motor_time_constant_s or 0.0, assumed.motor_time_constant_s or 0.0
-    delay_s = known.delay_s or 0.0
-    known_s = _latency_s(scenario) if by_sticks else assumed.delay_s or 0.0
-    late = delay_s > known_s if by_sticks else delay_s != known_s
-    found = {
-        "drag": any(own.linear_drag_n_s_m or ()) or any(own.quadratic_drag_n_s2_m2 or ()),
-        "wind": any(own.wind_m_s or ()) or any(own.gust_m_s or ()),
-        "noise": _has_noise(known),
-        # A geofence tells when measurements are missing, and a racer has no rotors.
-        "lost measurements": not by_sticks and (known.lost_share > 0 or known.lost_from_s is not None),
-        f"a mass or thrust other than the model's ({mass})": mass,
-        "a motor lag other than assumed": not by_sticks and lag_s != assumed_s,
-        f"a delay other than assumed (delay_s {exact(delay_s)})": late,
-        f"a rate loop other than the model's ({gain})": gain
-        if table.interface in ("sticks", "body-rates")
-        else "",
-        f"a battery that sags (sag_share {exact(sag)})": by_sticks and sag > 0,
-        "the vehicle's own cascade": table.interface in ("velocity", "acceleration"),
-    }
-    return [words for words, has in found.items() if has]
-
-
 def _has_noise(known: EstimationTable) -> bool:
     return any(
         (
@@ -287,14 +255,3 @@ def _has_noise(known: EstimationTable) -> bool:
             *(known.attitude_noise_rad, known.rate_noise_rad_s),
         )
     )
-
-
-def _changed(**scales: float) -> str:
-    """Names and values of the scales that are not 1."""
-    return ", ".join(f"{name} {exact(value)}" for name, value in scales.items() if value != 1)
-
-
-def _latency_s(scenario: WorldScenario) -> float:
-    """The delay that the geofence of a pilot makes up for [s]; 0 without one."""
-    name = fence_filter_of(scenario)
-    return 0.0 if name is None else float(scenario.safety.parameters(name).latency_s)  # type: ignore[union-attr]
