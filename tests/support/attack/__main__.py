@@ -16,7 +16,12 @@ from pathlib import Path
 
 from support.attack.outcome import Outcome
 
-SHARES: dict[str, float] = {"plans": 0.15, "missions": 0.2, "meshes": 0.1}  # of the time, by module
+SHARES: dict[str, float] = {
+    "shield": 0.45,
+    "plans": 0.15,
+    "missions": 0.2,
+    "meshes": 0.1,
+}  # of the time, by module
 MARKS = ("<!-- attack -->", "<!-- /attack -->")
 
 
