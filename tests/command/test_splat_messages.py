@@ -86,8 +86,8 @@ def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     assert record.vehicle.endswith("commanded by thrust and body rates, with motor lag")
     assert "the model with a rate loop with a time constant of 0.02 s." in record.guarantee.statement
     assert (
-        "These flights had a motor lag other than assumed (motor_time_constant_s 0.001, assumed 0), which that "
-        "model leaves out." in record.guarantee.statement
+        "These flights had a motor lag other than assumed (motor_time_constant_s 0.001, assumed 0), which "
+        "that model leaves out." in record.guarantee.statement
     )
     run([*words, "-o", str(out), "-q", "-f"])
     assert "leaves out" not in read_run(out).guarantee.statement
