@@ -153,6 +153,7 @@ NO_DIFFERENCE = {
     "vehicle.disturbance.sag_time_s": "acts with sag_share only, which is named",
     "vehicle.assumed.motor_time_constant_s": "named beside the true one where they differ",
     "vehicle.assumed.delay_s": "named beside the true one where they differ",
+    "estimation.preset": "gives values of other keys, which are looked at",
     "estimation.noise_time_s": "acts with noise only, which is named",
     "estimation.lost_for_s": "acts with lost_from_s only, which is named",
     "estimation.stale_s": "acts with lost measurements only, which are named",
