@@ -97,6 +97,8 @@ def command(
         raise UsageError(f"exactly one of {', '.join(given)} is needed, not {' and '.join(kinds) or 'none'}")
     if nerfstudio is not None and config.reach is not None:
         raise UsageError("--nerfstudio goes with --colmap or --cameras")
+    if colmap is None and options.is_given(context, "min_near"):
+        raise UsageError("--min-near goes with --colmap")
     if config.radius_m is not None and vehicle_path is not None:
         raise UsageError("--radius is that of the vehicle; leave out --vehicle")
     if voxels is not None:

@@ -268,11 +268,25 @@ def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, st
     elif colmap is None:
         found = up_of(scene.mean)
     else:
-        from alula.stages.alignment.colmap import read_model
+        import numpy as np
 
-        axes = read_model(colmap).axes
-        assert axes is not None  # of every COLMAP model
-        found = up_of_cameras(axes)
+        from alula.schemas.configs.scale_align import MIN_NEAR
+        from alula.stages.alignment.colmap import read_model
+        from alula.stages.alignment.model_frame import model_frame
+
+        cameras = read_model(colmap)
+        assert cameras.axes is not None  # of every COLMAP model
+        assert cameras.landmarks is not None
+        try:
+            frame = model_frame(cameras.landmarks, lambda: np.asarray(scene.mean, np.float64), MIN_NEAR)
+        except CheckError as error:
+            raise CheckError(f"{error}; or give --up instead of --colmap") from error
+        if frame.scene_from_model is not None:
+            cameras = cameras.moved(frame.scene_from_model)
+        if frame.warnings:
+            assumed["cameras"] = "; ".join(frame.warnings)
+        assert cameras.axes is not None
+        found = up_of_cameras(cameras.axes)
     assumed["up"] = f"({_words(found.direction)}) in the frame of the splat: {found.why}"
     return found
 

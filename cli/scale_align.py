@@ -124,7 +124,8 @@ def command(
 
     Give one kind of evidence: --colmap or --cameras with --reference or --poses, --nerfstudio,
     --correspondences, --distance, --cloud, --transform or --scale. The alignment is checked before
-    anything is written. A scene that is aligned already may be aligned again, or only levelled.
+    anything is written. The 3D points of --colmap show whether its cameras are in the frame of the splat. A
+    scene that is aligned already may be aligned again, or only levelled.
 
     A scene in parts gives a folder of parts, -o NAME.scene: one similarity for all parts. Memory then holds
     300 bytes per Gaussian of a part per job, and 24 bytes for each of at most 4,194,304 centres, evenly
@@ -151,6 +152,7 @@ def command(
     for name, option, path, needed in (
         ("min_fitness", "--min-fitness", files.cloud, "--cloud"),
         ("max_angle_deg", "--angle-threshold", files.poses, "--poses"),
+        ("min_near", "--min-near", files.colmap, "--colmap"),
         ("min_matched", "--min-matched", files.reference or files.poses, "--reference or --poses"),
     ):
         if path is None and options.is_given(context, name):

@@ -93,6 +93,7 @@ class ScaleAlignFields(TypedDict, total=False):
     max_scale_sigma: float | None
     min_inliers: int | None
     min_matched: float
+    min_near: float
     min_fitness: float
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from alula.schemas.configs.scale_align import MIN_NEAR, NEAR_HELP, require_min_near
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import UsageError
 
@@ -44,6 +45,7 @@ class ObserveConfig(VoxelizeConfig):
     min_views: int = field(
         default=1, metadata={"group": "Depth images", "help": "Minimum number of cameras that see a voxel."}
     )
+    min_near: float = field(default=MIN_NEAR, metadata={"group": "Cameras", "help": NEAR_HELP})
     reach: tuple[float, float, float] | None = field(
         default=None,
         metadata={
@@ -55,6 +57,7 @@ class ObserveConfig(VoxelizeConfig):
     def __post_init__(self) -> None:
         """Refuse values out of range."""
         VoxelizeConfig.__post_init__(self)
+        require_min_near(self.min_near)
         if self.radius_m is not None and not (0 < self.radius_m <= LONGEST_RADIUS_VOXELS * self.size_m):
             raise UsageError(
                 f"--radius must be above 0 and at most {LONGEST_RADIUS_VOXELS:g} voxels "

@@ -8,6 +8,24 @@ from alula.schemas.errors import UsageError
 
 Point = tuple[float, float, float]
 Distance = tuple[Point, Point, float]
+MIN_NEAR = 0.75
+NEAR_HELP = (
+    "Minimum fraction of the 3D points of --colmap that have a Gaussian near; below it, cameras are mapped "
+    "to the splat's frame if that is found, else refused."
+)
+
+
+def require_min_near(fraction: float) -> None:
+    """Refuse a minimum fraction of near points that is none.
+
+    Args:
+        fraction: value of --min-near.
+
+    Raises:
+        UsageError: it is not between 0 and 1.
+    """
+    if not (0 <= fraction <= 1):
+        raise UsageError(f"--min-near must be between 0 and 1, not {fraction}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +96,10 @@ class ScaleAlignConfig:
             "scene; the others are skipped.",
         },
     )
+    min_near: float = field(
+        default=MIN_NEAR,
+        metadata={"group": "Checks", "help": NEAR_HELP},
+    )
     min_fitness: float = field(
         default=0.3,
         metadata={
@@ -103,6 +125,7 @@ class ScaleAlignConfig:
             raise UsageError(f"--min-matched must be above 0 and at most 1, not {self.min_matched}")
         if not (0 < self.min_fitness <= 1):
             raise UsageError(f"--min-fitness must be above 0 and at most 1, not {self.min_fitness}")
+        require_min_near(self.min_near)
         if self.min_inliers is not None and self.min_inliers < 1:
             raise UsageError(f"--min-inliers must be at least 1, not {self.min_inliers}")
         if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):

@@ -9,7 +9,7 @@ import numpy as np
 from alula.schemas.errors import InputError
 from alula.schemas.extras import load
 from alula.stages.alignment.colmap_counts import check_counts
-from alula.stages.alignment.evidence import Positions
+from alula.stages.alignment.evidence import Landmarks, Positions
 
 MODEL_PARTS = ("cameras", "frames", "images", "points3D", "rigs")
 
@@ -44,7 +44,7 @@ def read_model(folder: Path) -> Positions:
         folder: the model's folder.
 
     Returns:
-        Positions and axes (x right, y down, z forward) in the model's frame and units.
+        Positions and axes (x right, y down, z forward) in the model's frame and units, with its 3D points.
 
     Raises:
         InputError: it cannot be read, or no image is registered.
@@ -63,6 +63,7 @@ def read_model(folder: Path) -> Positions:
             for image in model.images.values()
             if image.has_pose
         }
+        points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
     except Exception as error:
         reason = str(error).split("] ")[-1].splitlines()
         raise InputError(f"{folder}: is no readable COLMAP model: {' '.join(reason)[:200]}") from error
@@ -74,4 +75,6 @@ def read_model(folder: Path) -> Positions:
     for i, name in enumerate(names):
         if not (np.isfinite(position[i]).all() and np.isfinite(axes[i]).all()):
             raise InputError(f"{folder}: image {name!r} has a pose that is not finite")
-    return Positions(names, position, tuple(f"{folder.name} ({name})" for name in names), axes)
+    points = points[np.isfinite(points).all(axis=1)]
+    rows = tuple(f"{folder.name} ({name})" for name in names)
+    return Positions(names, position, rows, axes, landmarks=Landmarks(str(folder), points, position, axes))

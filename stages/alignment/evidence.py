@@ -14,6 +14,41 @@ from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import inverse, transform_points
 
+UNCHECKED = (
+    "that the cameras are in the frame of the splat could not be checked: {why}; gsplat, nerfstudio and "
+    "OpenSplat move a model before they train"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """3D points of a camera model, and all of its cameras.
+
+    Attributes:
+        name: of the model, for messages.
+        points: shape (n, 3), frame and units of the model.
+        cameras: centres, shape (m, 3).
+        axes: the cameras' axes as columns (x right, y down, z forward), shape (m, 3, 3).
+    """
+
+    name: str
+    points: FloatArray
+    cameras: FloatArray
+    axes: FloatArray
+
+    def moved(self, similarity: Similarity) -> Landmarks:
+        """Landmarks in another frame.
+
+        Args:
+            similarity: the other frame from this one.
+        """
+        return Landmarks(
+            self.name,
+            transform_points(similarity, self.points),
+            transform_points(similarity, self.cameras),
+            np.array(similarity.rotation) @ self.axes,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Correspondences:
@@ -30,6 +65,7 @@ class Correspondences:
         R_world: axes of the same cameras, shape (n, 3, 3), world frame; None as above.
         facts: further figures for the alignment's record.
         warnings: for the record, one sentence each.
+        landmarks: of the model of the scene's cameras, scene frame; None where it has no 3D points.
     """
 
     rows: tuple[str, ...]
@@ -41,6 +77,20 @@ class Correspondences:
     R_world: FloatArray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    landmarks: Landmarks | None = None
+
+    def moved(self, similarity: Similarity) -> Correspondences:
+        """The same evidence with its scene side mapped.
+
+        Args:
+            similarity: frame of the new scene side from that of the present one.
+        """
+        return dataclasses.replace(
+            self,
+            scene=transform_points(similarity, self.scene),
+            R_scene=None if self.R_scene is None else np.array(similarity.rotation) @ self.R_scene,
+            landmarks=None if self.landmarks is None else self.landmarks.moved(similarity),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +103,7 @@ class Positions:
         rows: file and row of each, for messages.
         axes: the cameras' axes as columns (x right, y down, z forward), shape (n, 3, 3); None when unknown.
         facts: figures about the frame, for the alignment's record.
+        landmarks: of the cameras' model; None where it has no 3D points.
     """
 
     names: tuple[str, ...]
@@ -60,6 +111,20 @@ class Positions:
     rows: tuple[str, ...]
     axes: FloatArray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
+    landmarks: Landmarks | None = None
+
+    def moved(self, similarity: Similarity) -> Positions:
+        """The cameras in another frame.
+
+        Args:
+            similarity: the other frame from this one.
+        """
+        return dataclasses.replace(
+            self,
+            position=transform_points(similarity, self.position),
+            axes=None if self.axes is None else np.array(similarity.rotation) @ self.axes,
+            landmarks=None if self.landmarks is None else self.landmarks.moved(similarity),
+        )
 
 
 def match(
@@ -94,6 +159,8 @@ def match(
         warnings = (
             f"{len(unmatched)} of {len(known)} rows were skipped: no camera has their image ({some})",
         )
+    if cameras.landmarks is None:
+        warnings += (UNCHECKED.format(why="they come without 3D points"),)
     reference = dataclasses.replace(
         reference,
         names=tuple(name for name in reference.names if name in index),
@@ -110,6 +177,7 @@ def match(
         unmatched=unmatched,
         warnings=warnings,
         facts={**cameras.facts, **reference.facts},
+        landmarks=cameras.landmarks,
     )
     if orientations:
         assert cameras.axes is not None
@@ -132,13 +200,8 @@ def in_training_frame(
         facts: further figures for the alignment's record.
         warnings: further warnings for the record.
     """
-    back = inverse(original_from_training)
-    axes = None if found.R_scene is None else np.array(back.rotation) @ found.R_scene
-    scene = transform_points(back, found.scene)
     return dataclasses.replace(
-        found,
-        scene=scene,
-        R_scene=axes,
+        found.moved(inverse(original_from_training)),
         facts={**found.facts, **facts},
         warnings=(*found.warnings, *warnings),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,7 @@ from alula.stages.alignment.cloud import Cloud
 from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.levelling import level_by_direction, level_by_floor
+from alula.stages.alignment.model_frame import ModelFrame, model_frame
 from alula.stages.alignment.similarity import compose, transform_points
 from alula.stages.alignment.uncertainty import CONFIDENCE, mapped_corners
 from alula.stages.reconstruction.formats.splats import rounded_up
@@ -65,7 +67,7 @@ def scale_align(
     Raises:
         InputError: the evidence does not determine a similarity, or the result overflows.
         CheckError: a gate does not hold (the message has the figure and the limit), a cloud does not overlap
-            the scene, or no floor is found.
+            the scene, no floor is found, or the cameras are not in the scene's frame (see `model_frame`).
         UsageError: a gate needs a figure that the evidence does not provide, or levelling is requested
             although the evidence fixes the rotation.
     """
@@ -96,7 +98,8 @@ def solved(
         manifest: of the scene.
         box: see `bounds`.
         means: function that returns centres, shape (n, 3), scene units; called for a floor.
-        visible: the same of Gaussians with an opacity of at least `VISIBLE`; called for a cloud.
+        visible: the same of Gaussians with an opacity of at least `VISIBLE`; called for a cloud, or for the
+            cameras of a model with 3D points.
         evidence: see `scale_align`.
         seed: seed of the robust estimation.
 
@@ -111,11 +114,36 @@ def solved(
                 "--up and --floor alone are for scenes in metres; give a way to align too (--scale ...)"
             )
         evidence = Given(scale_only(1.0), "level", ())
+    evidence, frame = _in_scene_frame(config, evidence, visible)
     found = estimate(config, visible, evidence, seed, box)
+    if found.position_error is not None:
+        added = found.similarity.scale * frame.position_error(*box)
+        found = dataclasses.replace(found, position_error=found.position_error + added)
+        if frame.fit is not None:
+            found.record["model_frame"]["position_error_m"] = added
     if config.levels:
         known = manifest.frame == "world" or isinstance(evidence, Similarity)
         found = _levelled(config, found, means, box, frame_is_known=known)
     return found
+
+
+def _in_scene_frame(
+    config: ScaleAlignConfig, evidence: Evidence, visible: Callable[[], FloatArray]
+) -> tuple[Evidence, ModelFrame]:
+    """Evidence whose cameras are in the frame of the scene, and how that is known; see `model_frame`."""
+    if isinstance(evidence, Cloud):
+        if not isinstance(evidence.initial, Correspondences):
+            return evidence, ModelFrame()
+        initial, frame = _in_scene_frame(config, evidence.initial, visible)
+        assert isinstance(initial, Correspondences)
+        return dataclasses.replace(evidence, initial=initial), ModelFrame()
+    if not isinstance(evidence, Correspondences) or evidence.landmarks is None:
+        return evidence, ModelFrame()
+    frame = model_frame(evidence.landmarks, visible, config.min_near)
+    if frame.scene_from_model is not None:
+        evidence = evidence.moved(frame.scene_from_model)
+    facts = {**evidence.facts, "model_frame": dict(frame.facts)} if frame.facts else evidence.facts
+    return dataclasses.replace(evidence, facts=facts, warnings=(*evidence.warnings, *frame.warnings)), frame
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,16 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.observe import LONGEST_RADIUS_VOXELS, ObserveConfig
-from alula.schemas.decimals import exact
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import SEEN
 from alula.schemas.manifest import Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
+from alula.stages.alignment.estimates import VISIBLE
+from alula.stages.alignment.evidence import UNCHECKED
+from alula.stages.alignment.model_frame import ModelFrame, model_frame
+from alula.stages.alignment.uncertainty import CONFIDENCE
 from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
 from alula.stages.compression.level import level_words, require_sigma
 from alula.stages.compression.voxelize import voxelize
@@ -102,6 +106,7 @@ def observe(
         An `alula/seen` in the frame of the scene.
 
     Raises:
+        CheckError: the cameras are not in the frame of the scene, and it was not found (see `model_frame`).
         InputError: the scene is not metric; its box has too many voxels.
         InfeasibleError: nothing is seen, or the ball fits nowhere near a camera, or it leaks out of the box.
         UsageError: cameras and `reach` are both given or both missing, or there is no radius.
@@ -123,13 +128,17 @@ def observe(
     if radius > LONGEST_RADIUS_VOXELS:
         raise UsageError(f"--radius is more than {LONGEST_RADIUS_VOXELS:g} voxels; use larger voxels")
     lower, blocked = _obstacles(config, voxels)
+    frame = ModelFrame()
     if cameras is None:
         space = _closed(config, lower, blocked, radius)
     else:
         if manifest.world_from_scene is not None:
             cameras = cameras.moved(manifest.world_from_scene)
+        frame = _frame(config, scene, cameras)
+        if frame.scene_from_model is not None:
+            cameras = cameras.moved(frame.scene_from_model)
         space = _seen(config, scene, cameras, lower, blocked, radius, jobs, progress)
-    return _artifact(config, parameters, manifest, space, radius)
+    return _artifact(config, parameters, manifest, space, radius, frame)
 
 
 def _with_level_of(config: ObserveConfig, voxels: Artifact) -> ObserveConfig:
@@ -172,6 +181,30 @@ def _obstacles(config: ObserveConfig, voxels: Artifact) -> tuple[NDArray[np.int6
     inside = index[((index >= lower) & (index <= upper)).all(axis=1)] - lower
     blocked[tuple(inside.T)] = True
     return lower, blocked
+
+
+def _frame(config: ObserveConfig, scene: Artifact, cameras: Pinholes) -> ModelFrame:
+    """The cameras' frame, checked against the scene by the 3D points of their model; see `model_frame`."""
+    landmarks = cameras.poses.landmarks
+    if landmarks is None:
+        return ModelFrame(warnings=(UNCHECKED.format(why="they come without 3D points"),))
+    mean = np.asarray(scene["mean"], np.float64)[scene["opacity"] >= VISIBLE]
+    found = model_frame(landmarks, lambda: mean, config.min_near)
+    if found.fit is None:
+        return found
+    error = found.position_error(mean.min(axis=0), mean.max(axis=0))
+    return dataclasses.replace(found, facts={**found.facts, "position_error_m": error})
+
+
+def _frame_words(frame: ModelFrame) -> str:
+    if not frame.facts:
+        return ", whose frame was not checked"
+    if frame.fit is None:
+        return ""
+    return (
+        f", which were mapped to the splat by a similarity that was found, with {CONFIDENCE:.0%} confidence "
+        f"to {at_most(frame.facts['position_error_m'])} m"
+    )
 
 
 def _seen(
@@ -302,7 +335,12 @@ def _nearest(config: ObserveConfig, lower: NDArray[np.int64], centres: Mask) -> 
 
 
 def _artifact(
-    config: ObserveConfig, parameters: dict[str, Any], scene: SceneManifest, space: _Space, radius: float
+    config: ObserveConfig,
+    parameters: dict[str, Any],
+    scene: SceneManifest,
+    space: _Space,
+    radius: float,
+    frame: ModelFrame,
 ) -> Artifact:
     """Keep what the ball reaches, and say why it is taken for free."""
     centres = centres_of(space.free, radius, is_closed=bool(space.figures))
@@ -327,7 +365,8 @@ def _artifact(
         "outside of the file. Everything else is unknown"
     )
     before = excluded_errors(scene, inflation, ignore_loss=config.ignore_loss)
-    before += ["an error of the cameras' poses"] * bool(space.figures)
+    if space.figures:
+        before.append("an error of the cameras' poses" + _frame_words(frame))
     before += ["what the splat does not show, such as glass, thin wires and what has moved since"]
     return make_artifact(
         SEEN,
@@ -342,6 +381,7 @@ def _artifact(
             "box_voxels": box,
             "obstacle_voxels": int(space.blocked.sum()),
             **space.figures,
+            **({"notes": list(frame.warnings)} if frame.warnings else {}),
             "seen_but_not_reached": int((space.free & ~kept).sum()),
             "lower_m": (index.min(axis=0) * g).tolist(),
             "upper_m": ((index.max(axis=0).astype(np.int64) + 1) * g).tolist(),
@@ -358,6 +398,7 @@ def _artifact(
                 "near_m": config.near_m,
                 "columns": config.columns,
                 "min_views": config.min_views,
+                "model_frame": dict(frame.facts) or None,
             },
         ),
         voxel_size_m=g,

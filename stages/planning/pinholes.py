@@ -13,7 +13,6 @@ from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.colmap import read_model
 from alula.stages.alignment.evidence import Positions
-from alula.stages.alignment.similarity import transform_points
 
 WIDEST = 2.0  # largest |x/z| and |y/z| that is used, 63 degrees off the axis
 _EDGE_POINTS = 256  # per edge of an image
@@ -46,10 +45,7 @@ class Pinholes:
         Args:
             world_from_here: the other frame from this one.
         """
-        assert self.poses.axes is not None
-        axes = np.array(world_from_here.rotation) @ self.poses.axes
-        position = transform_points(world_from_here, self.poses.position)
-        return Pinholes(Positions(self.poses.names, position, self.poses.rows, axes), self.image)
+        return Pinholes(self.poses.moved(world_from_here), self.image)
 
     def arrays(self, columns: int) -> dict[str, Any]:
         """Arguments of the native functions: poses, images and pixels.

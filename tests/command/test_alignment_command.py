@@ -293,3 +293,74 @@ def test_a_limit_that_does_not_apply_is_refused(tmp_path, capsys, option, way):
     ]
     assert run(words) == 2
     assert f"{option} goes with {way}" in capsys.readouterr().err
+
+
+def moved_splat(demo, folder, matrix):
+    """The room's splat as a trainer writes it that moved the scene by s (R x + t) before."""
+    raw = (demo / "room.ply").read_bytes()
+    start = raw.index(b"end_header\n") + len(b"end_header\n")
+    names = [line.split()[-1] for line in raw[:start].decode().splitlines() if line.startswith("property")]
+    rows = np.frombuffer(raw[start:], [(name, "<f4") for name in names]).copy()
+    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+    position = np.stack([rows[axis] for axis in "xyz"], axis=1) @ matrix[:3, :3].T + matrix[:3, 3]
+    quat = Rotation.from_quat(np.stack([rows[f"rot_{i}"] for i in (1, 2, 3, 0)], axis=1))
+    turned = (Rotation.from_matrix(matrix[:3, :3] / scale) * quat).as_quat()[:, [3, 0, 1, 2]]
+    for i, axis in enumerate("xyz"):
+        rows[axis] = position[:, i]
+        rows[f"scale_{i}"] += np.log(scale)
+    for i in range(4):
+        rows[f"rot_{i}"] = turned[:, i]
+    (folder / "moved.ply").write_bytes(raw[:start] + rows.tobytes())
+    assert run(["import-splat", str(folder / "moved.ply"), "-o", str(folder / "moved.scene.npz"), "-q"]) == 0
+    return folder / "moved.scene.npz"
+
+
+def as_opensplat(demo):
+    centre = read_model(demo / "sparse").position
+    matrix = np.eye(4)
+    matrix[:3, 3] = -centre.mean(axis=0)
+    matrix[:3] /= np.abs(centre - centre.mean(axis=0)).max()
+    return matrix
+
+
+def test_a_splat_that_its_trainer_moved_is_aligned_to_within_its_bound(demo, align, tmp_path, capsys):
+    matrix = as_opensplat(demo)
+    scene = moved_splat(demo, tmp_path, matrix)
+    words = ["--colmap", demo / "sparse", "--reference", demo / "poses.csv"]
+    assert align(*words, scene=scene, quiet=False) == 0
+    said = capsys.readouterr().err
+    assert "not in the frame of the splat" in said
+    assert "like OpenSplat's centre and scale" in said
+    found = read_artifact(tmp_path / "m.scene.npz")
+    truth = transform_points(TRUTH, read_artifact(demo / "room.scene.npz")["mean"])
+    error = np.linalg.norm(found["mean"] - truth, axis=1).max()
+    assert error < found.manifest.suggested_inflation_m < 0.03
+    frame = found.manifest.alignment["model_frame"]
+    assert frame["before"]["near"] * frame["before"]["inside"] < 0.3
+    assert frame["near"] > 0.95
+    assert 0 < frame["position_error_m"] < found.manifest.suggested_inflation_m
+
+
+def test_cameras_in_no_frame_of_the_splat_are_refused_wherever_they_meet(demo, align, tmp_path, capsys):
+    matrix = np.eye(4)
+    matrix[:3, :3] = 0.4 * Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    matrix[:3, 3] = [-0.32, 0.44, -0.12]
+    scene = moved_splat(demo, tmp_path, matrix)
+    kept = set(tmp_path.iterdir())
+    words = ["--colmap", demo / "sparse", "--reference", demo / "poses.csv"]
+    assert align(*words, scene=scene) == 4
+    assert re.search(r"sparse: is not in the frame of the splat: \d+% of the 3D points", error(capsys))
+    assert run(["init", str(tmp_path / "moved.ply"), "--colmap", str(demo / "sparse")]) == 4
+    assert "or give --up" in error(capsys)
+    assert align("--scale", 2, scene=scene) == 0
+    kept.add(tmp_path / "m.scene.npz")
+    words = ["-o", str(tmp_path / "m.seen.npz"), "--colmap", str(demo / "sparse"), "--size", "0.2"]
+    assert run(["observe", str(tmp_path / "m.scene.npz"), *words, "--radius", "0.2"]) == 4
+    assert "not in the frame of the splat" in error(capsys)
+    assert set(tmp_path.iterdir()) == kept
+
+
+def test_cameras_without_points_are_said_to_be_unchecked(demo, align, capsys):
+    words = ["--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv"]
+    assert align(*words, quiet=False) == 0
+    assert "could not be checked: they come without 3D points" in capsys.readouterr().err

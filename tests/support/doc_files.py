@@ -39,6 +39,19 @@ def write_garden(path: Path) -> None:
     path.write_bytes("\n".join(header).encode() + rows.tobytes())
 
 
+def write_garden_model(room: Path, garden: Path, folder: Path) -> None:
+    """A COLMAP model with the cameras of the room's and points on Gaussians of the garden."""
+    rows = np.frombuffer(
+        garden.read_bytes().split(b"end_header\n", 1)[1], [(name, "<f4") for name in COLUMNS]
+    )
+    folder.mkdir()
+    shutil.copy(room / "cameras.txt", folder)
+    poses = [line for line in (room / "images.txt").read_text().splitlines() if line.endswith(".jpg")]
+    (folder / "images.txt").write_text("".join(f"{pose}\n\n" for pose in poses))
+    points = (f"{k + 1} {row['x']} {row['y']} {row['z']} 0 0 0 1\n" for k, row in enumerate(rows))
+    (folder / "points3D.txt").write_text("".join(points))
+
+
 def write_shed(path: Path) -> None:
     """A hollow box of 4 m x 3 m x 2 m as a mesh, or points of it."""
     import trimesh
@@ -103,6 +116,12 @@ class DocFiles:
         if kind in (".obj", ".stl", ".xyz"):
             write_shed(target)
             return target
+        if kind in ("sparse/0", "colmap") and place == "garden":
+            self.made("room", ".ply")
+            write_garden_model(
+                self.folder / "cameras", self.made("garden", ".ply"), self.folder / "garden model"
+            )
+            return self.folder / "garden model"
         if kind in ("sparse/0", "colmap", "reference.csv", "surveyed_cameras.csv"):
             self.made("room", ".ply")
             return self.folder / ("cameras" if kind in ("sparse/0", "colmap") else "cameras.csv")

@@ -59,7 +59,8 @@ def test_cameras_are_matched_by_name_in_the_order_of_the_reference():
     np.testing.assert_array_equal(found.world[:, 0], [5, 6])
     assert found.unused == 2
     assert found.unmatched == ()
-    assert found.warnings == ()
+    (unchecked,) = found.warnings
+    assert "could not be checked: they come without 3D points" in unchecked
 
 
 def test_rows_without_a_camera_are_skipped_and_counted_down_to_a_fraction():
@@ -68,7 +69,9 @@ def test_rows_without_a_camera_are_skipped_and_counted_down_to_a_fraction():
     np.testing.assert_array_equal(found.scene[:, 0], [0, 2, 1])
     np.testing.assert_array_equal(found.world[:, 0], [5, 7, 8])
     assert found.unmatched == ("e",)
-    assert found.warnings == ("1 of 4 rows were skipped: no camera has their image (e)",)
+    skipped, unchecked = found.warnings
+    assert skipped == "1 of 4 rows were skipped: no camera has their image (e)"
+    assert "could not be checked: they come without 3D points" in unchecked
     assert len(match(positions("a"), positions("a", "e", start=5.0)).rows) == 1
     refused = (
         r"t.csv row 3 \(e\): no camera has an image of that name; 2 of 3 rows name none, and 50% must name"
