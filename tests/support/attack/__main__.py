@@ -20,6 +20,7 @@ SHARES: dict[str, float] = {
     "shield": 0.45,
     "plans": 0.15,
     "missions": 0.2,
+    "seen": 0.1,
     "meshes": 0.1,
 }  # of the time, by module
 MARKS = ("<!-- attack -->", "<!-- /attack -->")
