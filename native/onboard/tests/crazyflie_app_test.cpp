@@ -133,7 +133,7 @@ void controllerPid(control_t*, const setpoint_t* setpoint, const sensorData_t*, 
   flown_setpoint = *setpoint;
   ++pid_calls;
 }
-logVarId_t logGetVarId(char*, char* name) { return static_cast<logVarId_t>(name[3] - 'X'); }
+logVarId_t logGetVarId(const char*, const char* name) { return static_cast<logVarId_t>(name[3] - 'X'); }
 float logGetFloat(logVarId_t id) { return variances[id]; }
 void vTaskDelay(TickType_t) {
   turn_of_loop.release();

@@ -63,7 +63,10 @@ static alula_crazyflie_config parameters(void) {
 
 void appMain() {
   alula_crazyflie_config tried = parameters();
-  DEBUG_PRINT(isReady ? "%lu hulls\n" : "no map, not armed (%lu)\n", (unsigned long)filter.map.hull_count);
+  if (isReady)
+    DEBUG_PRINT("%lu hulls\n", (unsigned long)filter.map.hull_count);
+  else
+    DEBUG_PRINT("no map, not armed\n");
   while (1) {
     vTaskDelay(M2T(1));
     if (!isReady) continue;
@@ -94,17 +97,16 @@ bool controllerOutOfTreeTest(void) { return controllerPidTest() && isReady; }
 
 /* The largest variance of the Kalman filter's position; other estimators have neither variance nor position. */
 static float variance_now(void) {
-  static char group[] = "kalman", x[] = "varX", y[] = "varY", z[] = "varZ";
   static bool isKnown;
   if (!isKnown) {
-    variances[0] = logGetVarId(group, x);
-    variances[1] = logGetVarId(group, y);
-    variances[2] = logGetVarId(group, z);
+    variances[0] = logGetVarId("kalman", "varX");
+    variances[1] = logGetVarId("kalman", "varY");
+    variances[2] = logGetVarId("kalman", "varZ");
     isKnown = true;
   }
   float largest = 0.0F;
   for (int i = 0; i < 3; ++i) {
-    if (!LOG_VARID_IS_VALID(variances[i])) return UNKNOWN;
+    if (!logVarIdIsValid(variances[i])) return UNKNOWN;
     const float now = logGetFloat(variances[i]);
     if (!(now <= largest)) largest = now; /* NaN is kept */
     if (largest != largest) return UNKNOWN;

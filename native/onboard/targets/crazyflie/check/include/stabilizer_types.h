@@ -14,7 +14,6 @@ typedef struct {
 } check_vector;
 
 typedef struct {
-  uint32_t timestamp;
   float x, y, z, w;
 } check_quaternion;
 
