@@ -20,7 +20,8 @@ from alula.stages.sim_vehicle.px4.modes import ROWS, Px4Mode, custom_mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 
 _VERSION = (1 << 24) | (15 << 16) | (4 << 8) | 255  # 1.15.4, released
-_SETTLED, _NO_POSITION = 0x33F, 0xA5  # ESTIMATOR_STATUS.flags: all but above ground; attitude and height
+_SETTLED, _NO_POSITION = 0x37F, 0x65  # ESTIMATOR_STATUS.flags: all that are good; attitude and heights
+_AT_REST = 128  # CONST_POS_MODE, which PX4 sets whenever it rests on the ground
 _PRESSURE_HPA, _FALL_HPA_M = 1013.25, 0.1186
 _MAGNETIC_GAUSS = (0.21, 0.01, 0.42)  # approximate field at Zurich, NED
 _POSITION, _VELOCITY, _ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6  # bits of type_mask
@@ -97,6 +98,7 @@ class Px4Telemetry(Telemetry):
     def _estimator_status(self) -> Message:
         estimator = self._px4.estimator
         flags = (_SETTLED if estimator.has_position else _NO_POSITION) if estimator.is_started else 0
+        flags |= _AT_REST if self._px4.is_landed else 0
         bad = estimator.variance
         return mavlink.MAVLink_estimator_status_message(
             self._now_us, flags, *(bad, bad, 0.05, 0.05, 0.0, 0.0), *(0.1, 0.1)

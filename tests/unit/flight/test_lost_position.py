@@ -216,3 +216,28 @@ def test_the_flags_of_the_estimate_say_what_is_wrong(flags, words):
     telemetry.take(mavlink.MAVLink_ekf_status_report_message(flags, 0, 0, 0, 0, 0), 1.0)
     assert telemetry.status.estimator == words
     assert telemetry.status.is_estimator_ready is not bool(words)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (0x3FF, ""),  # PX4 at rest on the ground, ready to fly
+        (0x37F, ""),  # in the air
+        (0x33F, ""),
+        (
+            0xE5,
+            "no horizontal velocity, position; constant position mode",
+        ),  # at rest without a source of positions
+        (0x2FF, "constant position mode"),  # at rest, and what it holds constant is no measurement
+        (0x7FF, "a jump of satellites"),
+        (
+            0x80,
+            "no attitude, horizontal velocity, vertical velocity, height, position; constant position mode",
+        ),
+    ],
+)
+def test_the_flags_of_px4s_estimate_say_what_is_wrong(flags, words):
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_estimator_status_message(0, flags, *[0.0] * 8), 1.0)
+    assert telemetry.status.estimator == words
+    assert telemetry.status.is_estimator_ready is not bool(words)

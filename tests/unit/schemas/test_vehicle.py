@@ -54,10 +54,10 @@ def test_each_example_reads_and_flies(path):
     assert 1.5 < body.max_thrust / body.hover_thrust < 9
 
 
-def test_six_examples_are_there():
+def test_seven_examples_are_there():
     names = {path.stem for path in EXAMPLES.glob("*.toml")}
     points = {"double-integrator", "single-integrator"}
-    assert names == {"fastbridge", "arducopter", "crazyflie21", "racer7"} | points
+    assert names == {"fastbridge", "arducopter", "px4-sih", "crazyflie21", "racer7"} | points
 
 
 def test_every_key_of_a_disturbance_reaches_the_plant(tmp_path):

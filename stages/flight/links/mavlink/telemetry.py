@@ -17,10 +17,15 @@ _MAX_TEXTS = 100
 # Bits of EKF_STATUS_REPORT (ArduPilot) and ESTIMATOR_STATUS (PX4).
 _FLAGS_NEEDED = {1: "attitude", 2: "horizontal velocity", 4: "vertical velocity", 32: "height"}
 _FLAGS_EITHER = 8 | 16  # position, relative or absolute
-_FLAGS_BAD = {
-    128: "constant position mode",
-    1024: "not initialised, or a jump of satellites",  # of ArduPilot; of PX4
-    1 << 15: "satellites are not accurate",  # of ArduPilot
+_CONSTANT = "constant position mode"
+_FLAGS_BAD = {  # each bit makes an estimate useless unless one of the bits beside its name is set, too
+    "EKF_STATUS_REPORT": {
+        128: (_CONSTANT, 0),
+        1024: ("not initialised", 0),
+        1 << 15: ("satellites are not accurate", 0),
+    },
+    # PX4 sets 128 whenever it rests on the ground; 256 says that it measures its horizontal motion
+    "ESTIMATOR_STATUS": {128: (_CONSTANT, 256), 1024: ("a jump of satellites", 0)},
 }
 _NO_VOLTAGE = 0xFFFF
 _LANDED = {
@@ -60,7 +65,7 @@ class Telemetry:
         self.mode: tuple[int, int] | None = None
         self.autopilot: Autopilot | None = None
         self.satellites = Satellites()
-        self._flags: int | None = None
+        self._flags: tuple[str, int] | None = None  # newest kind of message with its flags
         self._texts = Texts()
         self._reason = (-math.inf, "")
         self._refusals: dict[str, float] = {}  # reasons not to arm, and when they were given last
@@ -95,8 +100,8 @@ class Telemetry:
             status.battery_share = percent * 1e-2 if 0 <= percent <= 100 else None
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
-        elif kind in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
-            self._flags, kind = message.flags, "ESTIMATOR"
+        elif kind in _FLAGS_BAD:
+            self._flags, kind = (kind, message.flags), "ESTIMATOR"
             self._judge_estimator(now_s)
         elif kind in KINDS:
             self.satellites.take(message, now_s)
@@ -130,7 +135,7 @@ class Telemetry:
         if self._flags is None:
             status.is_estimator_ready, status.estimator = None, ""
             return
-        status.estimator = _trouble_of(self._flags) or self.satellites.trouble(now_s)
+        status.estimator = _trouble_of(*self._flags) or self.satellites.trouble(now_s)
         status.is_estimator_ready = not status.estimator
 
     def _judge_arming(self, now_s: float) -> None:
@@ -174,11 +179,12 @@ class Telemetry:
                 self._judge_estimator(now_s)
 
 
-def _trouble_of(flags: int) -> str:
-    """What an estimate with these flags lacks, in words; empty if it is good enough to fly."""
+def _trouble_of(kind: str, flags: int) -> str:
+    """What an estimate lacks by the flags of a kind of message; empty if it is good enough to fly."""
     missing = [name for bit, name in _FLAGS_NEEDED.items() if not flags & bit]
     missing += [] if flags & _FLAGS_EITHER else ["position"]
-    found = [name for bit, name in _FLAGS_BAD.items() if flags & bit]
+    bad = _FLAGS_BAD[kind]
+    found = [name for bit, (name, unless) in bad.items() if flags & bit and not flags & unless]
     return "; ".join([f"no {', '.join(missing)}"] * bool(missing) + found)
 
 

@@ -21,5 +21,6 @@ struct log_s {
   static const struct log_s check_logs_##NAME[] __attribute__((section(".log." #NAME), used)) = {{0, #NAME, 0},
 #define LOG_ADD(TYPE, NAME, ADDRESS) \
   {TYPE + 0 * sizeof(char[sizeof *(ADDRESS) == CHECK_LOG_SIZE(TYPE) ? 1 : -1]), #NAME, (void*)(ADDRESS)},
-#define LOG_GROUP_STOP(NAME) {0, "stop_" #NAME, 0}};
+#define LOG_GROUP_STOP(NAME) {0, "stop_" #NAME, 0}} \
+  ;
 #endif

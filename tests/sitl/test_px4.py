@@ -1,0 +1,41 @@
+"""Flights of PX4's own simulation, judged by its true motion."""
+
+import numpy as np
+import pytest
+
+from support.ardupilot_sitl import GOAL, START, flight
+from support.paths import VEHICLES
+from support.px4_sitl import px4
+from support.sim_vehicle_process import until
+from support.small_scenes import line_plan
+
+pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
+
+RESTING = 0x3FF
+SIH = ("--vehicle", str(VEHICLES / "px4-sih.toml"))
+
+
+def test_a_dry_run_of_a_ready_px4_passes(tmp_path):
+    with px4(tmp_path) as sim, flight(sim, tmp_path, *SIH, "--dry-run") as fly:
+        assert fly.end(150.0) == 0, fly.said
+        assert "check estimator: holds" in fly.said
+        assert until(lambda: sim.flags)[-1][1] == RESTING  # our simulated PX4 sends this, too
+
+
+def test_px4_arms_flies_and_lands_by_satellites(tmp_path):
+    """Its simulated receiver wanders by a metre, which may end a flight early; the walls are 6 m away."""
+    plan = line_plan(START, GOAL, 24.0)
+    with px4(tmp_path) as sim, flight(sim, tmp_path, *SIH, plan=plan) as fly:
+        begun = fly.wait_for("armed: taking off")
+        ended = fly.wait_for("on the ground: disarming")
+        assert fly.end(60.0) in (0, 4), fly.said
+        path, flags = np.array(sim.truth), np.array(sim.flags)
+    assert path[:, 3].max() > 1.0
+    assert np.abs(path[:, 2]).max() < 3.0
+    assert abs(path[-1, 3]) < 0.5
+    if fly.at("plan finished: landing"):
+        assert path[:, 1].max() > 12.0
+    else:
+        assert "off the climb path" in fly.said, fly.said
+    flying = flags[(flags[:, 0] > begun + 5.0) & (flags[:, 0] < ended - 5.0), 1]
+    assert set(flying.astype(int)) == {RESTING & ~128}
