@@ -196,22 +196,25 @@ class Mission:
         seed = parameters["rules"].pop("seed")
         return cls(scenario, vehicle, parameters, seed, paths, pairs, pairs_run)
 
-    def summary_of(self, flown: WorldRun, provenance: Provenance) -> dict[str, Any]:
-        """Summary of a run, with a note where it differs from the run whose pairs were flown.
+    def summary_of(self, flown: WorldRun, provenance: Provenance, cover: Artifact | None) -> dict[str, Any]:
+        """Summary of a run; notes say how it differs from the run of its pairs, and its cover from its scene.
 
         Args:
             flown: all trials.
             provenance: of the run.
+            cover: that was flown in.
         """
+        from alula.stages.simulation.world.certificate import misfits
         from alula.stages.simulation.world.summary import world_summary, world_words
         from alula.stages.unlike import Flown, unlike, unlike_words
 
         summary = world_summary(flown)
-        if self.pairs_run is None:
-            return summary
-        found = unlike(self.pairs_run, Flown(world_words(flown.scenario, flown.vehicle), provenance))
-        if note := unlike_words(found, self.paths["pairs"].name, "this run"):
-            summary["notes"] = [note, *summary.get("notes", ())]
+        notes = misfits(flown, cover, provenance.inputs)
+        if self.pairs_run is not None:
+            found = unlike(self.pairs_run, Flown(world_words(flown.scenario, flown.vehicle), provenance))
+            notes.append(unlike_words(found, self.paths["pairs"].name, "this run"))
+        if notes := [note for note in notes if note]:
+            summary["notes"] = [*notes, *summary.get("notes", ())]
         return summary
 
     def read(self, role: str) -> Artifact | None:

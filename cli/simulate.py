@@ -159,7 +159,7 @@ def _fly(
                 is_key = "`$." in str(error)
                 raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
         timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
-        summary = mission.summary_of(flown, provenance)
+        summary = mission.summary_of(flown, provenance, read.get("cover"))
         return lambda: write_flights(common.output, provenance, flown, summary, timing, read), summary
 
     run(common, RUN_SCHEMA, RUN_VERSION, mission.parameters, mission.paths, make, seed=mission.seed)

@@ -45,7 +45,7 @@ class _Flown:
         inputs: Mapping[str, Result | File],
     ) -> None:
         self.mission, self.flown, self.timing, self.maps, self.inputs = mission, flown, timing, maps, inputs
-        self.summary = mission.summary_of(flown, self.provenance())
+        self.summary = mission.summary_of(flown, self.provenance(), maps.get("cover"))
 
     def provenance(self) -> Provenance:
         refs: list[InputRef] = [one.ref(role) for role, one in self.inputs.items()]

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import LEVEL, ImportedMap, LevelManifest
@@ -156,3 +157,22 @@ def omissions(level: LevelManifest, *, below: int | None = None, is_cropped: boo
 def _several(level: LevelManifest) -> str:
     one = obstacle_of(level)
     return "leaves" if one == "leaf" else f"{one}s"
+
+
+def without(omitted: list[str]) -> str:
+    """End of a verdict that names what it does not include; empty where it includes everything.
+
+    Args:
+        omitted: in words.
+    """
+    return f"; not included: {', '.join(omitted)}" if omitted else ""
+
+
+def level_of(artifact: Artifact) -> LevelManifest:
+    """Definition of an obstacle in voxels, seen space or a cover.
+
+    Args:
+        artifact: of one of these kinds.
+    """
+    assert isinstance(artifact.manifest, LevelManifest)
+    return artifact.manifest

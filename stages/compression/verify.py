@@ -20,6 +20,7 @@ from alula.schemas.errors import ArtifactError, InputError, UsageError
 from alula.schemas.manifest import (
     LEVEL,
     CoverManifest,
+    InputRef,
     LevelManifest,
     Manifest,
     SceneManifest,
@@ -42,6 +43,7 @@ from alula.stages.compression.level import (
     outside_words,
     recorded_level,
     require_sigma,
+    without,
 )
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.verify_imported import imported_checks
@@ -351,15 +353,6 @@ def certificate_of(
     )
 
 
-def without(omitted: list[str]) -> str:
-    """End of a verdict that names what it does not include; empty where it includes everything.
-
-    Args:
-        omitted: in words.
-    """
-    return f"; not included: {', '.join(omitted)}" if omitted else ""
-
-
 def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
     """Refuse a cover with planes and vertices that do not describe the same bounded polytopes.
 
@@ -647,11 +640,15 @@ def notes_of(
         scene: the scene, if given.
         sha256: hashes of the files "voxels" and "scene".
     """
-    notes = []
+    notes, named = [], []
     for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
-        if maker is None or given is None or role not in sha256:
-            continue
-        made_from = [ref for ref in maker.manifest.inputs if ref.schema == given.manifest.schema]
+        if maker is not None and given is not None and role in sha256:
+            refs = [ref for ref in maker.manifest.inputs if ref.schema == given.manifest.schema]
+            named.append((what, role, refs))
+    if voxels is None and scene is not None and "scene" in sha256:
+        origin: list[InputRef] = getattr(cover.manifest, "made_from", [])
+        named.append(("cover", "scene", [ref for ref in origin if ref.schema == scene.manifest.schema]))
+    for what, role, made_from in named:
         if made_from and sha256[role] not in {ref.sha256 for ref in made_from}:
             notes.append(f"the {what} was made from another {role} file, {made_from[0].name}")
     if scene is not None and isinstance(scene.manifest, SceneManifest):

@@ -17,6 +17,15 @@ from alula.stages.clearance import (
     path_metrics,
     sphere_clearance,
 )
+from alula.stages.compression.level import (
+    level_of,
+    level_words,
+    mass_within,
+    obstacles_words,
+    omissions,
+    recorded_level,
+    without,
+)
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
@@ -181,7 +190,8 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
     """
     name = mission.config.filter
     who = "without a filter" if name == "none" else f"behind the filter {name!r}"
-    touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
+    map_ = _map_words(mission)
+    touched = f"came closer than its radius to {map_}" if trial.collision else f"kept its radius from {map_}"
     proven, how = mission.is_clear
     later = f" Plans made in flight, each proven before it was flown: {new_plans}." if new_plans else ""
     return Guarantee(
@@ -194,6 +204,7 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
             "plan_certified": proven and mission.along.is_proven,
             **({"new_plans": new_plans} if new_plans else {}),
             "map_clear": not trial.collision,
+            "map": _map_record(mission),
             "continuous_time": False,
             "positions": "as measured by the vehicle",
             "radius_m": mission.vehicle.body.radius_m,
@@ -201,3 +212,26 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
             "inflation_m": mission.inflation_m,
         },
     )
+
+
+def _map_words(mission: Mission) -> str:
+    """What a flight was judged against: the obstacles with their level, and what this leaves out."""
+    parts, sigma = [], mission.config.sigma
+    if mission.cover is not None:
+        level = level_of(mission.cover)
+        parts.append(f"the hulls of the cover, made for {obstacles_words(level)}{without(omissions(level))}")
+    if mission.within is not None:
+        parts.append("all space that was not seen")
+    if mission.scene is not None:
+        parts.append(f"the ellipsoids of the scene at {level_words(sigma)}")
+    return " and ".join(parts)
+
+
+def _map_record(mission: Mission) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    if mission.cover is not None:
+        level = level_of(mission.cover)
+        found["cover"] = recorded_level(level) | {"omits": omissions(level)}
+    if mission.scene is not None:
+        found["scene"] = {"sigma": mission.config.sigma, "mass_fraction": mass_within(mission.config.sigma)}
+    return found

@@ -25,9 +25,10 @@ from alula.stages.compression.level import (
     omissions,
     recorded_level,
     require_sigma,
+    without,
 )
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
-from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, without
+from alula.stages.compression.verify import LISTED, Certificate, Check, Offence
 
 Mask = NDArray[np.bool_]
 

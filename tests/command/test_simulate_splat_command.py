@@ -1,5 +1,6 @@
 """`alula simulate` among the ellipsoids of a scene, as a user runs it: files, logs, exit codes, errors."""
 
+import hashlib
 import json
 import re
 from collections import Counter
@@ -14,6 +15,7 @@ from alula.cli.main import run
 from alula.schemas.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.flights import read_flights
 from alula.schemas.kinds import SCENE
+from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, read_run, record_path
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from support.fabricate import box, make_cover, make_scene
@@ -177,6 +179,24 @@ def test_a_cover_beside_a_scene_is_part_of_the_world(scene, tmp_path, capsys):
     assert all(t.map_clearance_m > 0 < t.scene_clearance_m for t in record.trials)
     assert record.guarantee.claims["certified_against"] == ["ellipsoids", "hulls"]
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scene"]
+
+
+def test_a_cover_of_another_scene_or_level_is_said_at_once(scene, tmp_path, capsys):
+    cover, out = tmp_path / "c.cover.npz", tmp_path / "r.run.mcap"
+    made = make_cover([box((-90, -90, -90), (-80, -80, -80))])
+    origin = InputRef("scene", "alula/scene", "1.0", "7" * 64, "other.scene.npz")
+    named = msgspec.structs.replace(made.manifest, made_from=[origin], sigma=1.0)
+    write_artifact(cover, Artifact(named, made.arrays))
+    words = ["simulate", str(cover), "--scene", str(scene), *FAST, "-o", str(out)]
+    assert run([*words, "--filter", "cone-backup", "--set", "world.sigma=1.5"]) == 0
+    error = capsys.readouterr().err
+    assert "note: The cover was made from another scene file, other.scene.npz (sha256 777777777777…)" in error
+    assert (
+        "note: The ellipsoids of the run are those at 1.5 sigma, and the cover contains those at 1." in error
+    )
+    chain = read_run(out).guarantee.claims["chain"]
+    assert not chain["holds"]
+    assert chain["inputs"]["scene"] == hashlib.sha256(scene.read_bytes()).hexdigest()
 
 
 def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):

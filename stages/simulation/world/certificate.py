@@ -310,6 +310,21 @@ def _chain(
     }
 
 
+def misfits(run: WorldRun, cover: Artifact | None, inputs: Sequence[InputRef]) -> list[str]:
+    """How the obstacles in a cover differ from the scene that was flown in beside it, one sentence each.
+
+    Args:
+        run: all trials.
+        cover: that was flown in.
+        inputs: files of the run, with their hashes.
+    """
+    if cover is None or run.scenario.world.scene is None:
+        return []
+    level = cover.manifest
+    assert isinstance(level, CoverManifest)
+    return _unlike_the_scene(run, level, origin_of(level), inputs)
+
+
 def origin_of(level: CoverManifest) -> list[InputRef]:
     """The files that the obstacles of a cover come from: the scene, or the imported map.
 

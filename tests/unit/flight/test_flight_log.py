@@ -1,11 +1,13 @@
 """Log of a flight: its contents, that it never waits, and its readable part after a crash."""
 
+import dataclasses
 import os
 import signal
 import subprocess
 import sys
 import time
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -16,7 +18,7 @@ from alula.schemas.flights import count_messages, flights_of
 from alula.schemas.mcap_log import messages, metadata
 from alula.schemas.run import FLIGHT_METADATA, read_run
 from alula.schemas.start_time import utc_text
-from alula.stages.flight.judge import timing_of
+from alula.stages.flight.judge import guarantee_of, timing_of
 from alula.stages.flight.recorder.log import FlightRecorder
 from support.flight_logs import head_of, record_of, sample
 from support.flights import fly, mission
@@ -36,6 +38,15 @@ def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
     (trial,) = found.record.trials
     assert (trial.outcome, trial.collision) == ("reached", False)
     assert trial.map_clearance_m > 0
+    guarantee = found.record.guarantee
+    what = "the hulls of the cover, made for every ellipsoid of the scene at 1 sigma (19.8 % of a Gaussian's"
+    assert f"it kept its radius from {what}" in guarantee.statement
+    assert guarantee.claims["map"]["cover"]["sigma"] == 1.0
+    thin = msgspec.structs.replace(made.cover.manifest, min_opacity=0.5)
+    part = dataclasses.replace(made, cover=dataclasses.replace(made.cover, manifest=thin))
+    claimed = guarantee_of(part, trial)
+    assert "not included: Gaussians of opacity below 0.5" in claimed.statement
+    assert claimed.claims["map"]["cover"]["omits"] == ["Gaussians of opacity below 0.5"]
     assert trial.max_tracking_error_m < 0.3
     counts, complete = count_messages(log)
     assert complete
