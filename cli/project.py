@@ -261,12 +261,15 @@ def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
 
 
 def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, str]) -> Up:
-    from alula.stages.reconstruction.look import up_given, up_of, up_of_cameras
+    from alula.schemas.manifest import SceneManifest
+    from alula.stages.reconstruction.look import convention_of, up_given, up_of, up_of_cameras
 
     if up is not None:
         found = up_given(up)
     elif colmap is None:
-        found = up_of(scene.mean)
+        manifest = scene.artifact.manifest
+        assert isinstance(manifest, SceneManifest)
+        found = up_of(scene.mean, convention_of(manifest.source))
     else:
         import numpy as np
 

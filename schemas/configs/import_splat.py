@@ -26,7 +26,8 @@ class ImportSplatConfig:
         default=None,
         metadata={
             "group": "Levels of detail",
-            "help": "Level of detail to read from lod-meta.json; default: 0, the finest.",
+            "help": "Level of detail to read from lod-meta.json; default: 0, the finest. Further files, such "
+            "as the environment, are read whole.",
         },
     )
     part: bool = field(

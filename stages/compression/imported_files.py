@@ -73,7 +73,7 @@ def read_imported(path: Path) -> ImportedSource:
             raise InputError(f"{what} {np.argmax(wrong)}{part} is not finite")
         return found
     except (ArtifactError, InputError) as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise error.reworded(f"{path}: {error}") from error
 
 
 def _read(path: Path, raw: bytes, suffix: str) -> Mesh | Cloud:

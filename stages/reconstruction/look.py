@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +15,54 @@ from alula.schemas.arrays import FloatArray
 _Centres = NDArray[np.floating[Any]]
 _LAYERS = 200  # along the largest extent of nearly all Gaussians
 _OUTER = 0.5  # percentile beyond which Gaussians have no say in the extent
-_CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: a floor
+_CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: perhaps a floor
+_FLOOR = 0.1, 2.0  # fraction of the Gaussians, and times as many as along any other axis: surely a floor
 _ONE_SIDED = 2.0  # times as many Gaussians above a floor as below it
-_NO_FLOOR = "no floor stands out, so the axis -y of most trainers is taken"
 _MATTER = 1.0  # percentile of a box around the matter
 _WORTH = 0.5  # of the volume of all Gaussians: a smaller box is worth a crop
 _GROWN = 0.05  # of its edges, by which that box is grown
 CONVENTION = (0.0, -1.0, 0.0)  # up of most trainers, which take over COLMAP's axes
+
+
+@dataclass(frozen=True, slots=True)
+class Convention:
+    """Up of a file by its format.
+
+    Attributes:
+        direction: unit vector in the frame of the splat.
+        words: whose convention it is.
+        is_stated: the format, or the file, states it; other formats leave it to the writer.
+    """
+
+    direction: tuple[float, float, float] = CONVENTION
+    words: str = "the axis -y of most trainers"
+    is_stated: bool = False
+
+
+def convention_of(source: Mapping[str, Any]) -> Convention:
+    """Up by the convention of a scene's format.
+
+    SPZ names its frame by the directions of x, y and z (RUB: right, up, back), which is RUB where the file
+    names none; glTF is y up; nerfstudio trains with z up.
+
+    Args:
+        source: of the manifest of an `alula/scene`.
+    """
+    frame = str(source["frame"]["file"])
+    if (named := re.match(r"([LRUDFB]{3})\b", frame)) and (place := re.search("[UD]", named[1])):
+        sign, axis = (1.0 if place[0] == "U" else -1.0), place.start()
+        words = f"{'+' if sign > 0 else '-'}{'xyz'[axis]} of the frame {named[1]} of SPZ"
+        return Convention(_axis(axis, sign), words, True)
+    if frame.startswith("glTF"):
+        return Convention(_axis(1, 1.0), "+y of glTF", True)
+    if frame.startswith("nerfstudio"):
+        return Convention(_axis(2, 1.0), "+z of nerfstudio", True)
+    return Convention()
+
+
+def _axis(axis: int, sign: float) -> tuple[float, float, float]:
+    x, y, z = (sign if axis == i else 0.0 for i in range(3))
+    return x, y, z
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,31 +78,44 @@ class Up:
     why: str
 
 
-def up_of(mean: _Centres) -> Up:
+def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
     """Up from the Gaussians alone: away from the floor, the fullest thin layer across an axis.
 
     Layers have the same thickness along all axes, 1 / 200 of the largest extent. Where neither side of the
-    fullest layer has twice as many Gaussians as the other, up is +x, -y or +z, as most writers have it. Where
-    no axis has a layer that is clearly fuller than those of the others, up is -y, as most trainers write it.
+    fullest layer has twice as many Gaussians as the other, up is +x, -y or +z, as most writers have it.
+
+    A layer with a tenth of the Gaussians, and twice as many as any across another axis, is a floor. A layer
+    with fewer decides only where the format does not state its frame, and never for x, which no format has
+    up; else up is that of the convention.
 
     Args:
         mean: centres, shape (N, 3).
+        convention: up by the format of the file.
     """
+    no_floor = Up(convention.direction, f"no floor stands out, so {convention.words} is taken")
     low, high = np.percentile(mean, (_OUTER, 100 - _OUTER), axis=0)
     thickness = float((high - low).max()) / _LAYERS
     if not thickness > 0:
-        return Up(CONVENTION, _NO_FLOOR)
+        return no_floor
     layers = [_layer(mean[:, axis], float(low[axis]), float(high[axis]), thickness) for axis in range(3)]
     order = sorted(range(3), key=lambda axis: -layers[axis][0])
     share, below, above = layers[order[0]]
     if share < _CLEAR * layers[order[1]][0]:
-        return Up(CONVENTION, _NO_FLOOR)
+        return no_floor
+    is_floor = share >= _FLOOR[0] and share >= _FLOOR[1] * layers[order[1]][0]
+    if not is_floor and (convention.is_stated or order[0] == 0):
+        return Up(
+            convention.direction,
+            f"the fullest flat layer, across {'xyz'[order[0]]}, has only {share:.0%} of the Gaussians, too "
+            f"few for a floor, so {convention.words} is taken; --up gives another",
+        )
     is_positive = order[0] != 1 if max(below, above) < _ONE_SIDED * min(below, above) else below <= above
-    direction = [0.0, 0.0, 0.0]
-    direction[order[0]] = 1.0 if is_positive else -1.0
-    x, y, z = direction
     name = f"{'+' if is_positive else '-'}{'xyz'[order[0]]}"
-    return Up((x, y, z), f"a flat layer has {share:.0%} of the Gaussians, and {name} leads up from it")
+    weak = "" if is_floor else "; that is weak evidence: look at it in alula view, --up gives another"
+    return Up(
+        _axis(order[0], 1.0 if is_positive else -1.0),
+        f"a flat layer has {share:.0%} of the Gaussians, and {name} leads up from it{weak}",
+    )
 
 
 def up_given(axis: str) -> Up:
@@ -68,10 +124,7 @@ def up_given(axis: str) -> Up:
     Args:
         axis: such as "+z".
     """
-    direction = [0.0, 0.0, 0.0]
-    direction["xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
-    x, y, z = direction
-    return Up((x, y, z), "as given")
+    return Up(_axis("xyz".index(axis[1]), 1.0 if axis[0] == "+" else -1.0), "as given")
 
 
 def up_of_cameras(R_scene_camera: FloatArray) -> Up:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
 from alula.stages.reconstruction.formats.registry import SOG, STREAMED_SOG, SplatFile, formats
+from alula.stages.reconstruction.formats.sog import META
+from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import Level, Loss, Splats
 from alula.stages.reconstruction.formats.streamed_sog import (
+    INDEX,
     chosen_level,
     decode_level_file,
     level_files,
     part_of_capture,
 )
 
+_DEPTH = 3  # folders below a folder of splats in which others are looked for
+_LISTED = 4  # maximum number of folders that a note names
 SUFFIXES = (".splat", ".ksplat", ".ply", ".spz", ".sog", ".glb", ".gltf")  # of the splats in a folder
 
 
@@ -54,16 +60,41 @@ def splats_in(path: Path) -> list[Path]:
     return found
 
 
+def passed_over(path: Path) -> str:
+    """Phrase about the folders in a folder of splats that hold splats too, which nobody reads; or nothing.
+
+    Args:
+        path: the folder.
+    """
+    found = []
+    for folder in sorted(child for child in path.iterdir() if child.is_dir()):
+        depth = len(folder.parts)
+        for place, folders, names in os.walk(folder):
+            if len(Path(place).parts) - depth >= _DEPTH:
+                folders.clear()
+            if INDEX in names or META in names or any(Path(n).suffix.lower() in SUFFIXES for n in names):
+                found.append(folder.name)
+                break
+    if not found:
+        return ""
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    several = "folders" if len(found) > 1 else "folder"
+    return f"{len(found)} {several} with splats ({', '.join(found[:_LISTED])}{more}) were not read"
+
+
 def find_splats(paths: Sequence[Path], name: str = "auto", level: int | None = None) -> list[SplatFile]:
     """Find splats; a folder that is no splat itself stands for all splats in it.
+
+    A note of the first splat of such a folder names the folders with splats in it, which are not read.
 
     Args:
         paths: files, folders of trainers and of formats of several files, and folders of splats.
         name: `auto`, or the name of a format.
-        level: level of detail to read; None is the finest.
+        level: level of detail to read of those with levels; None is the finest.
 
     Raises:
-        UsageError, ArtifactError, InputError: as `SplatFile.find`; also if a file is named twice.
+        UsageError, ArtifactError, InputError: as `SplatFile.find`; also if a file is named twice, or a level
+            is given and no file has levels.
     """
     found: list[SplatFile] = []
     for path in paths:
@@ -72,7 +103,17 @@ def find_splats(paths: Sequence[Path], name: str = "auto", level: int | None = N
         except ArtifactError:
             if not path.is_dir() or name not in ("auto", *(known.name for known in formats())):
                 raise
-            found += [SplatFile.find(file, name, level).fresh() for file in splats_in(path)]
+            inside = [SplatFile.find(file, name, level).fresh() for file in splats_in(path)]
+            if over := passed_over(path):
+                first = inside[0]
+                words = f"in the folder {path.name}, {over}; name them too if they belong to the scene"
+                source = Source(first.source.path, (*first.source.notes, words), first.source.level)
+                inside[0] = dataclasses.replace(first, source=source)
+            found += inside
+    if level is not None and not any(one.format is STREAMED_SOG for one in found):
+        raise UsageError(
+            f"{found[0].path}: --lod is for lod-meta.json; {found[0].format.name} has no levels of detail"
+        )
     seen: set[Path] = set()
     for one in found:
         if (real := one.source.path.resolve()) in seen:

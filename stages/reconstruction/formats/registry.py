@@ -12,6 +12,7 @@ from pathlib import Path
 from alula.schemas.errors import ArtifactError, InputError, UsageError
 from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply, is_compressed_ply
+from alula.stages.reconstruction.formats.containers import check_unpacked
 from alula.stages.reconstruction.formats.gltf import decode_gltf, is_gltf, members_of_gltf
 from alula.stages.reconstruction.formats.ksplat import decode_ksplat, is_ksplat
 from alula.stages.reconstruction.formats.means_json import decode_means_json, is_means_json
@@ -153,14 +154,18 @@ def recognise(source: Source, name: str = "auto") -> SplatFormat:
 
     Raises:
         UsageError: no format has that name.
-        ArtifactError: the source is of no format that can be read.
+        ArtifactError: the source is of no format that can be read, or an archive around one.
     """
     if name != "auto":
         known = {candidate.name: candidate for candidate in formats()}
         if name not in known:
             raise UsageError(f"--format must be auto, {', '.join(known)}, not {name!r}")
+        if known[name] in _WITHOUT_MAGIC:
+            check_unpacked(source)
         return known[name]
     for candidate in formats():  # entry points are loaded only if no magic number matches
+        if candidate in _WITHOUT_MAGIC:
+            check_unpacked(source)
         if candidate.matches(source):
             return candidate
     if source.is_folder:
@@ -193,10 +198,10 @@ class SplatFile:
         Args:
             path: a file, or the folder of a trainer or of a format of several files.
             name: `auto`, or the name of a format.
-            level: level of detail to read; None is the finest.
+            level: level of detail to read, for a format with levels; None is the finest.
 
         Raises:
-            UsageError: no format has that name, or a level is given for a format without levels.
+            UsageError: no format has that name.
             ArtifactError: the splat is of no format that can be read.
             InputError: it cannot be opened.
         """
@@ -205,10 +210,6 @@ class SplatFile:
             found = cls(path, source, recognise(source, name))
         except ArtifactError as error:
             raise ArtifactError(f"{path}: {error}") from error
-        if level is not None and found.format is not STREAMED_SOG:
-            raise UsageError(
-                f"{path}: --lod is for lod-meta.json; {found.format.name} has no levels of detail"
-            )
         return found
 
     def fresh(self) -> SplatFile:

@@ -58,7 +58,7 @@ def is_sog(source: Source) -> bool:
         if source.suffix == ".sog":
             return True
         try:
-            with _archive(source.data) as archive:
+            with archive_of(source.data) as archive:
                 return META in archive.namelist()
         except ArtifactError:
             return False
@@ -107,7 +107,7 @@ def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
     """
     try:
         if not source.is_folder and source.head.startswith(b"PK\x03\x04"):
-            with _archive(source.data) as archive:
+            with archive_of(source.data) as archive:
                 read = partial(_member, archive, len(source.data))
                 return _decode(parse_meta(read(META)), read, progress)
         return _decode(parse_meta(_meta(source)), source.member, progress)
@@ -298,7 +298,15 @@ class _View(io.RawIOBase):
 
 
 @contextmanager
-def _archive(data: memoryview) -> Iterator[zipfile.ZipFile]:
+def archive_of(data: memoryview) -> Iterator[zipfile.ZipFile]:
+    """Context with the members of a ZIP archive.
+
+    Args:
+        data: the whole file.
+
+    Raises:
+        ArtifactError: it is damaged.
+    """
     try:
         archive = zipfile.ZipFile(_View(data))
     except _ZIP_ERRORS as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
@@ -14,6 +15,12 @@ from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound,
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _CHUNK = 2**18
+
+LEAST = 8
+"""Minimum number of records that tell whether a file is one; fewer show too little."""
+
+FARTHEST, LARGEST, SMALLEST = 1e7, 1e6, 1e-12  # plausible positions, and scales; the least of both unless 0
+_SPREAD = 256  # records that are looked at
 
 # Writers truncate or round, with 128 or 127.5 as the middle: apart from a common factor of at most 256/255,
 # which normalisation removes, a component read as b / 127.5 - 1 has an error of at most 2/255 for every
@@ -29,7 +36,7 @@ def count_splat(buffer: memoryview) -> int:
         buffer: the whole file.
 
     Raises:
-        ArtifactError: the file is empty, or not a whole number of records.
+        ArtifactError: the file is empty, not a whole number of records, or of sizes that no scene has.
     """
     if len(buffer) == 0:
         raise ArtifactError(".splat: is empty")
@@ -38,7 +45,38 @@ def count_splat(buffer: memoryview) -> int:
             f".splat: truncated, or of another format: {len(buffer)} bytes are no whole number of "
             f"{RECORD.itemsize}-byte records"
         )
+    _check_sizes(buffer)
     return len(buffer) // RECORD.itemsize
+
+
+def has_plausible_size(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Test each record: position and scale are finite, neither huge nor tiny, and some scale is not 0.
+
+    Args:
+        rows: of the type `RECORD`, shape (N,).
+    """
+    mean, scale = np.abs(rows["mean"]), np.abs(rows["scale"])  # comparisons with NaN are false
+    return (
+        ((mean == 0) | ((mean >= SMALLEST) & (mean <= FARTHEST))).all(axis=1)
+        & ((scale == 0) | ((scale >= SMALLEST) & (scale <= LARGEST))).all(axis=1)
+        & (scale > 0).any(axis=1)
+    )
+
+
+def _check_sizes(buffer: memoryview) -> None:
+    """Check that at least half of a sample of the records are plausible; the format has no magic number."""
+    count = len(buffer) // RECORD.itemsize
+    if count < LEAST:
+        return
+    rows = np.frombuffer(buffer, RECORD)[np.unique(np.linspace(0, count - 1, _SPREAD).astype(np.int64))]
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(rows["mean"]).all(axis=1) & np.isfinite(rows["scale"]).all(axis=1)
+        wild = finite & ~has_plausible_size(rows)
+    if np.count_nonzero(wild) > 0.5 * np.count_nonzero(finite):
+        raise ArtifactError(
+            f".splat: {np.count_nonzero(wild)} of {len(rows)} records have positions or sizes that no scene "
+            f"has (above {FARTHEST:g} or below {SMALLEST:g} file units): of another format, or damaged"
+        )
 
 
 def decode_splat(buffer: memoryview, progress: Progress | None = None, window: slice = slice(None)) -> Splats:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splat import QUATERNION_LOSS, RECORD
-
-LEAST = 8
-"""Minimum number of records; fewer show too little, and `--format splat` must say what they are."""
+from alula.stages.reconstruction.formats.splat import LEAST, QUATERNION_LOSS, RECORD, has_plausible_size
 
 _FIRST, _SPREAD = 128, 128  # sampled records: the first ones, and as many all over the file
 _PLAUSIBLE = 0.95  # minimum fraction of them; trained scenes have a few broken rows
-_FARTHEST, _LARGEST, _SMALLEST = 1e7, 1e6, 1e-12  # positions, scales, both unless 0
 _POSITIVE = 0.9  # minimum fraction of rows without a negative scale
 _DISTINCT = 0.5  # minimum fraction of rows with a position of their own
 
@@ -50,13 +46,8 @@ def has_plausible_records(buffer: memoryview) -> bool:
         return False
     if len(np.unique(rows["mean"].view(np.uint32).reshape(-1, 3), axis=0)) < _DISTINCT * len(rows):
         return False
-    mean, scale = np.abs(rows["mean"]), np.abs(rows["scale"])  # comparisons with NaN are false
     length = np.linalg.norm(rows["quat"] / 127.5 - 1.0, axis=1)
-    plausible = (
-        ((mean == 0) | ((mean >= _SMALLEST) & (mean <= _FARTHEST))).all(axis=1)
-        & ((scale == 0) | ((scale >= _SMALLEST) & (scale <= _LARGEST))).all(axis=1)
-        & (scale > 0).any(axis=1)
-        & (np.abs(length - 1.0) <= QUATERNION_LOSS + 1 / 255)  # a factor of 256/255 of some writers
-    )
+    # Some writers have a factor of 256/255.
+    plausible = has_plausible_size(rows) & (np.abs(length - 1.0) <= QUATERNION_LOSS + 1 / 255)
     positive = (rows["scale"] >= 0).all(axis=1)
     return bool(plausible.mean() >= _PLAUSIBLE and positive.mean() >= _POSITIVE)

@@ -1,9 +1,20 @@
 """The first look at a splat: up, height and crop."""
 
+import re
+
 import numpy as np
 import pytest
 
-from alula.stages.reconstruction.look import CONVENTION, crop_of, height_of, up_given, up_of, up_of_cameras
+from alula.stages.reconstruction.look import (
+    CONVENTION,
+    Convention,
+    convention_of,
+    crop_of,
+    height_of,
+    up_given,
+    up_of,
+    up_of_cameras,
+)
 
 AXES = {
     "+x": (1, 0, 0),
@@ -38,6 +49,49 @@ def test_up_is_the_axis_that_leads_away_from_the_floor(up):
     assert f"{up} leads up from it" in found.why
     assert up_given(up).direction == found.direction
     assert height_of(place(up), found.direction) == pytest.approx(3, abs=0.1)
+
+
+def weak(axis, share=0.05):
+    """Gaussians all over a cube, some of them in a thin layer across an axis: a hint of a floor."""
+    points = np.random.default_rng(4).uniform(-1, 1, (20_000, 3))
+    points[: int(share * len(points)), axis] *= 0.001
+    return points
+
+
+Y_UP = Convention((0.0, 1.0, 0.0), "+y of a format", True)
+
+
+def test_a_layer_with_few_gaussians_does_not_contradict_the_format_nor_make_x_up():
+    for axis in range(3):
+        found = up_of(weak(axis), Y_UP)
+        assert found.direction == Y_UP.direction
+        assert re.search(
+            r"only \d% of the Gaussians, too few for a floor, so \+y of a format is taken", found.why
+        )
+    assert up_of(weak(0)).direction == CONVENTION
+    found = up_of(weak(2))
+    assert found.direction == AXES["+z"]
+    assert "weak evidence" in found.why
+
+
+def test_a_floor_counts_more_than_the_format():
+    for up in AXES:
+        found = up_of(place(up), Y_UP)
+        assert found.direction == AXES[up]
+        assert "weak" not in found.why
+
+
+@pytest.mark.parametrize(
+    ("frame", "up"),
+    [
+        ("RUB", "+y"), ("RUB by the specification; writers differ", "+y"), ("RDF", "-y"), ("LFU", "+z"),
+        ("LBD", "-z"), ("glTF, y up", "+y"), ("nerfstudio training frame", "+z"), ("unnamed", "-y"),
+    ],
+)  # fmt: skip
+def test_formats_that_state_their_frame_give_up(frame, up):
+    found = convention_of({"frame": {"file": frame}})
+    assert found.direction == AXES[up]
+    assert found.is_stated == (frame != "unnamed")
 
 
 @pytest.mark.parametrize(("axis", "direction"), [(0, (1, 0, 0)), (1, (0, -1, 0)), (2, (0, 0, 1))])

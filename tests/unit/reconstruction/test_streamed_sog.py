@@ -9,6 +9,7 @@ from alula.cli import main
 from alula.schemas.artifact import read_artifact
 from alula.schemas.errors import ArtifactError, UsageError
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
+from alula.stages.reconstruction.pieces import find_splats
 from support.originals import originals
 from support.sog_encoder import bundle, encode, folder
 from support.splat_files import some_gaussians, splat
@@ -237,7 +238,35 @@ def test_a_wrong_index_is_refused(tmp_path, change, words):
 def test_levels_are_of_indices_alone(tmp_path):
     scene = capture(tmp_path / "c")
     with pytest.raises(UsageError, match="has no levels of detail"):
-        SplatFile.find(scene / "0_1", level=0)
+        find_splats([scene / "0_1"], level=0)
+
+
+def test_a_level_and_the_environment_go_together(tmp_path, capsys):
+    scene = capture(tmp_path / "c", environment="env/meta.json")
+    folder(scene / "env", encode(part(9, 20.0, 40)))
+    out = tmp_path / "a.scene.npz"
+    words = ["import-splat", scene / "lod-meta.json", scene / "env", "--lod", "1", "--min-opacity", 0]
+    assert run(*words, "-o", out) == 0
+    np.testing.assert_array_equal(read_artifact(out)["mean"], parts_of(scene, "1_0", "env"))
+    assert "without everything" not in (said := capsys.readouterr().err)
+    assert "the environment of the capture" not in said
+    assert "finer than 1" in said
+
+
+def test_folders_with_splats_that_are_passed_over_are_named(tmp_path, capsys):
+    place = tmp_path / "all"
+    place.mkdir()
+    bundle(place / "loose.sog", encode(part(3, 0.0, 40)))
+    capture(place / "street")
+    (place / "notes").mkdir()
+    (place / "notes/readme.txt").write_text("no splat")
+    folder(place / "deep/er/one", encode(part(4, 0.0, 40)))
+    assert run("import-splat", place, "-o", tmp_path / "a.scene.npz") == 0
+    said = capsys.readouterr().err
+    assert "in the folder all, 2 folders with splats (deep, street) were not read" in said
+    assert "notes" not in said.replace("note:", "")
+    assert run("import-splat", place / "loose.sog", "-o", tmp_path / "b.scene.npz") == 0
+    assert "were not read" not in capsys.readouterr().err
 
 
 def test_the_real_index_reads_the_levels_that_are_there(data):
