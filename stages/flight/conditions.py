@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.flight import FlightConfig
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint
-from alula.stages.flight.loop.failsafe_check import coasts
+from alula.stages.flight.loop.departures import Departures
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.loop.preflight import Needs, Obstacles
 from alula.stages.flight.loop.supervisor import SupervisorLimits
@@ -51,13 +50,12 @@ def needs_of(
     *,
     setpoints: Iterable[type[Setpoint]],
     ends: tuple[FloatArray, FloatArray],
-    path: FloatArray,
+    departures: Departures,
     obstacles: Sequence[tuple[str, Obstacles]],
     margin_m: float,
     fence: Fence,
     plan: tuple[bool, str],
     speed_m_s: float,
-    step_s: float = math.inf,
 ) -> Needs:
     """Requirements of a flight for the pre-flight checks.
 
@@ -66,13 +64,12 @@ def needs_of(
         vehicle: contents of the vehicle's file.
         setpoints: kinds of set-points; the link must accept one of them.
         ends: start and goal, each of shape (3,), world frame [m].
-        path: points of the flight, shape (T, 3), world frame [m].
+        departures: instants of the flight from which the vehicle may turn home, world frame.
         obstacles: by name, world frame.
         margin_m: additional clearance of the climb path [m].
         fence: volume to fly in, world frame.
         plan: whether the flight is proven clear of the map, and how, in words.
         speed_m_s: limit of the speed [m/s].
-        step_s: time between the points [s]; infinite for points that are not flown through in turn.
     """
     law = vehicle.following.horizontal_lag
     model = rates_model(vehicle)
@@ -80,16 +77,13 @@ def needs_of(
         setpoints=frozenset(setpoints),
         start=ends[0],
         goal=ends[1],
-        path=path,
+        departures=departures,
         obstacles=obstacles,
         radius_m=vehicle.body.radius_m,
         margin_m=margin_m,
         fence=fence,
         plan=plan,
         speed_m_s=speed_m_s,
-        coast=coasts(path, step_s, speed_m_s, lambda speed: stop_m(law, speed))
-        if math.isfinite(step_s)
-        else None,
         stop_m=stop_m(law, speed_m_s),
         near_m=config.near_m,
         state_hz=min(20.0, 0.5 * config.rate_hz),

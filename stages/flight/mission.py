@@ -30,6 +30,7 @@ from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
+from alula.stages.flight.loop.departures import departures_of
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
@@ -53,7 +54,6 @@ _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are
 _RESPONSE_S = 0.2  # the same from the response to velocities and accelerations, which is known less well
 _RESPONSE_ROOM_M_S2 = 0.3  # that such a response may differ from the model by, for noise alone
 _MAX_DISTURBANCE_M_S2 = 4.0  # beyond it the model counts as wrong
-_FAILSAFE_STEP_S = 0.1  # step of the plan from which ways home are judged
 _EXTRA_TIME_S = 10.0  # added to three durations of the plan
 _CARRYING_S = 600.0  # maximum time of checks with moves by hand
 
@@ -510,13 +510,12 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         mission.vehicle,
         setpoints=setpoints,
         ends=(mission.start, mission.goal),
-        path=sample_plan(mission.plan, _FAILSAFE_STEP_S).position_world,
+        departures=departures_of(mission.plan, config.speed_m_s, mission.vehicle.following.horizontal_lag),
         obstacles=mission.obstacles,
         margin_m=config.margin_m,
         fence=mission.fence,
         plan=_plan_verdict(mission, setpoints[0]),
         speed_m_s=config.speed_m_s,
-        step_s=_FAILSAFE_STEP_S,
     )
 
 

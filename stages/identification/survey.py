@@ -17,6 +17,7 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
+from alula.stages.flight.loop.departures import departures_at
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.identification.step_flight import StepFlight
@@ -149,7 +150,7 @@ def make_step_needs(survey: Survey) -> Needs:
         survey.vehicle,
         setpoints=survey.setpoints,
         ends=(survey.centre, survey.centre),
-        path=np.array(list(itertools.product(*zip(low, high, strict=True)))),
+        departures=departures_at(np.array(list(itertools.product(*zip(low, high, strict=True))))),
         obstacles=[],
         margin_m=0.0,
         fence=survey.fence,

@@ -41,6 +41,16 @@ def stop_m(law: tuple[float, float], speed_m_s: float) -> float:
     return LAG_MARGIN * stop_time_s(law, speed_m_s) * speed_m_s
 
 
+def stop_slope_s(law: tuple[float, float], speed_m_s: float) -> float:
+    """Derivative of `stop_m` [s]; it does not fall with the speed where b is not negative.
+
+    Args:
+        law: a [s] and b [s^2/m].
+        speed_m_s: speed before the stop [m/s].
+    """
+    return LAG_MARGIN * (law[0] + 2 * law[1] * speed_m_s)
+
+
 def needed_deceleration_m_s2(speed_m_s: float, lag_s: float, beta: float) -> float:
     """Deceleration towards a wall under the filter of `chord_filter.hpp`, speed / (1 / beta + lag) [m/s^2].
 

@@ -60,8 +60,15 @@ class WayHome:
     highest_m: float = math.inf
     setting: str = ""
 
+    @property
+    def jumps_m(self) -> tuple[float, ...]:
+        """Distances from home beyond which the height of the level part is suddenly another one [m]."""
+        return ()
+
     def heights(self, above_m: FloatArray, away_m: FloatArray) -> FloatArray:
         """Height of the level part above the take-off position, shape (T,) [m].
+
+        It does not fall where height or distance of the vehicle grow.
 
         Args:
             above_m: height of the vehicle above the take-off position, shape (T,) [m].

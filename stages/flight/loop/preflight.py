@@ -14,6 +14,7 @@ from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
+from alula.stages.flight.loop.departures import Departures
 from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.rotation import matrix_from_quat_wxyz
 
@@ -33,8 +34,7 @@ class Needs:
     Attributes:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
-        path: points of the plan, shape (T, 3), world frame [m].
-        coast: way to rest from each of these points, shape (T, 3) [m]; None if it is not known.
+        departures: instants of the flight from which the vehicle may turn home, world frame.
         speed_m_s: limit of the speed [m/s].
         stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
@@ -57,13 +57,12 @@ class Needs:
     setpoints: frozenset[type[Setpoint]]
     start: FloatArray
     goal: FloatArray
-    path: FloatArray
+    departures: Departures
     obstacles: Sequence[tuple[str, Obstacles]]
     radius_m: float
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
-    coast: FloatArray | None = None
     speed_m_s: float = math.nan
     stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
@@ -244,7 +243,7 @@ def _arming(seen: Observed, needs: Needs) -> Verdict:
 
 
 def _failsafes(seen: Observed, needs: Needs) -> Verdict:
-    """What the vehicle does by itself must be clear of the map, from every point of the plan."""
+    """What the vehicle does by itself must be clear of the map, from every instant of the plan."""
     own = seen.status.own_safety
     if own is None:
         return Verdict("failsafes", True, "the vehicle's own failsafes are not known, and not judged")
@@ -253,12 +252,11 @@ def _failsafes(seen: Observed, needs: Needs) -> Verdict:
     foot_m = _FOOT * (needs.radius_m + needs.margin_m)  # as for the landing path, to leave out the ground
     faults, found = failsafe_faults(
         own,
-        needs.path,
+        needs.departures,
         seen.state.position,
         needs.obstacles,
         radius_m=needs.radius_m,
         foot_m=foot_m,
-        coast=needs.coast,
     )
     return Verdict("failsafes", not faults, "; ".join(faults) or found + _coasting(own, needs))
 

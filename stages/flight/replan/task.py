@@ -19,13 +19,12 @@ from alula.schemas.errors import AlulaError, InfeasibleError
 from alula.schemas.kinds import PLAN
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.links.own_safety import OwnSafety
-from alula.stages.flight.loop.failsafe_check import coasts, failsafe_faults
+from alula.stages.flight.loop.departures import departures_of
+from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.planning.endpoints import nearest_free_point
 from alula.stages.planning.fastest import MovingState
 from alula.stages.planning.plan import plan
-from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.space import PlanSpace, plan_space, room_around
-from alula.stages.vehicles.velocity_lag import stop_m
 
 REST_M_S = 0.1  # a slower vehicle counts as standing still
 _START_ROOM_M = 0.02  # that the start of a plan keeps beyond the distance, so that the curve can leave it
@@ -34,7 +33,6 @@ _ALIKE = (  # parameters of `plan` that a new plan takes from the one before the
     *("speed_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_m_s4", "tilt_rad", "body_rate_rad_s"),
     *("smooth", "yaw", "interface"),
 )
-_WAY_HOME_STEP_S = 0.1  # step of the plan from which ways home are judged
 
 
 class ReplanRequest(msgspec.Struct, frozen=True, kw_only=True):
@@ -210,16 +208,14 @@ class ReplanTask:
         return found
 
     def _require_harmless(self, made: Artifact, own: OwnSafety, home: Any) -> None:
-        path = sample_plan(made, _WAY_HOME_STEP_S).position_world
         law, limit = self.vehicle.following.horizontal_lag, self.facts.speed_m_s
         faults, _ = failsafe_faults(
             own,
-            path,
+            departures_of(made, limit, law),
             home,
             self._obstacles,
             radius_m=self.vehicle.body.radius_m,
             foot_m=self.facts.foot_m,
-            coast=coasts(path, _WAY_HOME_STEP_S, limit, lambda speed: stop_m(law, speed)),
         )
         if faults:
             raise InfeasibleError(f"the new plan is not safe with the vehicle's failsafes: {faults[0]}")

@@ -1,17 +1,24 @@
 """Before take-off: where the vehicle would fly by itself, from every point of the plan."""
 
+import dataclasses
 import itertools
 import math
+import re
 import time
 
 import numpy as np
 import pytest
 
+from alula._core import PolytopeSet
 from alula.schemas.vehicle import VelocitiesTable
 from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
+from alula.stages.flight.links.mavlink.px4_failsafes import ConeHome
 from alula.stages.flight.links.own_safety import Action, OwnSafety, WayHome
-from alula.stages.flight.loop.failsafe_check import closest_way_home, coasts, failsafe_faults
+from alula.stages.flight.loop.departures import departures_at, departures_of
+from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.flight.loop.ways_home import closest_way_home
+from alula.stages.planning.trajectory import evaluate
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.vehicles.velocity_lag import stop_m
 from support.autopilot_client import Client
@@ -142,7 +149,9 @@ def test_failsafes_by_their_parameters():
 
 def checked_values(values, path=((0.0, 0.0, 1.0), (3.0, 0.0, 1.0)), obstacles=(), **more):
     words = {"home": np.zeros(3), "radius_m": 0.1, "foot_m": 0.1} | more
-    return failsafe_faults(ardupilot_safety(values), np.array(path), obstacles=obstacles, **words)
+    return failsafe_faults(
+        ardupilot_safety(values), departures_at(np.array(path)), obstacles=obstacles, **words
+    )
 
 
 def test_a_radio_that_is_lost_while_landing_is_judged_unless_that_is_ignored_too():
@@ -205,14 +214,132 @@ def test_heights_in_metres_are_those_in_centimetres():
     assert set(since) | {"RTL_ALT_M"} <= set(ARDUPILOT_SAFETY)
 
 
+def box(low, high):
+    """An obstacle of any size, as a hull."""
+    low, high = np.array(low, float), np.array(high, float)
+    corner = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    return [
+        (
+            "a hull",
+            PolytopeSet(
+                normals=np.vstack([np.eye(3), -np.eye(3)]),
+                offsets=np.concatenate([high, -low]),
+                plane_start=np.array([0, 6]),
+                vertices=corner,
+                vertex_start=np.array([0, 8]),
+            ),
+        )
+    ]
+
+
 def test_ways_to_rest_follow_the_speed_and_its_limit():
-    path = np.column_stack([np.linspace(0, 3, 31), np.zeros((31, 2))])  # 1 m/s
-    found = coasts(path, 0.1, 1.5, lambda speed: 0.5 * speed)
-    assert found == pytest.approx(np.tile([0.75, 0, 0], (31, 1)))  # one that catches up flies at the limit
-    slower = coasts(path, 0.1, 0.5, lambda speed: 0.5 * speed)
-    assert slower[:, 0] == pytest.approx(0.25)
-    assert coasts(path[:1], 0.1, 1.0, lambda speed: speed).tolist() == [[0, 0, 0]]
-    assert (coasts(np.ones((4, 3)), 0.1, 1.0, lambda speed: speed) == 0).all()
+    made = line_plan((0, 0, 1), (3, 0, 1), 4.0)
+    law, time = (0.4, 0.1), np.linspace(0, 4, 101)
+    velocity = evaluate(made["time"], made["coefficient"], time, 1)[:, :3]
+    fastest = float(velocity[:, 0].max())
+    for limit in (0.5 * fastest, 2 * fastest):
+        found = departures_of(made, limit, law).around(np.column_stack([time, time]))
+        flown = np.minimum(velocity[:, 0] * max(1.0, limit / fastest), limit)
+        assert found.coast[:, 0] == pytest.approx(1.25 * (0.4 + 0.1 * flown) * flown, rel=1e-3)
+        assert (found.point_m == 0).all()
+        assert (found.coast_m == 0).all()
+
+
+def test_a_flight_stays_within_the_bounds_of_its_intervals():
+    made = line_plan((0, 0, 1), (3, 1, 1.4), 2.0)
+    departures = departures_of(made, 3.0, (0.57, 0.185))
+    rng = np.random.default_rng(0)
+    interval = np.sort(rng.uniform(0, 2.0, (400, 2)) ** rng.choice([1.0, 3.0], (400, 1)), axis=1)
+    found = departures.around(interval)
+    for share in np.linspace(0, 1, 21):
+        at = interval[:, 0] + share * np.ptp(interval, axis=1)
+        here = departures.around(np.column_stack([at, at]))
+        assert (np.linalg.norm(here.point - found.point, axis=1) <= found.point_m + 1e-12).all()
+        assert (np.linalg.norm(here.coast - found.coast, axis=1) <= found.coast_m + 1e-12).all()
+    path = evaluate(made["time"], made["coefficient"], np.linspace(0, 2, 5001))[:, :3]
+    low, high, away = departures.extent(np.array([0.5, 0.0, 0.2]))
+    off = path - [0.5, 0, 0.2]
+    assert low <= off[:, 2].min() < low + 0.02
+    assert high - 0.02 < off[:, 2].max() <= high
+    assert away - 0.02 < np.hypot(off[:, 0], off[:, 1]).max() <= away
+
+
+def test_a_thin_rod_between_two_samples_is_met():
+    """A rod of 2 cm that only ways from a few hundredths of a second of the plan meet."""
+    made = line_plan((0.0, 0.0, 1.0), (8.0, 0.0, 1.0), 5.0)
+    time = np.linspace(0, 5, 51)
+    at = evaluate(made["time"], made["coefficient"], time)[:, 0]
+    k = int(np.diff(at).argmax())
+    between = 0.5 * (at[k] + at[k + 1])
+    assert at[k + 1] - at[k] > 0.3
+    rod = box((between - 0.01, -0.01, 2.0), (between + 0.01, 0.01, 2.2))
+    words = {"radius_m": 0.05, "foot_m": 0.2}
+    way, home = WayHome(6.0), np.array([0.0, 3.0, 0.0])
+    all_of_it = departures_of(made, 3.0, (0.0, 0.0))  # it rests at once
+    sampled = departures_at(np.column_stack([at, 0 * at, 1 + 0 * at]))
+    assert closest_way_home(way, sampled, home, rod, **words).distance_m > 0.13
+    met = closest_way_home(way, all_of_it, home, rod, **words)
+    assert met.distance_m < 0.05
+    assert abs(met.at[0] - between) < 0.1
+    own = dataclasses.replace(ardupilot_safety(DEFAULTS), way_home=way)
+    assert failsafe_faults(own, sampled, home, rod, **words)[0] == []
+    assert len(failsafe_faults(own, all_of_it, home, rod, **words)[0]) == 1
+    aside = box((between - 0.01, 0.2, 2.0), (between + 0.01, 0.22, 2.2))
+    clear = closest_way_home(way, all_of_it, home, aside, **words)
+    assert 0.05 <= clear.distance_m <= 0.2
+    assert clear.share == pytest.approx(1.0)
+    faults, found = failsafe_faults(own, all_of_it, home, aside, **words)
+    assert faults == []
+    assert re.search(r"ways home from all of the plan are at least 0\.\d+ m clear of the map", found)
+
+
+def test_a_rod_that_only_a_vehicle_meets_that_is_half_at_rest_is_met():
+    point, coast = np.array([[0.0, 0.0, 1.0]]), np.array([[2.0, 0.0, 0.0]])
+    for x in (0.37, 1.0, 1.61):  # rests are judged everywhere on the way, not at three points
+        rod = box((x - 0.01, -0.01, 2.0), (x + 0.01, 0.01, 2.2))
+        met = closest_way_home(
+            WayHome(6.0), departures_at(point, coast), np.zeros(3), rod, radius_m=0.05, foot_m=0.2
+        )
+        assert met.distance_m < 0.05
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        WayHome(4.0, slope=2.0),
+        WayHome(2.5, climb_m=0.5, highest_m=3.0),
+        ConeHome(4.0, slope=0.5, near_m=3.0, arrived_m=1.0),
+    ],
+)
+@pytest.mark.parametrize("seed", range(6))
+def test_no_way_home_of_ten_thousand_is_closer_than_the_bound(way, seed):
+    rng = np.random.default_rng(seed)
+    made = line_plan((-4, rng.uniform(-2, 2), 1.0), (4, rng.uniform(-2, 2), 1.3), 6.0)
+    home, law = np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), 0.0]), (0.3, 0.1)
+    low = np.array([*rng.uniform(-4, 3, 2), rng.uniform(1.8, 3.5)])
+    obstacle = box(low, low + rng.uniform(0.02, 1.0, 3))
+    departures = departures_of(made, 2.5, law)
+    bound = closest_way_home(way, departures, home, obstacle, radius_m=0.05, foot_m=0.2)
+    at = rng.uniform(0, 6.0, 10_000)
+    here = departures.around(np.column_stack([at, at]))
+    rest = here.point + rng.uniform(0, 1, (10_000, 1)) * here.coast
+    level = way.heights(rest[:, 2] - home[2], np.hypot(*(rest - home)[:, :2].T))
+    knots = [
+        here.point,
+        rest,
+        np.column_stack([rest[:, :2], level]),
+        np.column_stack([np.tile(home[:2], (10_000, 1)), level]),
+        np.tile([*home[:2], 0.2], (10_000, 1)),
+    ]
+    least = min(
+        float(obstacle[0][1].clearance(np.ascontiguousarray(a), np.ascontiguousarray(b), math.inf, 1).min())
+        for a, b in itertools.pairwise(knots)
+    )
+    assert bound.distance_m <= least + 1e-9
+    if bound.distance_m < 0.05:
+        assert least < 0.05 + 0.03  # up to the finest set, nothing is refused for nothing
+    else:
+        assert bound.distance_m >= 0.05 + 0.2 * (least - 0.05)
 
 
 def test_a_way_home_that_begins_where_the_vehicle_comes_to_rest_meets_what_is_there():
@@ -220,16 +347,16 @@ def test_a_way_home_that_begins_where_the_vehicle_comes_to_rest_meets_what_is_th
     cover = box_cover([((42, -10, 15), (46, 10, 18))])
     obstacles = mission(cover=cover, plan=line_plan(START, GOAL, 5.0)).obstacles
     path = np.column_stack([np.linspace(0, 3.6, 37), np.zeros(37), np.ones(37)])
-    own = OwnSafety((), WayHome(4.0))
     words = {"radius_m": 0.15, "foot_m": 0.2}
-    still = closest_way_home(own, path, np.zeros(3), obstacles, **words)
-    assert still.distance_m == pytest.approx(0.6, abs=0.01)
-    coast = coasts(path, 0.1, 1.0, lambda speed: 0.8 * speed)
-    moving = closest_way_home(own, path, np.zeros(3), obstacles, coast=coast, **words)
-    assert moving.distance_m <= 0
-    assert moving.coast_m == pytest.approx(0.8)
-    short = closest_way_home(own, path, np.zeros(3), obstacles, coast=coast / 4, **words)
-    assert short.distance_m == pytest.approx(0.4, abs=0.01)
+
+    def closest(coast_m):
+        coast = np.tile([coast_m, 0.0, 0.0], (37, 1))
+        return closest_way_home(WayHome(4.0), departures_at(path, coast), np.zeros(3), obstacles, **words)
+
+    assert closest(0.0).distance_m == pytest.approx(0.6, abs=0.01)
+    assert closest(0.8).distance_m <= 0
+    assert closest(0.8).coast_m == pytest.approx(0.8)
+    assert 0.15 <= closest(0.2).distance_m <= 0.4 + 1e-9
 
 
 def test_a_wall_ahead_is_met_on_the_way_to_rest():
@@ -237,9 +364,9 @@ def test_a_wall_ahead_is_met_on_the_way_to_rest():
     cover = box_cover([((40, -10, 0), (41, 10, 60))])
     obstacles = mission(cover=cover, plan=line_plan(START, GOAL, 5.0)).obstacles
     path = np.array([[3.5, 0.0, 1.0]])
-    words = {"radius_m": 0.15, "foot_m": 0.2, "coast": np.array([[1.2, 0.0, 0.0]])}
-    own = OwnSafety((), WayHome(9.0))
-    assert closest_way_home(own, path, np.zeros(3), obstacles, **words).distance_m <= 0
+    departures = departures_at(path, np.array([[1.2, 0.0, 0.0]]))
+    met = closest_way_home(WayHome(9.0), departures, np.zeros(3), obstacles, radius_m=0.15, foot_m=0.2)
+    assert met.distance_m <= 0
 
 
 def test_the_check_takes_milliseconds():
@@ -247,16 +374,13 @@ def test_the_check_takes_milliseconds():
     corners = rng.integers(-60, 60, (60, 3))
     cover = box_cover([(corner, corner + 4) for corner in corners])
     made = mission(cover=cover, plan=line_plan(START, GOAL, 5.0), is_clear=True)
-    path = np.column_stack([np.linspace(0, 30, 600), np.zeros(600), np.ones(600)])
-    coast = coasts(path, 0.1, 1.0, lambda speed: 0.8 * speed)
-    own = OwnSafety((), WayHome(9.0))
-    words = {"radius_m": 0.15, "foot_m": 0.2, "coast": coast}
+    departures = departures_of(line_plan((0, 0, 1), (30, 0, 1), 60.0), 1.0, (0.57, 0.185))
     times = []
     for _ in range(5):
         begin = time.process_time()
-        closest_way_home(own, path, np.zeros(3), made.obstacles, **words)
+        closest_way_home(WayHome(9.0), departures, np.zeros(3), made.obstacles, radius_m=0.15, foot_m=0.2)
         times.append(time.process_time() - begin)
-    assert min(times) < 0.05  # for a plan of a minute
+    assert min(times) < 0.1  # for a plan of a minute
 
 
 @pytest.mark.every(2)
@@ -325,13 +449,11 @@ def test_the_closest_way_home_agrees_with_a_search_of_points():
     cover = box_cover([(np.round(10 * low), np.round(10 * high))])
     made = mission(cover=cover, plan=line_plan(START, GOAL, 5.0))
     path, home = rng.uniform([-5, -5, 0.5], [5, 5, 4], (40, 3)), np.array([0.2, -0.3, 0.1])
-    own = OwnSafety((), WayHome(4.0, slope=2.0))
-    found = closest_way_home(own, path, home, made.obstacles, radius_m=-math.inf, foot_m=0.2)
+    way = WayHome(4.0, slope=2.0)
+    found = closest_way_home(way, departures_at(path), home, made.obstacles, radius_m=-math.inf, foot_m=0.2)
     least = math.inf
     for point in path:
-        level = home[2] + own.way_home.heights(
-            point[2:] - home[2], np.array([math.hypot(*(point - home)[:2])])
-        )
+        level = home[2] + way.heights(point[2:] - home[2], np.array([math.hypot(*(point - home)[:2])]))
         knots = [point, [*point[:2], level[0]], [*home[:2], level[0]], [*home[:2], home[2] + 0.2]]
         for a, b in itertools.pairwise(knots):
             points = np.linspace(a, b, 400)
@@ -342,7 +464,13 @@ def test_the_closest_way_home_agrees_with_a_search_of_points():
 
 
 def test_a_parameter_that_decides_and_is_not_reported_is_a_fault():
-    words = {"path": np.zeros((2, 3)), "home": np.zeros(3), "obstacles": [], "radius_m": 0.1, "foot_m": 0.1}
+    words = {
+        "departures": departures_at(np.zeros((2, 3))),
+        "home": np.zeros(3),
+        "obstacles": [],
+        "radius_m": 0.1,
+        "foot_m": 0.1,
+    }
     silent = failsafe_faults(ardupilot_safety({}), **words)[0]
     assert silent == ["the vehicle does not report FS_THR_ENABLE"]
     found = {name: value for name, value in DEFAULTS.items() if name != "RTL_ALT"}
@@ -352,6 +480,11 @@ def test_a_parameter_that_decides_and_is_not_reported_is_a_fault():
 
 def test_without_the_parameters_nothing_is_claimed():
     faults, words = failsafe_faults(
-        OwnSafety((), WayHome(15.0)), np.zeros((2, 3)), np.zeros(3), [], radius_m=0.1, foot_m=0.1
+        OwnSafety((), WayHome(15.0)),
+        departures_at(np.zeros((2, 3))),
+        np.zeros(3),
+        [],
+        radius_m=0.1,
+        foot_m=0.1,
     )
     assert (faults, words) == ([], "none of them flies home")

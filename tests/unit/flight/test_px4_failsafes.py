@@ -7,6 +7,7 @@ import pytest
 
 from alula.stages.flight.links.mavlink.px4_failsafes import PX4_SAFETY, ConeHome, px4_safety
 from alula.stages.flight.links.own_safety import Action
+from alula.stages.flight.loop.departures import departures_at
 from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.sim_vehicle.common.packets import mavlink as m
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
@@ -30,7 +31,9 @@ def actions(**changed):
 
 def faults(path=((0.0, 0.0, 0.8), (3.4, 0.0, 0.8)), obstacles=(), **changed):
     words = {"home": np.zeros(3), "radius_m": 0.15, "foot_m": 0.2}
-    return failsafe_faults(px4_safety(PREPARED | changed), np.array(path), obstacles=obstacles, **words)
+    return failsafe_faults(
+        px4_safety(PREPARED | changed), departures_at(np.array(path)), obstacles=obstacles, **words
+    )
 
 
 def test_failsafes_by_their_parameters():

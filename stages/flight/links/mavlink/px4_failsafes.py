@@ -49,6 +49,11 @@ class ConeHome(WayHome):
     near_m: float = 0.0
     arrived_m: float = 0.0
 
+    @property
+    def jumps_m(self) -> tuple[float, ...]:
+        """See `WayHome`."""
+        return (self.near_m, self.arrived_m) if math.isfinite(self.slope) else ()
+
     def heights(self, above_m: FloatArray, away_m: FloatArray) -> FloatArray:
         """See `WayHome`.
 
