@@ -17,6 +17,7 @@ from alula.stages.compression.ellipsoids import (
     UnprovenVoxels,
     excluded_errors,
     removed_from,
+    retained,
     unproven_voxels,
 )
 from alula.stages.compression.level import (
@@ -77,7 +78,10 @@ def verify_seen(
         checks.append(_untouched(manifest, marked, scene, jobs, progress))
     covered = all(check.ok for check in checks)
     given = [role for role, file in files.items() if file is not None]
-    omitted = omissions(manifest, is_cropped=False)  # nothing beyond the crop is marked as seen
+    below = None
+    if scene is not None:
+        below = len(scene["mean"]) - len(retained(scene, manifest.min_opacity))
+    omitted = omissions(manifest, below=below, is_cropped=False)  # nothing beyond the crop is marked as seen
     removed = [] if scene is None else removed_from(_manifest_of(scene))
     what = (
         f"touched by no {'retained ' * bool(omitted)}obstacle at {level_words(require_sigma(manifest))} of "
@@ -202,9 +206,9 @@ def _unproven(
     scene: Artifact,
     jobs: int,
     progress: Progress | None,
-    **retained: Any,
+    **counted: Any,
 ) -> UnprovenVoxels:
-    """Seen voxels that ellipsoids of the scene may touch; `retained` as of `unproven_voxels`."""
+    """Seen voxels that ellipsoids of the scene may touch; `counted` as of `unproven_voxels`."""
     g = manifest.voxel_size_m
     lower, size = np.array(manifest.lower), np.array(marked.shape)
     rest = np.argwhere(np.pad(~marked, 2, constant_values=True)) + lower - 2
@@ -217,7 +221,7 @@ def _unproven(
         crop=[*(lower * g).tolist(), *((lower + size) * g).tolist()],
         jobs=jobs,
         progress=progress,
-        **retained,
+        **counted,
     )
 
 

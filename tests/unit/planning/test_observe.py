@@ -27,6 +27,9 @@ G = 0.1
 LOWER, UPPER = np.array([0.0, 0, 0]), np.array([4.0, 3, 2])
 
 
+ROOM_OF = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}, "source": {}}
+
+
 def box_scene(*, hole=None, screen=None, **fields):
     """Flat Gaussians on the walls of a room; `screen`: x of a further wall; `hole`: a ball without any."""
     parts = []
@@ -55,8 +58,7 @@ def box_scene(*, hole=None, screen=None, **fields):
         "opacity": np.ones(len(mean)),
         "color": np.zeros((len(mean), 3)),
     }
-    keywords = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}, "source": {}} | fields
-    return make_artifact(SCENE, arrays, **keywords)
+    return make_artifact(SCENE, arrays, **ROOM_OF | fields)
 
 
 def cameras(*places, half=1.0):
@@ -230,7 +232,7 @@ def test_the_proof_holds_for_the_file_and_for_no_changed_one(room, seen):
 @pytest.mark.parametrize(
     ("level", "words"),
     [
-        ({"min_opacity": 0.9}, "Gaussians of opacity below 0.9"),
+        ({"min_opacity": 0.9}, "300 Gaussians of opacity below 0.9"),
         ({"min_overlap": 4}, "voxels that fewer than 4 ellipsoids touch"),
     ],
 )
@@ -247,7 +249,7 @@ def test_the_verdict_names_what_the_level_leaves_out_and_counts_what_it_touches(
     }
     if "min_overlap" in level:
         arrays = {name: rows[: -300 + 3] for name, rows in arrays.items()}  # fewer than are needed
-    scene = make_artifact(SCENE, arrays, frame="world", unit="m", parameters={}, summary={}, source={})
+    scene = make_artifact(SCENE, arrays, **ROOM_OF)
     config = dataclasses.replace(CONFIG, reach=(0.6, 1.5, 1.0), radius_m=0.11, **level)
     seen = observe(config, scene, None)
     found = verify_seen(seen, scene=scene)
@@ -261,7 +263,11 @@ def test_the_verdict_names_what_the_level_leaves_out_and_counts_what_it_touches(
     assert inside  # the truth: seen voxels with centres of Gaussians in them
     touched = int(found.statement.split("; ")[1].split(" of ")[0])
     assert touched >= len(inside)
-    assert words in verify_seen(seen, voxels=voxelize(config, scene)).statement
+    assert words.removeprefix("300 ") in verify_seen(seen, voxels=voxelize(config, scene)).statement
+    opaque = make_artifact(SCENE, arrays | {"opacity": np.ones(len(arrays["opacity"]))}, **ROOM_OF)
+    if "min_opacity" in level:  # where nothing is below the minimum, nothing is left out
+        every = observe(config, opaque, None)
+        assert verify_seen(every, scene=opaque).omits == []
 
 
 def test_boxes_fill_what_is_marked_once():
