@@ -33,8 +33,10 @@ def command(source: Path, config: ImportVoxelsConfig, common: options.Common) ->
     it; of an OctoMap, when it shares more than its surface with an occupied leaf. Rounding is outward, so no
     touched voxel is missed. Only the surface of a mesh is marked, unless --solid is given.
 
-    Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel. An estimate of voxels
-    far above --max-voxels ends the command before the work.
+    Everything in FILE is read, or it is refused by name: see "What is read" in the guide.
+
+    Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel; to read a text, 12 times
+    its bytes. An estimate of voxels far above --max-voxels ends the command before the work.
     """
     from alula.cli.runner import run_stage
     from alula.schemas.artifact import Artifact

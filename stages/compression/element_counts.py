@@ -36,8 +36,8 @@ def count_elements(raw: bytes, suffix: str) -> int | None:
 
 
 def _obj(raw: bytes) -> int:
-    faces = _FACE.findall(_COMMENT.sub(b"", raw))
-    return sum(len(face.replace(b"\\", b" ").split()) - 3 for face in faces)
+    faces = _FACE.finditer(_COMMENT.sub(b"", raw))
+    return sum(len(face[0].replace(b"\\", b" ").split()) - 3 for face in faces)
 
 
 def _stl(raw: bytes) -> int:

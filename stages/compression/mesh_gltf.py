@@ -13,7 +13,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.errors import ArtifactError, InputError
 from alula.stages.compression.imported import Mesh
-from alula.stages.compression.polygons import check_indices, fan, strip
+from alula.stages.compression.polygons import check_indices, fan, loose_points, strip
 from alula.stages.reconstruction.formats.gltf_accessors import FLOAT, Document, Node, Primitive, Tables, item
 from alula.stages.reconstruction.formats.gltf_nodes import local_matrix, roots_of
 from alula.stages.reconstruction.formats.source import Source
@@ -61,7 +61,7 @@ def read_glb(source: Source) -> Mesh:
             index, points = _triangles(tables, primitive, what)
             if (mesh, number) not in met:
                 met.add((mesh, number))
-                loose += len(points) - len(np.unique(index))
+                loose += loose_points(index, len(points))
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
                 moved = _moved(*_pieces(tables, primitive, matrix), points)
             corners.append(moved[_facing(index, matrix)])
@@ -71,7 +71,7 @@ def read_glb(source: Source) -> Mesh:
 def _check(document: Document, tables: Tables) -> None:
     """Refuse by name what would be left out."""
     try:
-        tree: dict[str, Any] = json.loads(tables.text)
+        tree: dict[str, Any] = json.loads(tables.text, object_pairs_hook=_object)
         names = {str(name) for name in (*tree.get("extensionsUsed", []), *document.extensions_required)}
         names |= set(_extensions(tree))
     except (ValueError, TypeError, RecursionError) as error:
@@ -93,6 +93,14 @@ def _check(document: Document, tables: Tables) -> None:
                 raise InputError(f"mesh {number} has {name}, and only triangles can be marked")
             if primitive.targets:
                 raise InputError(f"mesh {number} has morph targets; export one shape without them")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON whose names differ; of equal ones each reader takes another."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError(f"an object has a name twice, among {', '.join(found)}")
+    return found
 
 
 def _extensions(tree: Any) -> Iterator[str]:

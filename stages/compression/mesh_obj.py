@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from array import array
 from collections.abc import Iterator
@@ -23,7 +24,8 @@ _NO_SHAPES = frozenset({
     "vt", "vn", "g", "o", "s", "mg", "bevel", "c_interp", "d_interp", "lod", "maplib", "usemap", "usemtl",
     "mtllib", "shadow_obj", "trace_obj", "ctech", "stech",
 })  # fmt: skip
-_CORNER = re.compile(r"([+-]?[0-9]{1,18})(?:/(?:[+-]?[0-9]+)?){0,2}")
+_CORNERS = re.compile(r"(?:[+-]?[0-9]{1,18}(?:/(?:[+-]?[0-9]+)?){0,2}(?: |$))+")
+_TEXTURE = re.compile(r"/[^ ]*")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 
 
@@ -42,12 +44,13 @@ def read_obj(raw: bytes) -> Mesh:
     """
     points, corner, lengths = array("d"), array("q"), array("q")
     for number, line, joined in _statements(_text(raw)):
-        words = line.partition("#")[0].split()
+        words = (line.partition("#")[0] if "#" in line else line).split()
         if not words:
             continue
         try:
             if words[0] == "v":
-                points.extend(_vertex(words))
+                _check_vertex(words)
+                points.extend(map(float, words[1:4]))
             elif words[0] == "f":
                 corner.extend(_face(words, len(points) // 3))
                 lengths.append(len(words) - 1)
@@ -78,7 +81,8 @@ def _text(raw: bytes) -> str:
 def _statements(text: str) -> Iterator[tuple[int, str, bool]]:
     """Number of the first line, text, and True when it is of several lines; comments end with their line."""
     begun, first = "", 0
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, ended in enumerate(io.StringIO(text, newline="\n"), start=1):
+        line = ended.rstrip("\n")
         whole, start = (begun + line, first) if first else (line, number)
         if whole.endswith("\\") and "#" not in whole:
             begun, first = whole[:-1] + " ", start
@@ -89,31 +93,29 @@ def _statements(text: str) -> Iterator[tuple[int, str, bool]]:
         yield first, begun, True
 
 
-def _vertex(words: list[str]) -> tuple[float, float, float]:
-    if any("_" in word for word in words):  # Python's own digits
-        raise ValueError
+def _check_vertex(words: list[str]) -> None:
     if len(words) == 5 and float(words[4]) != 1:
         raise InputError(f"vertices with a weight of {words[4][:20]}, and only 1 is supported")
     if len(words) not in (4, 5, 7):  # 7: with a colour
         raise ValueError
     for word in words[5:]:
         float(word)
-    return float(words[1]), float(words[2]), float(words[3])
+    if "_" in "".join(words):  # Python's own digits
+        raise ValueError
 
 
 def _face(words: list[str], before: int) -> list[int]:
-    if len(words) < 4:
+    """Corners of a face, from 0."""
+    text = " ".join(words[1:])
+    if len(words) < 4 or not _CORNERS.fullmatch(text):
         raise ValueError
-    found = []
-    for word in words[1:]:
-        match = _CORNER.fullmatch(word)
-        if match is None:
-            raise ValueError
-        index = int(match[1])
-        if index == 0 or index < -before:
-            raise InputError(f"a face has the corner {index}, and {before} vertices come before it")
-        found.append(index - 1 if index > 0 else before + index)
-    return found
+    found = list(map(int, (_TEXTURE.sub("", text) if "/" in text else text).split(" ")))
+    low = min(found)
+    if low < 0:
+        found = [before + 1 + index if index < 0 else index for index in found]
+    if low == 0 or min(found) < 1:
+        raise InputError(f"a face has the corner {low}, and {before} vertices come before it")
+    return [index - 1 for index in found]
 
 
 def _unknown(word: str) -> str:

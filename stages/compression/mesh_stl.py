@@ -18,6 +18,7 @@ _FACET = re.compile(
     rb"\s*facet\s+normal" + _N * 3 + rb"\s+outer\s+loop" + (rb"\s+vertex" + _N * 3) * 3
     + rb"\s+endloop\s+endfacet(?=\s)", re.IGNORECASE
 )  # fmt: skip
+_CORNER = re.compile(rb"\bvertex\b", re.IGNORECASE)
 _END = re.compile(rb"\s*endsolid(?:[ \t][^\r\n]*)?(?:[\r\n]+|$)", re.IGNORECASE)
 
 
@@ -50,6 +51,7 @@ def read_stl(raw: bytes) -> FloatArray:
 def _text(text: bytes) -> FloatArray:
     found, at = array("d"), 0
     while (solid := _SOLID.match(text, at)) is not None:
+        _check_name(text, solid)
         at = solid.end()
         while (facet := _FACET.match(text, at)) is not None:
             try:
@@ -60,11 +62,18 @@ def _text(text: bytes) -> FloatArray:
         end = _END.match(text, at)
         if end is None:
             raise _wrong(text, at)
+        _check_name(text, end)
         at = end.end()
     if text[at:].strip():
         raise _wrong(text, at)
     numbers: NDArray[np.float64] = np.array(found, np.float64)
     return numbers.reshape(-1, 3, 3)
+
+
+def _check_name(text: bytes, line: re.Match[bytes]) -> None:
+    """Refuse a name of a solid that may be a facet without a line of its own."""
+    if _CORNER.search(line[0]):
+        raise _wrong(text, line.start())
 
 
 def _number(word: bytes) -> float:

@@ -35,7 +35,9 @@ def mesh_of(points: FloatArray, lengths: IntArray, corner: IntArray) -> Mesh:
     fans: list[tuple[IntArray, FloatArray]] = []
     bent, room = [np.empty((0, 3, 3))], _BENT_TRIANGLES
     ends = np.cumsum(lengths)
-    loose = len(points) - len(np.unique(corner))
+    loose = loose_points(corner, len(points))
+    if (lengths == 3).all():
+        return Mesh(points[corner.reshape(-1, 3)], loose=loose)
     for n in np.unique(lengths).tolist():
         rows = np.flatnonzero(lengths == n)
         shape = points[corner[(ends[rows] - n)[:, None] + np.arange(n)]]
@@ -54,8 +56,6 @@ def mesh_of(points: FloatArray, lengths: IntArray, corner: IntArray) -> Mesh:
             )
         others = [t for t in combinations(range(n), 3) if not (t[0] == 0 and t[2] == t[1] + 1)]
         bent.append(_triples(curved, others))
-    if not fans:
-        return Mesh(np.empty((0, 3, 3)), loose=loose)
     order = np.argsort(np.concatenate([row for row, _ in fans]), kind="stable")
     corners = np.concatenate([found for _, found in fans])[order]
     return Mesh(corners, bent=np.concatenate(bent), loose=loose)
@@ -90,6 +90,18 @@ def fan(index: NDArray[np.integer]) -> IntArray:
     """
     found = np.asarray(index, np.int64)
     return np.stack([found[1:-1], found[2:], np.broadcast_to(found[0], len(found) - 2)], axis=1)
+
+
+def loose_points(corner: IntArray, count: int) -> int:
+    """Number of points that are no corner.
+
+    Args:
+        corner: indices of points.
+        count: number of points.
+    """
+    is_loose = np.ones(count, np.bool_)
+    is_loose[corner] = False
+    return int(is_loose.sum())
 
 
 def check_indices(corner: IntArray, count: int) -> None:

@@ -127,6 +127,27 @@ def _text_values(element: Element, part: list[tuple[int, str]]) -> Rows:
 
 
 def _text_lists(element: Element, part: list[tuple[int, str]]) -> Rows:
+    return _text_of_equal_rows(element, part) or _text_row_by_row(element, part)
+
+
+def _text_of_equal_rows(element: Element, part: list[tuple[int, str]]) -> Rows | None:
+    """Rows of one list of whole numbers, all of one length; None for others."""
+    column = element.properties[0]
+    if len(element.properties) > 1 or column.item[0] == "f" or not part:
+        return None
+    try:
+        table = number_rows([line for _, line in part], "a row")
+    except ArtifactError:
+        return None
+    if (table[:, 0] != table.shape[1] - 1).any() or (table != np.rint(table)).any():
+        return None
+    if np.abs(table).max() > 2**53:
+        return None
+    values = table[:, 1:].astype(np.int64).reshape(-1)
+    return Rows({}, {column.name: Lists(table[:, 0].astype(np.int64), values)})
+
+
+def _text_row_by_row(element: Element, part: list[tuple[int, str]]) -> Rows:
     values: dict[str, list[float]] = {p.name: [] for p in element.properties}
     lengths: dict[str, list[int]] = {p.name: [] for p in element.properties if not p.type}
     whole = {p.name: p.item[0] != "f" for p in element.properties if not p.type}

@@ -12,6 +12,7 @@ from alula.schemas.errors import ArtifactError
 
 _CONTROL = re.compile(rb"[^\t\n\r\x20-\x7e]")
 _COMMENT = re.compile(rb"#[^\r\n]*")
+_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf(inity)?)", re.IGNORECASE | re.ASCII)
 _SHOWN = 40
 
 
@@ -63,7 +64,7 @@ def _wrong(lines: Sequence[str], what: str, first: int) -> ArtifactError:
     for number, line in enumerate(lines, start=first):
         words = line.split()
         for word in words:
-            if not _is_number(word):
+            if not _NUMBER.fullmatch(word):
                 return ArtifactError(
                     f"line {number}: {what} needs numbers with spaces between them, not {word[:_SHOWN]!r}"
                 )
@@ -73,11 +74,3 @@ def _wrong(lines: Sequence[str], what: str, first: int) -> ArtifactError:
             )
         columns = len(words) or columns
     return ArtifactError(f"{what} is not readable as numbers")
-
-
-def _is_number(word: str) -> bool:
-    try:
-        np.loadtxt([word], np.float64, comments=None)
-    except ValueError:
-        return False
-    return True

@@ -152,6 +152,11 @@ REFUSED = {
     "cut.stl": (b"solid a\n" + facet(A, B, C), "ends in line 9 before 'endsolid'"),
     "four.stl": (b"solid\n" + facet(A, B, C, D) + b"endsolid", "line 2: no facet"),
     "word.stl": (b"solid\n" + facet(A, B, C).replace(b"1 0 0", b"1_0 0 0") + b"endsolid", "line 2: no facet"),
+    "line.stl": (b"solid a " + facet(A, B, C).replace(b"\n", b" ") + b"\nendsolid", "line 1: no facet"),
+    "end_line.stl": (
+        b"solid a\n" + facet(A, B, C) + b"endsolid a solid b " + facet(A, B, C).replace(b"\n", b" ") + b"\n",
+        "line 9: no facet",
+    ),
     "behind.stl": (b"solid\n" + facet(A, B, C) + b"endsolid\n" + facet(A, B, C), "line 10: no facet"),
     "edges.ply": (
         PLY + FACES + b"element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header\n" + POINTS
@@ -301,6 +306,14 @@ def test_a_glb_with_other_shapes_is_refused_by_name(words, tmp_path):
     GLB[words](glb)
     with pytest.raises(InputError, match=words):
         read(tmp_path, "a.glb", glb.bytes())
+
+
+def test_a_glb_with_two_objects_of_one_name_is_refused(tmp_path):
+    raw = made().bytes()
+    twice = raw.replace(b'"scene": 0, ', b'"nodes":[], ')
+    assert len(twice) == len(raw)
+    with pytest.raises(InputError, match="an object has a name twice"):
+        read(tmp_path, "a.glb", twice)
 
 
 def test_cameras_lights_and_materials_of_a_glb_do_not_matter(tmp_path):
