@@ -35,8 +35,8 @@ def command(source: Path, config: ImportVoxelsConfig, common: options.Common) ->
 
     Everything in FILE is read, or it is refused by name: see "What is read" in the guide.
 
-    Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel; to read a text, 12 times
-    its bytes. An estimate of voxels far above --max-voxels ends the command before the work.
+    Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel; 12 times the bytes of a
+    text. An estimate of voxels far above --max-voxels ends the command before the work.
     """
     from alula.cli.runner import run_stage
     from alula.schemas.artifact import Artifact

@@ -156,10 +156,9 @@ def ply(rng):
     form, order = rng.choice((("ascii", ""), ("binary_little_endian", "<"), ("binary_big_endian", ">")))
     long = rng.random() < 0.1
     head, two = _ply_head(rng, form, ["comment " + "x" * 70_000] if long else ["obj_info a"])
-    vertices, polygons = shapes(rng)
-    kind = rng.choice(("f4", "f8"))
-    if rng.random() < 0.2:
-        vertices, kind = [[Fraction(int(c)) for c in v] for v in vertices], rng.choice(("i2", "i4"))
+    is_whole = rng.random() < 0.2
+    vertices, polygons = shapes(rng, 1 if is_whole else 8)
+    kind = rng.choice(("i2", "i4") if is_whole else ("f4", "f8"))
     strips = rng.random() < 0.2
     is_cloud = not strips and rng.random() < 0.2
     columns = [(axis, kind) for axis in "xyz"]
