@@ -176,3 +176,39 @@ def level_of(artifact: Artifact) -> LevelManifest:
     """
     assert isinstance(artifact.manifest, LevelManifest)
     return artifact.manifest
+
+
+def scene_level(sigma: float) -> dict[str, Any]:
+    """Definition of an obstacle among all ellipsoids of a scene, for a certificate.
+
+    Args:
+        sigma: level, in standard deviations.
+    """
+    return {"sigma": sigma, "mass_fraction": mass_within(sigma)}
+
+
+def hull_words(level: LevelManifest) -> str:
+    """Name a hull by what it was made for, after "every".
+
+    Args:
+        level: definition of an obstacle.
+    """
+    return f"hull of the cover, made for {obstacles_words(level)}"
+
+
+def map_words(cover: Artifact | None, scene: Artifact | None, sigma: float, *, is_within: bool) -> str:
+    """Name what a flight is judged against: the obstacles with their level, and what this leaves out.
+
+    Args:
+        cover: an `alula/cover`, if there is one.
+        scene: an `alula/scene`, if there is one.
+        sigma: level of its ellipsoids, in standard deviations.
+        is_within: whether unseen space counts, too.
+    """
+    parts = []
+    if cover is not None:
+        level = level_of(cover)
+        parts.append(f"the hulls of the cover, made for {obstacles_words(level)}{without(omissions(level))}")
+    parts += ["all space that was not seen"] if is_within else []
+    parts += [] if scene is None else [f"the ellipsoids of the scene at {level_words(sigma)}"]
+    return " and ".join(parts)

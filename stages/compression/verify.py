@@ -132,7 +132,8 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
         notes: observations that do not affect the proof, such as files that are not the recorded inputs.
         statement: the verdict in words.
         level: definition of an obstacle that the proof used; `mass_fraction` is the fraction of a Gaussian's
-            mass inside its ellipsoid at `sigma`.
+            mass inside its ellipsoid at `sigma`. Of a plan among hulls and ellipsoids it is that of the
+            hulls, and `scene` in it that of the ellipsoids.
         given: roles of the files that were checked.
         not_checked: links of the proof that the files do not suffice for.
         omits: what the level leaves out of the scene or map, in words, also named by `statement`.

@@ -19,12 +19,9 @@ from alula.stages.clearance import (
 )
 from alula.stages.compression.level import (
     level_of,
-    level_words,
-    mass_within,
-    obstacles_words,
     omissions,
     recorded_level,
-    without,
+    scene_level,
 )
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
@@ -190,7 +187,7 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
     """
     name = mission.config.filter
     who = "without a filter" if name == "none" else f"behind the filter {name!r}"
-    map_ = _map_words(mission)
+    map_ = mission.map_words
     touched = f"came closer than its radius to {map_}" if trial.collision else f"kept its radius from {map_}"
     proven, how = mission.is_clear
     later = f" Plans made in flight, each proven before it was flown: {new_plans}." if new_plans else ""
@@ -214,24 +211,11 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
     )
 
 
-def _map_words(mission: Mission) -> str:
-    """What a flight was judged against: the obstacles with their level, and what this leaves out."""
-    parts, sigma = [], mission.config.sigma
-    if mission.cover is not None:
-        level = level_of(mission.cover)
-        parts.append(f"the hulls of the cover, made for {obstacles_words(level)}{without(omissions(level))}")
-    if mission.within is not None:
-        parts.append("all space that was not seen")
-    if mission.scene is not None:
-        parts.append(f"the ellipsoids of the scene at {level_words(sigma)}")
-    return " and ".join(parts)
-
-
 def _map_record(mission: Mission) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if mission.cover is not None:
         level = level_of(mission.cover)
         found["cover"] = recorded_level(level) | {"omits": omissions(level)}
     if mission.scene is not None:
-        found["scene"] = {"sigma": mission.config.sigma, "mass_fraction": mass_within(mission.config.sigma)}
+        found["scene"] = scene_level(mission.config.sigma)
     return found

@@ -19,6 +19,14 @@ from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.level import (
+    level_of,
+    level_words,
+    map_words,
+    obstacles_words,
+    omissions,
+    without,
+)
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
@@ -111,6 +119,12 @@ class Mission:
         found = self.scene if self.is_splat and self.scene is not None else self.cover
         assert found is not None
         return found
+
+    @property
+    def map_words(self) -> str:
+        """The obstacles with their level, and what this leaves out."""
+        is_within = self.within is not None
+        return map_words(self.cover, self.scene, self.config.sigma, is_within=is_within)
 
     @property
     def goal(self) -> FloatArray:
@@ -272,7 +286,9 @@ def make_mission(
         if within is not None:
             hulls = joined([hulls, unseen_hulls(within)])
         obstacles.append(("a hull", hull_obstacles(hulls)))
-        what = "hulls" if within is None else "hulls and of unseen space"
+        level = level_of(cover)
+        what = f"hulls made for {obstacles_words(level)}{without(omissions(level))}"
+        what += "" if within is None else ", and of unseen space"
         proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), what, radius))
         if within is not None and not is_seen(within, curve_of(plan).at(np.zeros(1))[:, :3]).all():
             proofs.append((False, "the plan begins outside of the space that was seen"))
@@ -280,7 +296,11 @@ def make_mission(
         ellipsoids = scene_obstacles(scene, config.sigma)
         obstacles.append(("an ellipsoid", ellipsoids))
         proofs.append(
-            _proof(certify_among(plan, scene, config.sigma, radius, jobs=jobs), "ellipsoids", radius)
+            _proof(
+                certify_among(plan, scene, config.sigma, radius, jobs=jobs),
+                f"ellipsoids at {level_words(config.sigma)}",
+                radius,
+            )
         )
     require_fit(plan, vehicle)
     curve = curve_of(plan)
@@ -346,10 +366,10 @@ def _clearness(proofs: list[tuple[bool, str]], *, is_unproven: bool) -> tuple[bo
 def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, str]:
     """Whether a plan is proven clear of obstacles, and that in words."""
     unproven = np.flatnonzero(~found.proven)
-    words = f"proven clear of all {obstacles}"
+    words = f"proven to keep {exact(radius_m)} m from all {obstacles}"
     if not found.holds:
-        words = f"piece {unproven[:1]} is not proven clear of {obstacles}"
-    return found.holds, f"{words} by {exact(radius_m)} m"
+        words = f"piece {unproven[:1]} is not proven to keep {exact(radius_m)} m from {obstacles}"
+    return found.holds, words
 
 
 def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
@@ -512,6 +532,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         ends=(mission.start, mission.goal),
         departures=departures_of(mission.plan, config.speed_m_s, mission.vehicle.following.horizontal_lag),
         obstacles=mission.obstacles,
+        map_words=mission.map_words,
         margin_m=config.margin_m,
         fence=mission.fence,
         plan=_plan_verdict(mission, setpoints[0]),

@@ -23,6 +23,7 @@ from alula.schemas.mission import Mission
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.compression.level import without
 from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
@@ -230,8 +231,8 @@ def plan(
             **({"notes": notes} if (notes := _notes(path, behind, acting)) else {}),
         },
         guarantee=Guarantee(
-            f"Every point of the trajectory is at least {_distances(space)}, and its motion stays within the "
-            "limits at every instant.",
+            f"Every point of the trajectory is at least {space.distances()}, and its motion stays within the "
+            f"limits at every instant{without(space.omits())}.",
             {
                 "radius_m": space.keep_m,
                 **limits.record(),
@@ -344,13 +345,6 @@ def _passed(curve: Curve, corridor: Corridor, path: Polyline) -> list[int]:
     """Pieces that begin at the passages, in their order."""
     first = {int(i): int(np.flatnonzero(curve.segment == j)[0]) for j, i in enumerate(corridor.chosen[:-1])}
     return [first[i] for i in path.at]
-
-
-def _distances(space: PlanSpace) -> str:
-    """Distances that a plan keeps, in words."""
-    if len({part.keep_m for part in space.parts}) == 1:
-        return f"radius_m from every {' and every '.join(part.words for part in space.parts)}"
-    return " and ".join(f"{part.keep_m:g} m from every {part.words}" for part in space.parts)
 
 
 def _notes(path: Polyline, behind: Behind | None, acting: int) -> list[str]:

@@ -15,8 +15,18 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InputError
+from alula.schemas.manifest import SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
+from alula.stages.compression.ellipsoids import removed_from
 from alula.stages.compression.hulls import Hulls, image_hulls
+from alula.stages.compression.level import (
+    hull_words,
+    level_of,
+    level_words,
+    omissions,
+    recorded_level,
+    scene_level,
+)
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
@@ -31,6 +41,7 @@ _WORDS = {
     "image": "hull of the onboard map",
     "seen": "point that was not seen",
 }
+_IMAGE_WORDS = "hull of the onboard map, which does not record its level"
 _NEAR = ("an obstacle", "space that was not seen")
 _FAR_M = 1e3  # distances of maps are measured up to this
 
@@ -45,7 +56,9 @@ class Part:
         obstacles: what the proof of the plan is about.
         map: the same as a native map.
         lower, upper: corners of a box around all obstacles, shape (3,) [m]; None without any.
-        facts: for the manifest.
+        facts: for the manifest, with the level of the obstacles.
+        level_words: an obstacle with its level, for guarantees.
+        omits: what the level leaves out, in words.
         solids: the same as hulls or ellipsoids.
         short_m: maximum by which distances in `map` are smaller than those of `solids` [m].
     """
@@ -58,6 +71,8 @@ class Part:
     lower: FloatArray | None
     upper: FloatArray | None
     facts: dict[str, Any]
+    level_words: str
+    omits: tuple[str, ...] = ()
     short_m: float = 0.0
 
     @property
@@ -73,7 +88,7 @@ class Part:
 
     @property
     def words(self) -> str:
-        """The obstacles in words, for guarantees."""
+        """An obstacle in words, for messages."""
         return _WORDS[self.role]
 
 
@@ -108,6 +123,15 @@ class PlanSpace:
         ]
         joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
         return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined)
+
+    def distances(self) -> str:
+        """Distances that a plan keeps, and from what, with the level of the obstacles, in words."""
+        each = [f"{part.keep_m:g} m from every {part.level_words}" for part in self.parts]
+        return ", and ".join(each)
+
+    def omits(self) -> list[str]:
+        """What the levels of the obstacles leave out, in words."""
+        return list(dict.fromkeys(words for part in self.parts for words in part.omits))
 
     def solids(self) -> list[Kept]:
         """Obstacles of all parts, with the distance to keep from them beyond `keep_m`."""
@@ -217,15 +241,27 @@ def plan_space(
 
 def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> Part:
     require_solid_hulls(cover, jobs=jobs)
-    facts = {"map": "cover", "inflation_m": beyond_m, "keep_m": keep_m + beyond_m}
-    return _hull_part("cover", Hulls.from_cover(cover), keep_m + beyond_m, facts)
+    level = level_of(cover)
+    facts = {
+        "map": "cover",
+        "inflation_m": beyond_m,
+        "keep_m": keep_m + beyond_m,
+        "level": recorded_level(level),
+    }
+    hulls, left_out = Hulls.from_cover(cover), omissions(level)
+    return _hull_part("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
 
 
 def _seen_part(within: Artifact, keep_m: float) -> Part:
-    return _hull_part("seen", unseen_hulls(within), keep_m, {"map": "seen", "keep_m": keep_m})
+    level = level_of(within)
+    facts = {"map": "seen", "keep_m": keep_m, "level": recorded_level(level)}
+    left_out = omissions(level, is_cropped=False)
+    return _hull_part("seen", unseen_hulls(within), keep_m, facts, _WORDS["seen"], left_out)
 
 
-def _hull_part(role: str, hulls: Hulls, keep_m: float, facts: dict[str, Any]) -> Part:
+def _hull_part(
+    role: str, hulls: Hulls, keep_m: float, facts: dict[str, Any], words: str, left_out: Sequence[str]
+) -> Part:
     obstacles = hull_obstacles(hulls)
     points = hulls.vertices_world
     return Part(
@@ -237,6 +273,8 @@ def _hull_part(role: str, hulls: Hulls, keep_m: float, facts: dict[str, Any]) ->
         lower=points.min(axis=0) if len(points) else None,
         upper=points.max(axis=0) if len(points) else None,
         facts=facts,
+        level_words=words,
+        omits=tuple(left_out),
     )
 
 
@@ -263,7 +301,15 @@ def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float 
         map=among,
         lower=(mean - reach).min(axis=0) if len(mean) else None,
         upper=(mean + reach).max(axis=0) if len(mean) else None,
-        facts={"map": "scene", "sigma": sigma, "inflation_m": inflation_m, "keep_m": keep_m + inflation_m},
+        facts={
+            "map": "scene",
+            "sigma": sigma,
+            "inflation_m": inflation_m,
+            "keep_m": keep_m + inflation_m,
+            "level": scene_level(sigma),
+        },
+        level_words=f"ellipsoid of the scene at {level_words(sigma)}",
+        omits=tuple(removed_from(scene.manifest)) if isinstance(scene.manifest, SceneManifest) else (),
     )
 
 
@@ -286,6 +332,7 @@ def _image_part(image: bytes, keep_m: float, inflation_m: float) -> Part:
             "inflation_m": inflation_m,
             "keep_m": keep_m + inflation_m,
         },
+        level_words=_IMAGE_WORDS,
     )
 
 

@@ -14,6 +14,7 @@ from alula.schemas.errors import InfeasibleError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import UNPROVEN_PLAN, Guarantee
 from alula.schemas.provenance import parameters_of
+from alula.stages.compression.level import without
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, Certificate, certify_in
 from alula.stages.planning.endpoints import free_points_of_flight
 from alula.stages.planning.limits import Limits
@@ -165,10 +166,9 @@ def straight_plan(
 
 def _guarantee(proof: Certificate, space: PlanSpace, limits: Limits) -> Guarantee:
     if proof.holds:
-        each = " and ".join(f"{part.keep_m:g} m from every {part.words}" for part in space.parts)
         return Guarantee(
-            f"Every point of the trajectory is at least {each}, and its motion stays within the limits at "
-            "every instant.",
+            f"Every point of the trajectory is at least {space.distances()}, and its motion stays within "
+            f"the limits at every instant{without(space.omits())}.",
             {"radius_m": space.keep_m, **limits.record()},
         )
     return Guarantee(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +15,23 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass
+from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles
-from alula.stages.compression.ellipsoids import retained, rows_of
+from alula.stages.compression.ellipsoids import removed_from, retained, rows_of
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.level import require_sigma
+from alula.stages.compression.level import (
+    beyond_words,
+    hull_words,
+    level_of,
+    level_words,
+    obstacles_words,
+    omissions,
+    outside_words,
+    recorded_level,
+    require_sigma,
+    scene_level,
+    without,
+)
 from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, require_solid_hulls
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
@@ -79,14 +92,22 @@ def verify_plan(
     pieces = _Pieces(plan)
     made_in = {each["map"]: each for each in manifest.maps}
     checks, statements, not_checked = [], [], []
+    level: dict[str, Any] = {}
+    omits: list[str] = []
+    beyond: list[str] = []
     if cover is not None:
+        of_cover = level_of(cover)
+        level, omits, beyond = recorded_level(of_cover), omissions(of_cover), [outside_words(of_cover)]
         require_solid_hulls(cover, jobs=jobs)
         hulls = hull_obstacles(Hulls.from_cover(cover))
         keep_m = float(made_in.get("cover", {}).get("keep_m", manifest.radius_m))
         checks.append(_clearance(plan, hulls, keep_m, "hull", jobs))
         if pieces.used:
             checks.append(_cells(pieces, [hulls], [], keep_m, "hull", jobs))
-        statements.append(f"every point of the plan is at least {keep_m:g} m from every hull of the cover")
+        statements.append(
+            f"every point of the plan is at least {keep_m:g} m from every {hull_words(of_cover)}"
+        )
+        not_checked.append("that the cover contains what it was made for, see `verify` of the cover")
     if scene is not None and "scene" in made_in:
         sigma, keep_m = float(made_in["scene"]["sigma"]), float(made_in["scene"]["keep_m"])
         among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m))
@@ -94,8 +115,11 @@ def verify_plan(
         if pieces.used:
             checks.append(_cells(pieces, [], [scene_obstacles(scene, sigma)], keep_m, "ellipsoid", jobs))
         statements.append(
-            f"every point of the plan is at least {keep_m:g} m from every ellipsoid of the scene"
+            f"every point of the plan is at least {keep_m:g} m from every ellipsoid of the scene at "
+            f"{level_words(sigma)}"
         )
+        level = level | {"scene": scene_level(sigma)} if level else scene_level(sigma)
+        beyond.append(beyond_words(sigma))
     elif scene is not None:
         if cover is None:
             raise UsageError("the plan was not made in a scene; give the cover that it keeps away from")
@@ -103,7 +127,7 @@ def verify_plan(
         if pieces.used:
             ellipsoids = [_ellipsoids(scene, cover.manifest)]
             checks.append(_cells(pieces, [], ellipsoids, manifest.radius_m, "ellipsoid", jobs))
-            statements.append("every cell of its corridor from every ellipsoid of the scene")
+            statements.append(f"every cell of its corridor from {obstacles_words(cover.manifest)}")
         else:
             not_checked.append("the distance from ellipsoids: the plan has no corridor")
     if within is not None:
@@ -113,6 +137,13 @@ def verify_plan(
         offences = [] if is_seen(within, begin).all() else [Offence(fault="the plan begins in unseen space")]
         checks.append(_check("begins in seen space", 1, offences, "the voxel of its start"))
         statements.append("within the space that was seen")
+        omits += omissions(level_of(within), is_cropped=False)
+        if not level:
+            level = recorded_level(level_of(within))
+    if scene is not None:
+        assert isinstance(scene.manifest, SceneManifest)
+        omits += removed_from(scene.manifest)
+    omits = list(dict.fromkeys(omits))
     given = {"cover": cover, "scene": scene, "within": within}
     if "seen" in made_in and within is None:
         not_checked.append("the space that was seen, in which the plan was made")
@@ -143,11 +174,18 @@ def verify_plan(
     return Certificate(
         covered=proven,
         checks=checks,
-        left_out="errors of tracking and of the vehicle's state; drag; everything that the map does not have",
+        left_out="; ".join(
+            [
+                *("errors of tracking and of the vehicle's state", "drag"),
+                *("everything that the map does not have", *dict.fromkeys(beyond), *omits),
+            ]
+        ),
         notes=notes,
-        statement=f"proven: {', '.join(statements)}" if proven else "not proven",
+        statement=f"proven: {', '.join(statements)}{without(omits)}" if proven else "not proven",
+        level=level,
         given=["plan", *(role for role, each in given.items() if each is not None)],
         not_checked=not_checked,
+        omits=omits,
     )
 
 

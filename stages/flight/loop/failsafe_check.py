@@ -19,6 +19,7 @@ def failsafe_faults(
     *,
     radius_m: float,
     foot_m: float,
+    map_words: str = "the map",
 ) -> tuple[list[str], str]:
     """What is wrong with the vehicle's failsafes and fence for a flight.
 
@@ -29,6 +30,7 @@ def failsafe_faults(
         obstacles: by name, world frame.
         radius_m: radius of the vehicle [m].
         foot_m: the last part of the way down, to leave out the ground [m].
+        map_words: the obstacles with their level.
 
     Returns:
         A sentence for each fault; and what was found if there is none.
@@ -65,7 +67,7 @@ def failsafe_faults(
     clear = (
         "clear of everything"
         if math.isinf(met.distance_m)
-        else f"at least {at_least(met.distance_m)} m clear of the map"
+        else f"at least {at_least(met.distance_m)} m clear of {map_words}"
     )
     where = "all of the plan"
     if met.share < 1:

@@ -38,6 +38,7 @@ class Needs:
         speed_m_s: limit of the speed [m/s].
         stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
+        map_words: the obstacles with their level.
         radius_m: radius of the vehicle [m].
         margin_m: additional clearance of the climb path [m].
         fence: volume to fly in, world frame.
@@ -63,6 +64,7 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    map_words: str = ""
     speed_m_s: float = math.nan
     stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
@@ -257,6 +259,7 @@ def _failsafes(seen: Observed, needs: Needs) -> Verdict:
         needs.obstacles,
         radius_m=needs.radius_m,
         foot_m=foot_m,
+        map_words=needs.map_words or "the map",
     )
     return Verdict("failsafes", not faults, "; ".join(faults) or found + _coasting(own, needs))
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from alula.stages.viewing.corridor import corridor_mesh
 from support.covers import box_distance, boxes_cover
+from support.small_scenes import ball_scene
 
 BOXES = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]
 CONFIG = PlanConfig(
@@ -197,3 +199,62 @@ def test_the_command_proves_a_plan_and_exits_with_4_where_it_is_damaged(good, co
     assert captured.err.count("\n") == 1
     assert verify(good) == 2
     assert "a plan is proven against the map of --map" in capsys.readouterr().err
+
+
+AT_ONE = "every ellipsoid of the scene at 1 sigma (19.8 % of a Gaussian's mass)"
+
+
+def test_verdict_and_guarantee_name_the_level_of_the_hulls_and_what_it_leaves_out(good, cover):
+    certificate = verify_plan(good, cover=cover)
+    distance = "every point of the plan is at least 0.2 m from every hull of the cover"
+    assert certificate.statement == f"proven: {distance}, made for {AT_ONE}"
+    assert (certificate.level["sigma"], certificate.level["min_overlap"]) == (1.0, 1)
+    assert certificate.level["mass_fraction"] == pytest.approx(0.1987, abs=1e-4)
+    assert certificate.omits == []
+    assert "beyond 1 sigma (80.2 % of its mass)" in certificate.left_out
+    assert f"made for {AT_ONE}" in good.manifest.guarantee.statement
+    fields = {"sigma": 0.5, "min_overlap": 3, "min_opacity": 0.2}
+    less = dataclasses.replace(cover, manifest=msgspec.structs.replace(cover.manifest, **fields))
+    certificate = verify_plan(good, cover=less)
+    left_out = ["voxels that fewer than 3 ellipsoids touch", "Gaussians of opacity below 0.2"]
+    assert "made for every retained ellipsoid of the scene at 0.5 sigma (3.0" in certificate.statement
+    assert certificate.statement.endswith("; not included: " + ", ".join(left_out))
+    assert certificate.omits == left_out
+    assert (certificate.level["sigma"], certificate.level["min_opacity"]) == (0.5, 0.2)
+    made = plan(CONFIG, less)
+    assert made.manifest.guarantee.statement.endswith("; not included: " + ", ".join(left_out) + ".")
+    (facts,) = made.manifest.maps
+    assert (facts["level"]["sigma"], facts["level"]["min_overlap"]) == (0.5, 3)
+
+
+def test_verdict_and_guarantee_name_the_level_of_the_ellipsoids(cover):
+    ball = ball_scene([(1.0, 1.6, 1.5)], 0.5)
+    for sigma, mass in ((1.0, "19.8"), (0.05, "0.003")):
+        made = plan(dataclasses.replace(CONFIG, via=(), sigma=sigma), scene=ball)
+        certificate = verify_plan(made, scene=ball)
+        words = f"every ellipsoid of the scene at {sigma:g} sigma ({mass}"
+        assert words in certificate.statement
+        assert words in made.manifest.guarantee.statement
+        assert certificate.level["sigma"] == sigma
+        assert made.manifest.maps[0]["level"]["sigma"] == sigma
+    both = plan(dataclasses.replace(CONFIG, via=(), sigma=0.7), cover, scene=ball)
+    certificate = verify_plan(both, cover=cover, scene=ball)
+    assert certificate.covered
+    assert (certificate.level["sigma"], certificate.level["scene"]["sigma"]) == (1.0, 0.7)
+    assert "at 1 sigma" in certificate.statement
+    assert "at 0.7 sigma" in certificate.statement
+
+
+def test_the_start_that_snap_moved_is_noted_and_one_that_is_elsewhere_is_not_passed(cover):
+    snap = dataclasses.replace(CONFIG, start=(1.1, 0.3, 1.5), via=(), snap=True)
+    made = plan(snap, cover)
+    certificate = verify_plan(made, cover=cover)
+    assert certificate.covered
+    assert any("the start of the plan is 0." in note for note in certificate.notes)
+    parameters = made.manifest.parameters | {"snap": False}
+    assert failed(altered(made, {"parameters": parameters}), cover) == ["start, vias, goal"]
+
+
+def test_a_speed_that_the_limits_do_not_name_is_checked(good, cover):
+    limits = {name: value for name, value in good.manifest.limits.items() if name != "speed_m_s"}
+    assert failed(altered(good, {"limits": limits, "speed_m_s": 1.0}), cover) == ["limits"]
