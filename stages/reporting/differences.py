@@ -1,16 +1,18 @@
 """Direct comparison of runs: each against the first, with 95 % intervals of the differences.
 
-Runs are paired when they have the same trials: the same numbers, starts and goals. Then each trial is
-compared with its own: the interval resamples pairs, and the sign test counts in how many pairs the one is
-higher. Other runs are compared as two samples, and the report says so.
+Runs are paired when they have the same trials: the same numbers, starts and goals; or when one of them lacks
+some, as a run of plans does where the planner found no way. Then each trial is compared with its own: the
+interval resamples pairs, and the sign test counts in how many pairs the one is higher. Other runs
+are compared as two samples, and the report says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from alula.schemas.run import TrialResult
@@ -31,10 +33,11 @@ from alula.stages.verdict import path_ratio
 _SAME_PLACE_M = 1e-6
 _PERCENT = 100.0
 PAIRED_NOTE = (
-    "The {n} trials of both runs have the same starts and goals, so each is compared with its own. "
+    "{n} trials of both runs have the same starts and goals, so each is compared with its own. "
     "Intervals: percentile bootstrap of the pairs (95 %). p: exact two-sided sign test of the pairs that "
     "differ; of reached goals and touched obstacles it is McNemar's exact test. No correction for many rows."
 )
+LEFT_NOTE = " {left} trials that only one of the runs has are left out."
 UNPAIRED_NOTE = (
     "The trials of these runs differ in their numbers, starts or goals, so they are compared as two samples, "
     "which shows less than pairs would. Intervals (95 %): of rates by Newcombe from Wilson's, of means by "
@@ -141,12 +144,36 @@ def is_paired(first: Run, second: Run) -> bool:
     )
 
 
+def _shared(first: Run, second: Run) -> tuple[Run, Run] | None:
+    """Both runs with the trials of equal starts and goals, numbered alike; None where these are no pairs."""
+    if is_paired(first, second):
+        return first, second
+    ours, theirs = (
+        {(*trial.start_m, *trial.goal_m): trial for trial in run.record.trials} for run in (first, second)
+    )
+    lacks = ours.keys() <= theirs.keys() or theirs.keys() <= ours.keys()
+    both = [place for place in ours if place in theirs]
+    repeats = len(ours) < len(first.record.trials) or len(theirs) < len(second.record.trials)
+    if repeats or not lacks or len(both) < 2:
+        return None
+    same = [msgspec.structs.replace(theirs[place], index=ours[place].index) for place in both]
+    return _of_trials(first, [ours[place] for place in both]), _of_trials(second, same)
+
+
+def _of_trials(run: Run, trials: list[TrialResult]) -> Run:
+    return replace(run, record=msgspec.structs.replace(run.record, trials=trials))
+
+
 def _table(first: Run, second: Run, name: str) -> Table:
-    paired = is_paired(first, second)
+    shared = _shared(first, second)
+    paired, total = shared is not None, len(first.record.trials) + len(second.record.trials)
+    first, second = shared or (first, second)
     tests = ("n", "higher in", "lower in", "p") if paired else ("n",)
     columns = ("", first.label, second.label, "difference", LOW, HIGH, *tests)
     rows = [row for one in QUANTITIES if (row := _row(one, first, second, paired=paired)) is not None]
     note = PAIRED_NOTE.format(n=len(first.record.trials)) if paired else UNPAIRED_NOTE
+    if left := total - len(first.record.trials) - len(second.record.trials):
+        note += LEFT_NOTE.format(left=left)
     note += f" Difference: {second.label} less {first.label}."
     title = f"{second.label} against {first.label}"
     others = unlike_words(unlike(first.record, second.record), first.label, second.label)

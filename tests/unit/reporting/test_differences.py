@@ -14,6 +14,7 @@ from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.statistics import rate_difference, sign_test, two_sample_estimate
 from support.fabricate import make_record, make_trial
 
+GOAL_M = [20.0, 1.0, 1.0]
 COLUMNS = ("name", "first", "second", "difference", "low", "high", "n", "higher", "lower", "p")
 
 
@@ -43,6 +44,27 @@ def test_trials_with_the_same_starts_are_compared_one_by_one():
     assert rows["duration of successful flights [s]"]["difference"] == pytest.approx(2.0)
     assert "percentile bootstrap of the pairs" in table.note
     assert "b: mean of the minimum clearances 2.0 cm more than a" in difference_words(table)[1]
+
+
+def test_a_run_that_lacks_some_of_the_pairs_is_compared_with_the_others_by_their_places():
+    """As a run of plans does where the planner found no way; its trials have other numbers then."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0, 9, (40, 3)).tolist()
+    first = rng.uniform(0.1, 1.0, 40)
+    whole = [make_trial(i, clearance=c, start_m=places[i], goal_m=GOAL_M) for i, c in enumerate(first)]
+    kept = [i for i in range(40) if i % 7]
+    part = [
+        make_trial(n, clearance=first[i] + 0.02, start_m=places[i], goal_m=GOAL_M) for n, i in enumerate(kept)
+    ]
+    rows, table = rows_of(Run("a", make_record(whole)), Run("b", make_record(part)))
+    found = rows["minimum clearance of a flight [m]"]
+    assert found["difference"] == pytest.approx(0.02)
+    assert (found["n"], found["higher"]) == (len(kept), len(kept))
+    assert table.note.startswith(f"{len(kept)} trials of both runs have the same starts and goals")
+    assert "6 trials that only one of the runs has are left out" in table.note
+    elsewhere = [*part[:-1], make_trial(len(part) - 1, clearance=0.5, start_m=[50.0, 0, 0], goal_m=GOAL_M)]
+    _, table = rows_of(Run("a", make_record(whole)), Run("b", make_record(elsewhere)))
+    assert "two samples" in table.note
 
 
 def test_other_trials_are_compared_as_samples_and_the_report_says_so():
