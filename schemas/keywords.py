@@ -87,6 +87,7 @@ class ScaleAlignFields(TypedDict, total=False):
     origin: Sequence[float] | NDArray[Any] | None
     up: Sequence[float] | NDArray[Any] | None
     floor: bool
+    rescale: bool
     threshold_m: float
     max_angle_deg: float
     max_rms_m: float | None

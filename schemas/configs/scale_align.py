@@ -54,6 +54,13 @@ class ScaleAlignConfig:
             "help": "Find the floor, turn its normal to +z and make its height 0; unaligned scenes need --up."
         },
     )
+    rescale: bool = field(
+        default=False,
+        metadata={
+            "group": "Checks",
+            "help": "Accept another scale for a scene that is in metres already.",
+        },
+    )
     threshold_m: float = field(
         default=0.1,
         metadata={

@@ -32,6 +32,8 @@ from alula.stages.rotation import quat_wxyz_from_matrix
 __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
 _CHUNK = 2**15  # rows; their temporary arrays stay in the cache
+_SAME_SCALE = 1e-6  # a larger change of the scale of a scene in metres causes a warning
+_CORRECTION = 0.05  # a larger one is taken for a mistake
 _COARSE_M = 1e-3  # a larger rounding of positions causes a warning
 _BOUNDED_SIGMA = 3.0  # the error bound holds for all points of the ellipsoids of this level
 _SINGLE = 1.2e-7  # just over 2^-23, twice the rounding to single precision
@@ -180,7 +182,7 @@ def alignment_of(
         report: called with the record before the gates are applied.
 
     Raises:
-        CheckError: a gate does not hold.
+        CheckError: a gate does not hold, or a scene in metres would have another scale.
     """
     similarity = found.similarity
     matrix = np.eye(4)
@@ -194,6 +196,9 @@ def alignment_of(
             f"coordinates are so large that single precision moves Gaussians by up to {rounding:.2g} m; put "
             "the world's origin nearer to the scene"
         )
+    scale = similarity.scale
+    if manifest.unit == "m" and abs(scale - 1.0) > _SAME_SCALE:
+        warnings.append(f"the scene was in metres already; a metre of it becomes {scale:.6g} m")
     alignment = {
         "from_frame": manifest.frame,
         "from_unit": manifest.unit,
@@ -358,6 +363,12 @@ def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -
 
 
 def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
+    scale = alignment["scale"]
+    if alignment["from_unit"] == "m" and abs(scale - 1.0) > _CORRECTION and not config.rescale:
+        raise CheckError(
+            f"the scene is in metres already, and this would make {scale:.6g} m of each; align the scene of "
+            "import-splat instead, or pass --rescale if the metres are wrong"
+        )
     if "rms_m" not in alignment:
         return
     count, inliers, rms = alignment["count"], alignment["inliers"], alignment["rms_m"]

@@ -274,6 +274,8 @@ def test_an_alignment_can_be_undone(demo, align, tmp_path):
     text = {"scale": undo.scale, "rotation": undo.rotation, "translation_m": undo.translation_m}
     (tmp_path / "undo.json").write_text(json.dumps(text))
     words = ["--transform", tmp_path / "undo.json"]
+    assert align(*words, scene=tmp_path / "m.scene.npz", output="back.scene.npz") == 4
+    words += ["--rescale"]
     assert align(*words, scene=tmp_path / "m.scene.npz", output="back.scene.npz") == 0
     before, after = (read_artifact(p)["mean"] for p in (demo / "room.scene.npz", tmp_path / "back.scene.npz"))
     np.testing.assert_allclose(after, before, atol=2e-6)

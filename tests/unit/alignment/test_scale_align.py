@@ -185,12 +185,30 @@ def test_a_given_similarity_has_nothing_to_check(gate):
 
 def test_aligning_again_composes_and_adds_the_errors():
     first = scale_align(ScaleAlignConfig(), scene(), pairs(similarity()), 0)
-    second = scale_align(ScaleAlignConfig(), first, similarity(2, 3.0), 0)
+    second = scale_align(ScaleAlignConfig(rescale=True), first, similarity(2, 3.0), 0)
     assert second.manifest.suggested_inflation_m == pytest.approx(3 * first.manifest.suggested_inflation_m)
     assert second.manifest.alignment["previous"]["method"] == "correspondences"
     assert second.manifest.alignment["from_frame"] == "world"
     whole = transform_points(second.manifest.world_from_scene, scene()["mean"])
     np.testing.assert_allclose(second["mean"], whole, atol=5e-6)
+
+
+def test_metres_are_not_rescaled_without_insistence():
+    metric = scale_align(ScaleAlignConfig(), scene(), scale_only(1.8), 0)
+    for factor in (1.8, 0.9, 1 / 1.8):
+        with pytest.raises(
+            CheckError, match=rf"in metres already, and this would make {factor:.6g} m of each"
+        ):
+            scale_align(ScaleAlignConfig(), metric, scale_only(factor), 0)
+        again = scale_align(ScaleAlignConfig(rescale=True), metric, scale_only(factor), 0)
+        assert (
+            f"the scene was in metres already; a metre of it becomes {factor:.6g} m"
+            in (again.manifest.alignment["warnings"])
+        )
+    corrected = scale_align(ScaleAlignConfig(), metric, scale_only(1.02), 0)
+    assert any("becomes 1.02 m" in warning for warning in corrected.manifest.alignment["warnings"])
+    moved = scale_align(ScaleAlignConfig(), metric, similarity(2, 1.0), 0)
+    assert not any("metres already" in warning for warning in moved.manifest.alignment["warnings"])
 
 
 def test_what_does_not_fit_single_precision_is_refused():
