@@ -259,6 +259,11 @@ def read_material(
         made = read_provenance(inputs["certificate"])
         if made is None:
             raise ArtifactError(f"{inputs['certificate']}: is not a certificate of alula verify")
+        if of_other := {"plan", "seen"} & set(certificate["given"]):
+            raise InputError(
+                f"{inputs['certificate']}: is the certificate of a file of kind alula/{of_other.pop()}; give "
+                "that of the cover"
+            )
         if "cover" in artifacts and cover_hash(made.inputs) != cover_hash(provenance.inputs):
             raise InputError(f"{inputs['certificate']}: is the certificate of another cover")
     return Material(

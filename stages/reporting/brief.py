@@ -377,7 +377,10 @@ def _plan(manifest: Any) -> Subject:
         # the bound is on the distance of the centre
         is_clear = proven >= manifest.radius_m
         shown, radius = plain.length(proven, down=True), plain.length(manifest.radius_m)
-        verdict = f"The plan keeps its centre {shown} from everything in the map: proven."
+        levels = [each.get("level", {}).get("sigma") for each in manifest.maps]
+        sizes = dict.fromkeys(plain.deviations(sigma) for sigma in levels if isinstance(sigma, int | float))
+        of = f", of Gaussians up to {' and '.join(sizes)}" if sizes else ""
+        verdict = f"The plan keeps its centre {shown} from everything in the map{of}: proven."
         if not is_clear:
             verdict = f"The plan comes nearer to the map than the vehicle's radius of {radius}."
         tone = GOOD if is_clear else BAD

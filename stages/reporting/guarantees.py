@@ -5,6 +5,7 @@ from __future__ import annotations
 from alula.stages.filtering.registry import NO_FILTER
 from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, Material, coverage, omitted
+from alula.stages.reporting.plain import deviations
 from alula.stages.reporting.table import text
 
 GUARANTEES = "Guarantees and their limits"  # heading in every format
@@ -19,7 +20,7 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
         sigma = level.get("sigma") if isinstance(level, dict) else None
         imported = level.get("imported") if isinstance(level, dict) else None
         known = isinstance(sigma, int | float)
-        size = f" up to {text(sigma)} standard deviation{'' if sigma == 1 else 's'}" if known else ""
+        size = f" up to {deviations(sigma)}" if known else ""
         what = f"every Gaussian of the scan{size}"
         if isinstance(imported, dict):
             what = f"the whole {text(imported.get('kind'))} that was imported"
@@ -35,7 +36,9 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
         claims, trials = run.record.guarantee.claims, run.record.trials
         touched = sum(trial.collision for trial in trials)
         if claims.get("plan_certified") is True:
-            proofs.append("Proven before take-off: the plan keeps the vehicle clear of the map.")
+            proofs.append(
+                "Proven before take-off: the plan keeps clear of the map that the statement below names."
+            )
         if touched and (claims.get("proven_by_filter") or claims.get("every_step_certified")):
             limits.append(
                 f"The proofs of {run.label} do not cover what its flights touched: see its statement below."

@@ -46,6 +46,11 @@ def share(part: float, whole: float = 1.0) -> str:
     return f"{value:.0f} %"
 
 
+def deviations(sigma: float) -> str:
+    """Write a level in standard deviations."""
+    return f"{sigma:.4g} standard deviation{'' if sigma == 1 else 's'}"
+
+
 def speed(value_m_s: float) -> str:
     """Write a speed [m/s] with two digits."""
     return f"{_digits(value_m_s, 2)} m/s"

@@ -63,10 +63,12 @@ def folder(tmp_path_factory) -> Path:
     trials = [make_trial(i, clearance=0.1 * i - 0.05) for i in range(3)]
     write_run(folder / "a.run.mcap", make_record(trials), timing={"filter_p50_s": 0.00021}, hulls=2)
     write_run(folder / "b.run.mcap", make_record(trials[1:], filter_name=EVIL, name=EVIL), hulls=2)
-    for name, of in (("c.json", "m.cover.npz"), ("other.json", "m.plan.npz")):
+    names = (("c.json", "m.cover.npz"), ("other.json", "m.plan.npz"), ("plan.json", "m.cover.npz"))
+    for name, of in names:
         made = Provenance.now("alula/certificate", "1.0", {}, None, [input_ref("cover", folder / of)])
         record = {"covered": True, "checks": [], "left_out": "dust", "provenance": msgspec.to_builtins(made)}
         record |= {"schema": "alula/certificate", "version": "1.0"}
+        record |= {"given": ["plan", "cover"]} if name == "plan.json" else {}
         (folder / name).write_text(json.dumps(record))
     return folder
 
@@ -269,6 +271,7 @@ def test_a_report_without_runs_shows_the_map(report):
         (["a.run.mcap", "--cover", "m.scene.npz"], 3, "alula/cover is needed"),
         (["a.run.mcap", "--certificate", "a.run.mcap"], 3, "not a certificate"),
         (["a.run.mcap", "--cover", "m.cover.npz", "--certificate", "other.json"], 3, "of another cover"),
+        (["a.run.mcap", "--cover", "m.cover.npz", "--certificate", "plan.json"], 3, "of kind alula/plan"),
         (["a.run.mcap", "--title", " "], 2, "must not be empty"),
     ],
 )

@@ -114,6 +114,11 @@ def test_a_plan_is_clear_only_by_its_proof():
         "good",
     )
     assert said(plan=kind(too_near, plan.arrays))[1] == "bad"
+    known = msgspec.structs.replace(proven, maps=[{"map": "scene", "level": {"sigma": 0.05}}])
+    assert said(plan=kind(known, plan.arrays))[0] == (
+        "The plan keeps its centre 25 cm from everything in the map, of Gaussians up to 0.05 standard "
+        "deviations: proven."
+    )
 
 
 def test_a_proof_is_stated_only_where_the_run_claims_it():
