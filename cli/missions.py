@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
+    from alula.schemas.manifest import InputRef, Manifest
     from alula.schemas.provenance import Provenance
     from alula.schemas.run import RunRecord
     from alula.schemas.vehicle import Vehicle
@@ -231,3 +232,24 @@ class Mission:
 
         kinds = {"cover": COVER, "scene": SCENE, "seen": SEEN, "plan": PLAN}
         return read_whole(self.paths[role], kinds[role]) if role in self.paths else None
+
+    def note_of_map(self, manifest: Manifest, refs: Sequence[InputRef]) -> str | None:
+        """A note where the map is of the plan's scene but not the file that it was made in.
+
+        Args:
+            manifest: of the plan, with its inputs.
+            refs: files of the run, and what is known of their origins.
+
+        Raises:
+            InputError: the plan was made in another map, and the scenario does not allow it.
+        """
+        from alula.schemas.lineage import require_own_map
+
+        return require_own_map(
+            str(self.paths["plan"]),
+            manifest,  # type: ignore[arg-type]
+            refs,
+            [path.parent for path in self.paths.values()],
+            allow_other=self.scenario.mission.allow_other_map,
+            insist="--set mission.allow_other_map=true",
+        )

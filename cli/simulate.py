@@ -139,6 +139,7 @@ def _fly(
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         read = {role: found for role in MAPS if (found := mission.read(role)) is not None}
+        note = mission.note_of_map(read["plan"].manifest, provenance.inputs) if "plan" in read else None
         kept.begin(provenance)
         start = time.monotonic()
         with kept.kept(progress) as (journal, watched):
@@ -159,6 +160,7 @@ def _fly(
                 is_key = "`$." in str(error)
                 raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
         timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
+        flown.notes.extend([note] if note is not None else [])
         summary = mission.summary_of(flown, provenance, read.get("cover"))
         return lambda: write_flights(common.output, provenance, flown, summary, timing, read), summary
 

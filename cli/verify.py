@@ -40,6 +40,11 @@ Examples:
 @click.option(
     "--map", "map_path", type=options.input_path(), help="The cover or scene that a plan keeps away from."
 )
+@click.option(
+    "--allow-other-map",
+    is_flag=True,
+    help="Prove a plan against a map that it was not made in, nor in one of the same scene.",
+)
 @click.option("--within", type=options.input_path(), help="Seen space (.seen.npz) that a plan stays in.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
@@ -76,6 +81,7 @@ def command(
     proven: Path,
     cover: Path | None,
     map_path: Path | None,
+    allow_other_map: bool,
     within: Path | None,
     voxels: Path | None,
     scene: Path | None,
@@ -127,9 +133,11 @@ def command(
     from alula.cli.progress import shown_progress
     from alula.cli.sources import map_role
     from alula.cli.verify_parts import has_domains, verified, verified_part
+    from alula.schemas.artifact import read_manifest
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
+    from alula.schemas.lineage import require_own_map
     from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, read_provenance
     from alula.schemas.signing_key import read_key
@@ -175,8 +183,8 @@ def command(
     is_parted = not (is_plan or is_map or is_seen) and has_domains(proven)
     if scheduler is not None and not is_parted:
         raise UsageError("--scheduler is for covers in parts, as merge --block makes them")
-    if within is not None and not is_plan:
-        raise UsageError("--within is for plans")
+    if (within is not None or allow_other_map) and not is_plan:
+        raise UsageError(f"{'--within' if within is not None else '--allow-other-map'} is for plans")
     if map_path is not None and map_role(map_path) == "scene":
         if scene is not None:
             raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
@@ -196,6 +204,15 @@ def command(
     provenance = Provenance.now(
         SCHEMA, version, {}, None, [runner.input_ref(role, path) for role, path in inputs.items()]
     )
+    if is_plan:
+        require_own_map(
+            str(proven),
+            read_manifest(proven),  # type: ignore[arg-type]
+            provenance.inputs,
+            [path.parent for path in inputs.values()],
+            allow_other=allow_other_map,
+            insist="--allow-other-map",
+        )
     known = output is not None and runner.current(output, provenance, force=force) is not None
     with shown_progress(common) as progress:
         sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}

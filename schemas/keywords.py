@@ -62,6 +62,7 @@ class PlanFields(TypedDict, total=False):
     allow_blocked: bool
     resolution_m: float | None
     bounds: Sequence[float] | NDArray[Any] | None
+    beyond_map_m: float
     gate: Sequence[Sequence[float] | NDArray[Any]] | NDArray[Any]
     loops: int
     yaw: str

@@ -387,6 +387,7 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
         maps: each map, its obstacles, and the distance that the plan keeps from them.
         passes: waypoints and gates of all laps, in their order.
         zones: boxes with a lower top speed.
+        beyond_map_m: distance around the mapped box in which space was taken for free [m].
     """
 
     unit: Literal["m"]
@@ -401,6 +402,7 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     maps: list[dict[str, Any]] = []
     passes: list[PlanPass] = []
     zones: list[PlanZone] = []
+    beyond_map_m: Margin = 0.0
 
     @property
     def is_proven(self) -> bool:

@@ -40,7 +40,7 @@ USED: dict[str, tuple[str, ...]] = {
     "goal_m": ("goal",),
     "waypoints_m": ("waypoints",),
     **dict.fromkeys(("start_box_m", "start_tilt_deg", "pilot"), ("pilot",)),
-    **dict.fromkeys(("plan", "allow_tight", "waits"), ("plan",)),
+    **dict.fromkeys(("plan", "allow_tight", "allow_other_map", "waits"), ("plan",)),
     **dict.fromkeys(("pairs_from", "bounds_m", "margin_m", "separation", "which"), ("pairs",)),
     "planned": _WAYS,
     **dict.fromkeys(("via_tolerance_m", "stop_fraction"), (*_WAYS, "plan")),

@@ -341,6 +341,16 @@ class MissionTable(Table, frozen=True, kw_only=True):
     allow_tight: Annotated[
         bool, about("fly a plan that is nearer to the map than the filters let the vehicle be (plan)")
     ] = False
+    allow_other_map: Annotated[
+        bool, about("fly a plan in a map that it was not made in, nor in one of the same scene (plan)")
+    ] = False
+    beyond_map_m: Annotated[
+        Length,
+        about(
+            "distance around the mapped box, the box around all hulls and ellipsoids, in which space counts "
+            "as free although the map does not have it; of a plan at least its own [m]"
+        ),
+    ] = 0.0
     waits: Annotated[
         bool | None,
         about(

@@ -126,6 +126,7 @@ def command(
     from alula.cli.sources import read_tiles_of
     from alula.schemas.extras import require
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
+    from alula.schemas.lineage import require_own_map
     from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
@@ -174,10 +175,18 @@ def command(
     provenance = Provenance.now(
         RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
     )
-    planned = {ref.sha256 for ref in mission.plan.manifest.inputs if ref.role == "cover"}
-    flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
-    if planned and flown and planned != flown and not common.quiet:
-        echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
+    note = require_own_map(
+        str(paths["plan"]),
+        mission.plan.manifest,  # type: ignore[arg-type]
+        provenance.inputs,
+        [path.parent for path in paths.values()],
+        allow_other=config.allow_other_map,
+        insist="--allow-other-map",
+    )
+    if note is not None:
+        mission.notes.append(note)
+        if not common.quiet:
+            echo(f"note: {note}", err=True)
     fly(mission, link, provenance, common, live, foxglove, start_ns, paths)
 
 

@@ -255,13 +255,24 @@ def simulate(
             found = given[role].artifact if role in given and role in mission.paths else mission.read(role)
             if found is not None:
                 maps[role] = found
+        note = None
+        if "plan" in maps:
+            made = given["plan"].manifest if "plan" in given else maps["plan"].manifest
+            refs = [ref for role, one in inputs.items() for ref in _origins(role, one)]
+            note = mission.note_of_map(made, refs)
         start = time.monotonic()
         flown = simulate_world(
             scenario, mission.vehicle, **maps, tiles=tiles, pairs=mission.pairs, jobs=jobs, progress=progress
         )
+    flown.notes.extend([note] if note is not None else [])
     timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials)}
     origin = _Flown(mission, flown, timing, maps, inputs)
     return Run(origin.summary, flown.trials, origin.statement(), origin)
+
+
+def _origins(role: str, one: Result | File) -> list[InputRef]:
+    """References to a map and to what it was made from in memory; to a file alone."""
+    return one.origins() if isinstance(one, Result) else [one.ref(role)]
 
 
 def _role(one: Result) -> str:

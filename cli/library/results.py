@@ -178,6 +178,22 @@ class Result:
             return self._file.ref(role)  # says that it has changed
         return InputRef(role, manifest.schema, manifest.version, self._hash(), "")
 
+    def origins(self) -> list[InputRef]:
+        """References to this result and to what it was made from in memory, in its frame in metres."""
+        found, waiting = [], [(self.KIND.name.removeprefix("alula/"), cast("Result", self))]
+        while waiting:
+            role, one = waiting.pop()
+            found.append(one.ref(role))
+            if not isinstance(one, Scene):  # its origins have another frame
+                waiting += [(name, of) for name, of in (one._inputs or {}).items() if isinstance(of, Result)]
+        return found
+
+    def folders(self) -> list[Path]:
+        """Folders of the files of this result and of what it was made from in memory."""
+        inputs = (self._inputs or {}).values()
+        above = [folder for one in inputs if isinstance(one, Result) for folder in one.folders()]
+        return ([] if self._file is None else [self._file.path.parent]) + above
+
     def _is_as_in_file(self) -> bool:
         """Whether there is a file with this result; commands touch a file that they find current."""
         if self._file is None:

@@ -300,6 +300,7 @@ def verify(
     source: str | Path | None = None,
     map: Source | None = None,
     within: Source | None = None,
+    allow_other_map: bool = False,
     jobs: int = 0,
 ) -> Proof:
     """Prove a cover, a plan or seen space independently, by other algorithms than those that made it.
@@ -311,9 +312,11 @@ def verify(
         source: mesh, cloud or OctoMap that the voxels of `import_voxels` must contain.
         map: cover or scene that a plan keeps away from.
         within: seen space that a plan stays in.
+        allow_other_map: prove a plan against a map that it was not made in.
         jobs: threads; 0 is all processors.
 
     Raises:
+        InputError: a plan was not made in this map.
         CheckError: something is not proven; the message names the first failure.
         UsageError: the files do not go together.
     """
@@ -342,6 +345,17 @@ def verify(
     files |= {} if voxels is None else {"voxels": Voxels.of(voxels)}
     files |= {} if scene is None else {"scene": Scene.of(scene)}
     refs = [one.ref(name) for name, one in files.items()]
+    if isinstance(found, Plan):
+        from alula.schemas.lineage import require_own_map
+
+        require_own_map(
+            "the plan" if isinstance(proven, Result) else str(proven),
+            found.manifest,  # type: ignore[arg-type]
+            [ref for one in files.values() if one is not found for ref in one.origins()],
+            [folder for one in files.values() for folder in one.folders()],
+            allow_other=allow_other_map,
+            insist="allow_other_map=True",
+        )
     against: dict[str, Any] = {}
     if source is not None:
         from alula.stages.compression.imported_files import read_imported

@@ -9,6 +9,12 @@ from typing import Any, Literal
 from alula.schemas.errors import UsageError
 
 MARGIN_M = 0.1  # that filters keep beyond the vehicle's radius in flight, for errors of tracking and state
+BEYOND_MAP = "--beyond-map "  # before its value, in messages
+LARGEST_BEYOND_M = 1e3
+BEYOND_MAP_HELP = (
+    "Distance around the mapped box, the box around all obstacles, in which space counts as free although "
+    "the map does not have it [m]."
+)
 Point = tuple[float, float, float]
 Gate = tuple[float, float, float, float, float, float, float]
 
@@ -33,9 +39,23 @@ class AlongPlanConfig:
             "help": "Fly a plan although it is nearer to the map than the filter lets the vehicle be.",
         },
     )
+    beyond_map_m: float = field(
+        default=0.0, metadata={"group": "Flight", "help": BEYOND_MAP_HELP, "option": "--beyond-map"}
+    )
+    allow_other_map: bool = field(
+        default=False,
+        metadata={
+            "group": "Flight",
+            "help": "Fly a plan in a map that it was not made in, nor in one of the same scene.",
+        },
+    )
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
+        if not (0 <= self.beyond_map_m <= LARGEST_BEYOND_M):
+            raise UsageError(
+                f"--beyond-map must be between 0 and {LARGEST_BEYOND_M:g}, not {self.beyond_map_m:g}"
+            )
         if self.via_tolerance_m is not None and not (1e-6 <= self.via_tolerance_m <= 1e3):
             raise UsageError(f"--via-tolerance must be between 1e-06 and 1000, not {self.via_tolerance_m:g}")
 
@@ -162,9 +182,12 @@ class PlanConfig:
         default=None,
         metadata={
             "group": "Search",
-            "help": "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around hulls and points.",
+            "help": "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the mapped box.",
             "metavar": "BOX",
         },
+    )
+    beyond_map_m: float = field(
+        default=0.0, metadata={"group": "Search", "help": BEYOND_MAP_HELP, "option": "--beyond-map"}
     )
     gate: tuple[Gate, ...] = field(
         default=(),
@@ -241,6 +264,7 @@ class PlanConfig:
             ("--resolution", self.resolution_m, 1e-4, 1e3),
             ("--sigma", self.sigma, 0.01, 100.0),
             ("--inflate", self.inflation_m, 0.0, 100.0),
+            ("--beyond-map", self.beyond_map_m, 0.0, LARGEST_BEYOND_M),
         ):
             if value is not None and not (low <= value <= high):
                 raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")

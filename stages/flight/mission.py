@@ -13,6 +13,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.configs.plan import BEYOND_MAP
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.tiles import TileFiles
@@ -47,6 +48,7 @@ from alula.stages.planning.adherence import PlanJudge, require_fit, require_room
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
 from alula.stages.planning.joins import require_motion
 from alula.stages.planning.limits import beyond_followed
+from alula.stages.planning.mapped import Mapped, ellipsoid_box
 from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
@@ -302,6 +304,8 @@ def make_mission(
                 radius,
             )
         )
+    beyond_map = max(config.beyond_map_m, plan.manifest.beyond_map_m)  # type: ignore[attr-defined]
+    proofs += _mapped(plan, hulls, scene, config.sigma, beyond_map, radius)
     require_fit(plan, vehicle)
     curve = curve_of(plan)
     inflation = _inflation(config, scene) if is_splat else 0.0
@@ -370,6 +374,29 @@ def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, s
     if not found.holds:
         words = f"piece {unproven[:1]} is not proven to keep {exact(radius_m)} m from {obstacles}"
     return found.holds, words
+
+
+def _mapped(
+    plan: Artifact,
+    hulls: Hulls | None,
+    scene: Artifact | None,
+    sigma: float,
+    beyond_m: float,
+    radius_m: float,
+) -> list[tuple[bool, str]]:
+    """Whether a plan that leaves the mapped box may, and that in words; nothing of one that stays in it."""
+    corners = [] if hulls is None else [hulls.vertices_world]
+    corners += [] if scene is None else ellipsoid_box(scene, sigma)
+    points = np.concatenate([np.empty((0, 3)), *corners])
+    if len(points) == 0:
+        return [(False, "the map has no obstacles, so nothing of it is known")]
+    mapped = Mapped(points.min(axis=0), points.max(axis=0), beyond_m)
+    words = mapped.refusal_of_plan(plan, radius_m, BEYOND_MAP)
+    if words is not None:
+        return [(False, words)]
+    if dataclasses.replace(mapped, beyond_m=0.0).refusal_of_plan(plan, radius_m, BEYOND_MAP) is None:
+        return []
+    return [(True, f"it leaves the mapped box, by at most {exact(beyond_m)} m (--beyond-map)")]
 
 
 def _inflation(config: FlyConfig, scene: Artifact | None) -> float:

@@ -8,10 +8,10 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.configs.plan import BEYOND_MAP, PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.progress import Progress
-from alula.stages.planning.space import PlanSpace
+from alula.stages.planning.space import PlanSpace, mapped_box, room_around
 
 _TOUCHES_M = 1e-9  # a smaller depth is none
 _NEAREST_M = 1e-3  # tolerance of the nearest free point
@@ -43,13 +43,21 @@ def free_points_of_flight(
         The points, and of each that was moved its name and its positions before and after.
 
     Raises:
-        InfeasibleError: a point is not free and `snap` is not set, or there is no free point near it.
+        InfeasibleError: a point is outside of the mapped box; or it is not free and `snap` is not set, or
+            there is no free point near it.
     """
+    mapped = mapped_box(space, config.beyond_map_m)
+    if mapped is not None:
+        known_as = [(f"the {name}", point) for name, point in named]
+        kept = 0.0 if config.snap else space.keep_m  # a point in an outer wall may be moved into the room
+        if (words := mapped.refusal(known_as, kept, BEYOND_MAP)) is not None:
+            raise InfeasibleError(words)
     points: list[Point] = []
     moved: list[tuple[str, Point, Point]] = []
     for name, point in named:
         distance = float(space.map.distance(np.array([point]), space.keep_m + 1)[0])
-        if distance >= radius_m:
+        is_out = mapped is not None and bool(mapped.beyond(np.array([point]), space.keep_m)[0])
+        if distance >= radius_m and not is_out:
             points.append(point)
             continue
         nearest = nearest_free_point(space, lower, upper, point, radius_m)
@@ -109,7 +117,7 @@ def free_points(
 ) -> FloatArray:
     """Free points of the largest connected part of a map, far from one another.
 
-    Candidates are the points of a lattice in the box around the obstacles, or in `bounds`, with the distance
+    Candidates are the points of a lattice in the mapped box, and in `bounds`, with the distance
     to keep and a millimetre from all obstacles; two neighbours are connected where the segment between them
     keeps the distance, exactly. The first point is drawn from the largest connected set, and each further one
     is the candidate of that set that is farthest from all before.
@@ -127,12 +135,9 @@ def free_points(
     Raises:
         InfeasibleError: there are fewer candidates.
     """
-    box = space.box()
-    if config.bounds is not None:
-        box = np.array(config.bounds[:3]), np.array(config.bounds[3:])
-    if box is None:
+    if space.box() is None and config.bounds is None:
         raise InfeasibleError("the map has no obstacles; set --bounds to the box to choose points from")
-    point = _largest_part(space, *box)
+    point = _largest_part(space, *room_around(config, space, ()))
     if len(point) < count:
         raise InfeasibleError(
             f"the largest connected part of the map has {len(point)} candidates that keep "

@@ -48,6 +48,7 @@ from alula.stages.planning.heading import (
     is_turning,
 )
 from alula.stages.planning.limits import Limits, motion_limits
+from alula.stages.planning.mapped import words_beyond
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
@@ -200,6 +201,7 @@ def plan(
         radius_m=space.keep_m,
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
+        beyond_map_m=config.beyond_map_m,
         via_m=[curve.point[i, 0].tolist() for i in _passed(curve, corridor, path)],
         passes=passes,
         zones=[PlanZone(box_m=list(each.box_m), speed_m_s=each.speed_m_s) for each in mission.zones],
@@ -232,10 +234,11 @@ def plan(
         },
         guarantee=Guarantee(
             f"Every point of the trajectory is at least {space.distances()}, and its motion stays within the "
-            f"limits at every instant{without(space.omits())}.",
+            f"limits at every instant{without(space.omits())}.{words_beyond(config.beyond_map_m)}",
             {
                 "radius_m": space.keep_m,
                 **limits.record(),
+                **({"beyond_map_m": config.beyond_map_m} if config.beyond_map_m else {}),
                 **({} if within is None else {"within_seen_space": True}),
             },
         ),

@@ -14,7 +14,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import InputError
+from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.manifest import SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.ellipsoids import removed_from
@@ -32,6 +32,7 @@ from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.planning.corridor import Kept, Obstacles
+from alula.stages.planning.mapped import Mapped, ellipsoid_box
 from alula.stages.planning.unseen import unseen_hulls
 
 IMAGE_FRAME = "world"  # an onboard map does not name its frame
@@ -291,16 +292,15 @@ def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float 
         UsageError: the level or the distance is invalid for these ellipsoids.
     """
     among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
-    mean = np.asarray(scene["mean"], np.float64)
-    reach = sigma * np.asarray(scene["scale"], np.float64).max(axis=1, initial=0.0)[:, None]
+    corners = ellipsoid_box(scene, sigma)
     return Part(
         role="scene",
         keep_m=keep_m + inflation_m,
         solids=scene_obstacles(scene, sigma),
         obstacles=among,
         map=among,
-        lower=(mean - reach).min(axis=0) if len(mean) else None,
-        upper=(mean + reach).max(axis=0) if len(mean) else None,
+        lower=corners[0][0] if corners else None,
+        upper=corners[1][0] if corners else None,
         facts={
             "map": "scene",
             "sigma": sigma,
@@ -336,21 +336,44 @@ def _image_part(image: bytes, keep_m: float, inflation_m: float) -> Part:
     )
 
 
+def mapped_box(space: PlanSpace, beyond_m: float = 0.0) -> Mapped | None:
+    """The box beyond which the obstacles' maps know nothing; None without obstacles.
+
+    Args:
+        space: obstacles.
+        beyond_m: see `Mapped`.
+    """
+    box = space.box()
+    return None if box is None else Mapped(*box, beyond_m)
+
+
 def room_around(
     config: PlanConfig, space: PlanSpace, points: Sequence[Sequence[float]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Corners of the box to plan in: the given one, or one around obstacles and points with room to pass.
+    """Corners of the box for the centre of the vehicle: within what is mapped, and the given bounds.
 
     Args:
         config: of the plan.
         space: obstacles.
-        points: of the flight [m].
+        points: of the flight, around which there is room where nothing is mapped at all [m].
+
+    Raises:
+        InfeasibleError: bounds and mapped box have no point in common.
+        InputError: the map has no finite bounds.
     """
-    if config.bounds is not None:
-        return np.array(config.bounds[:3]), np.array(config.bounds[3:])
-    corners = [np.array(points, np.float64).reshape(-1, 3), *(space.box() or ())]
-    every = np.concatenate([np.atleast_2d(each) for each in corners])
-    room = 3 * max(part.keep_m for part in space.parts)
-    if not math.isfinite(room + float(np.abs(every).max())):
+    mapped = mapped_box(space, config.beyond_map_m)
+    given = None if config.bounds is None else (np.array(config.bounds[:3]), np.array(config.bounds[3:]))
+    if mapped is None:
+        if given is not None:
+            return given
+        every, room = np.array(points, np.float64).reshape(-1, 3), 3 * space.keep_m
+        lower, upper = every.min(axis=0) - room, every.max(axis=0) + room
+    else:
+        lower, upper = mapped.room(space.keep_m)
+    if not math.isfinite(float(np.abs([lower, upper]).max())):
         raise InputError("the map has no finite bounds")
-    return every.min(axis=0) - room, every.max(axis=0) + room
+    if given is not None:
+        lower, upper = np.maximum(lower, given[0]), np.minimum(upper, given[1])
+        if not (lower <= upper).all():
+            raise InfeasibleError("--bounds and the mapped box have no point in common that keeps the radius")
+    return lower, upper

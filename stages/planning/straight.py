@@ -18,6 +18,7 @@ from alula.stages.compression.level import without
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, Certificate, certify_in
 from alula.stages.planning.endpoints import free_points_of_flight
 from alula.stages.planning.limits import Limits
+from alula.stages.planning.mapped import words_beyond
 from alula.stages.planning.rest_to_rest import PEAK_SPEED, rest_to_rest
 from alula.stages.planning.space import PlanSpace, room_around
 from alula.stages.planning.trajectory import evaluate
@@ -132,6 +133,7 @@ def straight_plan(
         radius_m=space.keep_m,
         speed_m_s=config.speed_m_s,
         margin_m=config.margin_m or 0.0,
+        beyond_map_m=config.beyond_map_m,
         maps=[part.facts for part in space.parts],
         limits=limits.record(),
         method=METHOD_SEPTIC,
@@ -159,17 +161,21 @@ def straight_plan(
                 else {}
             ),
         },
-        guarantee=_guarantee(proof, space, limits),
+        guarantee=_guarantee(proof, space, limits, config.beyond_map_m),
         requires=[] if proof.holds else [UNPROVEN_PLAN],
     )
 
 
-def _guarantee(proof: Certificate, space: PlanSpace, limits: Limits) -> Guarantee:
+def _guarantee(proof: Certificate, space: PlanSpace, limits: Limits, beyond_m: float) -> Guarantee:
     if proof.holds:
         return Guarantee(
             f"Every point of the trajectory is at least {space.distances()}, and its motion stays within "
-            f"the limits at every instant{without(space.omits())}.",
-            {"radius_m": space.keep_m, **limits.record()},
+            f"the limits at every instant{without(space.omits())}.{words_beyond(beyond_m)}",
+            {
+                "radius_m": space.keep_m,
+                **limits.record(),
+                **({"beyond_map_m": beyond_m} if beyond_m else {}),
+            },
         )
     return Guarantee(
         "The motion stays within the limits at every instant. The trajectory is not proven to keep any "

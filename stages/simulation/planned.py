@@ -45,7 +45,13 @@ def plan_config(scenario: WorldScenario, world: StaticWorld, speed_m_s: float) -
     followed: Literal["body-rates", "acceleration", "velocity"] = "body-rates"
     if table.autopilot and (table.interface == "velocity" or table.interface == "acceleration"):
         followed = table.interface
-    return PlanConfig(radius_m=world.most_keep_m, speed_m_s=speed_m_s, sigma=world.sigma, interface=followed)
+    return PlanConfig(
+        radius_m=world.most_keep_m,
+        speed_m_s=speed_m_s,
+        sigma=world.sigma,
+        interface=followed,
+        beyond_map_m=scenario.mission.beyond_map_m,
+    )
 
 
 def margins(world: StaticWorld, pairs: Pairs, margin_m: float, jobs: int = 0) -> FloatArray:

@@ -153,6 +153,7 @@ seen = "tiny.seen.npz"
 kind = "goal"
 start_m = [1.2, 1.5, 1]
 goal_m = [2, 1.5, 6]
+beyond_map_m = 9.0
 [safety]
 filters = ["polytope-cbf"]
 [rules]
@@ -194,7 +195,7 @@ def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_pat
         read_artifact(pipeline / f"tiny.{name}.npz") for name in ("cover", "metric.scene", "seen")
     )
     words = ["plan", str(pipeline / "tiny.cover.npz"), "-o", str(tmp_path / "a.plan.npz"), "-q"]
-    assert run([*words, "--start", "-1 1.5 1", "--goal", "2 1.5 1"]) == 0
+    assert run([*words, "--start", "-1 1.5 1", "--goal", "2 1.5 1", "--beyond-map", "2"]) == 0
     plan = read_artifact(tmp_path / "a.plan.npz")
     config = FlyConfig(speed_m_s=1.0)
     free = make_mission(config, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False)

@@ -55,6 +55,8 @@ def test_a_capped_cover_is_verified_planned_around_and_flown_past(folder, capsys
             "1.7 0.4 0",
             "--radius",
             "0.2",
+            "--beyond-map",
+            "2",
         ],
         ["simulate", "c.cover.npz", "-o", "r.run.mcap", "--trials", "3", "--set", "vehicle.radius_m=0.1"],
         [
@@ -147,4 +149,20 @@ def test_a_plane_moved_in_the_file_is_placed(folder, capsys):
     assert first["plane"] == 7
     assert first["hull"] == np.searchsorted(cover["plane_start"], 7, "right") - 1
     assert len(first["place_m"]) == 3
-    assert run(["plan", "c.cover.npz", "-o", "p.plan.npz", "--start", "-1.6 0 0", "--goal", "1.7 0 0"]) == 3
+    assert (
+        run(
+            [
+                "plan",
+                "c.cover.npz",
+                "-o",
+                "p.plan.npz",
+                "--start",
+                "-1.6 0 0",
+                "--goal",
+                "1.7 0 0",
+                "--beyond-map",
+                "2",
+            ]
+        )
+        == 3
+    )

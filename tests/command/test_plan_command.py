@@ -36,7 +36,7 @@ def cover(tmp_path):
 
 
 def plan(cover, output, *words):
-    return run(["plan", str(cover), "-o", str(output), *words])
+    return run(["plan", str(cover), "-o", str(output), "--beyond-map", "3", *words])
 
 
 def test_a_plan_is_written_with_its_provenance(cover, tmp_path, capsys):
@@ -168,7 +168,18 @@ def test_failures_are_one_line_with_their_code_and_leave_nothing(
 
 
 def test_free_points_are_printed_without_an_output(cover, tmp_path, capsys):
-    words = ["plan", str(cover), "--free-points", "3", "--radius", "0.2", "--bounds", "-1 -1 -1 2 2 2"]
+    words = [
+        "plan",
+        str(cover),
+        "--free-points",
+        "3",
+        "--radius",
+        "0.2",
+        "--bounds",
+        "-1 -1 -1 2 2 2",
+        "--beyond-map",
+        "3",
+    ]
     assert run(words) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
@@ -205,7 +216,12 @@ def test_a_moved_start_is_said_and_recorded(cover, tmp_path, capsys):
     assert "note: the start (0.5 0.5 0.9) is not free; the plan has (" in capsys.readouterr().err
     manifest = read_artifact(output, PLAN).manifest
     assert manifest.summary["notes"]
-    assert manifest.maps == [{"map": "cover", "inflation_m": 0.0, "keep_m": 0.2}]
+    (made_in,) = manifest.maps
+    assert {k: made_in[k] for k in ("map", "inflation_m", "keep_m")} == {
+        "map": "cover",
+        "inflation_m": 0.0,
+        "keep_m": 0.2,
+    }
 
 
 def test_an_onboard_map_is_planned_in(cover, tmp_path):

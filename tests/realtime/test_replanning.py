@@ -23,7 +23,7 @@ from support.flights import mission
 from support.small_scenes import box_cover
 
 GAP = box_cover([((18, -10, 0), (22, 18, 20)), ((18, 22, 0), (22, 50, 20))])  # 0.4 m wide, in a wall
-PATH = PlanConfig(start=(0.3, 2.0, 1.0), goal=(3.7, 2.0, 1.0), radius_m=0.16)
+PATH = PlanConfig(beyond_map_m=3.0, start=(0.3, 2.0, 1.0), goal=(3.7, 2.0, 1.0), radius_m=0.16)
 ASKED = ReplanRequest(
     number=1, position=(1.5, 2.0, 1.0), velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0), via=()
 )

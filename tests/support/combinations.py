@@ -58,14 +58,15 @@ WORLDS: dict[str, dict[str, Any]] = {
     "moving": _MOVING,
     "cover, fence, moving": _COVER | _FENCE | _MOVING,
 }
+_FAR = {"beyond_map_m": 5.0}  # the worlds are a few obstacles
 MISSIONS: dict[str, dict[str, Any]] = {
-    "pairs": {"kind": "pairs"},
-    "pairs in a box": {"kind": "pairs", "bounds_m": [0.3, 0.3, 0.5, 3.7, 2.7, 2.4]},
-    "goal": {"kind": "goal", "start_m": START, "goal_m": GOAL},
-    "waypoints": {"kind": "waypoints", "start_m": START, "waypoints_m": [(0.8, 2.0, 1.1), GOAL]},
-    "hover": {"kind": "hover", "start_m": START},
-    "plan": {"kind": "plan", "plan": "room.plan.npz", "allow_tight": True},
-    "pilot": {"kind": "pilot", "start_m": START, "pilot": {"kind": "sticks"}},
+    "pairs": {"kind": "pairs", **_FAR},
+    "pairs in a box": {"kind": "pairs", "bounds_m": [0.3, 0.3, 0.5, 3.7, 2.7, 2.4], **_FAR},
+    "goal": {"kind": "goal", "start_m": START, "goal_m": GOAL, **_FAR},
+    "waypoints": {"kind": "waypoints", "start_m": START, "waypoints_m": [(0.8, 2.0, 1.1), GOAL], **_FAR},
+    "hover": {"kind": "hover", "start_m": START, **_FAR},
+    "plan": {"kind": "plan", "plan": "room.plan.npz", "allow_tight": True, **_FAR},
+    "pilot": {"kind": "pilot", "start_m": START, "pilot": {"kind": "sticks"}, **_FAR},
 }
 LISTS: list[tuple[str, ...]] = [
     (),

@@ -130,6 +130,7 @@ def make_plan():
         radius_m=0.1,
         speed_m_s=1.0,
         certificate={},
+        beyond_map_m=100.0,  # for maps that are a few obstacles
     )
 
 

@@ -69,6 +69,7 @@ def line_plan(start, end, duration_s=6.0, frame="world"):
         radius_m=0.15,
         speed_m_s=1.5,
         certificate={},
+        beyond_map_m=100.0,  # the maps are a few obstacles
     )
 
 
@@ -85,6 +86,7 @@ def rest_plan(start, goal, speed_m_s, frame="world"):
         radius_m=0.1,
         speed_m_s=speed_m_s,
         certificate={},
+        beyond_map_m=100.0,  # the maps are a few obstacles
     )
 
 

@@ -118,6 +118,7 @@ def scenario_of(
     tree["world"] |= {"cover": "x.cover.npz"} if has_cover else {}
     if has_plan:
         tree["mission"] |= {"kind": "plan", "plan": "x.plan.npz"}
+    tree["mission"].setdefault("beyond_map_m", 100.0)
     tree["rules"].setdefault("logged", tree["rules"].get("trials") or 100)
     return decoded(tree, "test")
 

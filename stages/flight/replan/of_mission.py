@@ -55,8 +55,11 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
     speed = manifest.speed_m_s  # type: ignore[attr-defined]
     x, y, z = mission.goal.tolist()
     yaw = repr(float(mission.plan["coefficient"][0, 3, 0]))
+    # The vehicle itself, which may be beside the plan, stays within what the plan takes for free.
+    beyond = max(config.beyond_map_m, manifest.beyond_map_m) + join  # type: ignore[attr-defined]
+    own = {"yaw": yaw, "beyond_map_m": beyond}
     return ReplanFacts(
-        parameters={"speed_m_s": speed, **manifest.parameters, "yaw": yaw} | _interface(mission),
+        parameters={"speed_m_s": speed, **manifest.parameters, **own} | _interface(mission),
         goal=(x, y, z),
         maps=tuple(maps),
         fence=config.fence,

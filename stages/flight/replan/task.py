@@ -31,7 +31,7 @@ _START_ROOM_M = 0.02  # that the start of a plan keeps beyond the distance, so t
 _START_ROOM = 0.25  # the same, at most this part of the distance within which a plan is joined
 _ALIKE = (  # parameters of `plan` that a new plan takes from the one before the flight
     *("speed_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_m_s4", "tilt_rad", "body_rate_rad_s"),
-    *("smooth", "yaw", "interface"),
+    *("smooth", "yaw", "interface", "beyond_map_m"),
 )
 
 

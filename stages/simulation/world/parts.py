@@ -147,6 +147,7 @@ def parts_of(
         scene=scene,
         seen=seen,
         tiles=tiles,
+        beyond_map_m=max(mission.beyond_map_m, 0.0 if plan is None else plan.manifest.beyond_map_m),  # type: ignore[attr-defined]
         needs_image=full.world.onboard or needs_image(full),
         jobs=jobs,
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
@@ -21,6 +22,7 @@ from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.joins import require_motion
+from alula.stages.planning.mapped import BEYOND_KEY
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
@@ -116,6 +118,7 @@ def missions_of(
     if mission.kind == "plan":
         assert plan is not None
         require_motion(plan)
+        _require_mapped(world, plan)
         curve = curve_of(plan)
         ends = curve.at(np.array([0.0, curve.duration_s]))[:, :3]
         pairs, counts = Pairs(ends[:1], ends[1:], 0, 0), {}
@@ -141,6 +144,14 @@ def missions_of(
             count = len(pairs.start) if notes else count
     made = _along(scenario, around, pairs, plans, count, speed_m_s, max_speed_m_s, counts, model)
     return dataclasses.replace(made, notes=notes)
+
+
+def _require_mapped(world: StaticWorld, plan: Artifact) -> None:
+    """Refuse a plan that leads out of the mapped box, beyond what counts as free around it."""
+    if world.mapped is None:
+        return
+    if (words := world.mapped.refusal_of_plan(plan, world.radius_m, BEYOND_KEY)) is not None:
+        raise UsageError(words)
 
 
 def _along(
@@ -271,9 +282,16 @@ def _pairs(
         return world.clearance(points, points, keep + mission.margin_m + 1e-3, jobs)
 
     def is_clear(points: FloatArray, apart: FloatArray, margin_m: float) -> NDArray[np.bool_]:
+        known = np.ones(len(points), np.bool_)
+        if world.mapped is not None:
+            known = world.mapped.beyond(points, keep + margin_m) == 0
         if psi is None:
-            return np.asarray(apart >= keep + margin_m)
-        clear = (apart >= world.hull_keep_m + margin_m) & (world.inside(points) >= world.radius_m + margin_m)
+            return np.asarray(known & (apart >= keep + margin_m))
+        clear = (
+            known
+            & (apart >= world.hull_keep_m + margin_m)
+            & (world.inside(points) >= world.radius_m + margin_m)
+        )
         if world.ellipsoids is not None and clear.any():
             needed, left = world.keep_m + margin_m, np.ascontiguousarray(points[clear])
             clear[clear] = segment_clearance(left, left, world.ellipsoids, jobs, needed) >= needed
@@ -290,6 +308,10 @@ def _pairs(
         assert goal is not None
         start = np.array([mission.start_m])
         require_clear(world, start, "`$.mission.start_m`: the start", jobs)
+        if world.mapped is not None:
+            named = [(f"`$.mission.{mission.kind}`: the goal", goal)]
+            if (words := world.mapped.refusal(named, world.radius_m, BEYOND_KEY)) is not None:
+                raise UsageError(words)
         return Pairs(start, np.array([goal]), 0, 0), {}
     if given is not None:
         check_clear(given, lambda points: is_clear(points, apart_of(points), 0.0))

@@ -28,6 +28,7 @@ from alula.stages.filtering.obstacles import (
     tile_set,
     union_of,
 )
+from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.fence import fence_faces
 
@@ -58,6 +59,7 @@ class StaticWorld:
         image: the cover as an onboard map; empty unless filters read it.
         tiles: the cover in tiles; None unless a filter reads them.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+        mapped: box around the hulls and ellipsoids of cover, scene and seen space; None without any.
         claims: of the guarantees of scene and cover, for that of the run.
         suggested_inflation_m: bound of the error of the scene's alignment [m].
     """
@@ -77,6 +79,7 @@ class StaticWorld:
     image: bytes
     tiles: _core.TileSet | None
     centres: FloatArray
+    mapped: Mapped | None
     claims: dict[str, Any]
     suggested_inflation_m: float
 
@@ -187,6 +190,7 @@ def static_world(
     scene: Artifact | None,
     seen: Artifact | None = None,
     tiles: TileFiles | None = None,
+    beyond_map_m: float = 0.0,
     needs_image: bool,
     jobs: int,
 ) -> StaticWorld:
@@ -199,6 +203,7 @@ def static_world(
         scene: that the scenario names.
         seen: space that the scenario names.
         tiles: that the scenario names.
+        beyond_map_m: distance around the mapped box in which space counts as free [m].
         needs_image: whether a filter reads the cover as an onboard map.
         jobs: threads.
 
@@ -250,6 +255,7 @@ def static_world(
         image=image,
         tiles=None if tiles is None else tile_set(tiles),
         centres=np.concatenate(centres),
+        mapped=_mapped(None if cover is None and seen is None else hulls, scene, sigma, beyond_map_m),
         claims={
             f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims
             for name, each in (("scene", scene), ("cover", cover))
@@ -259,13 +265,22 @@ def static_world(
     )
 
 
+def _mapped(hulls: Hulls | None, scene: Artifact | None, sigma: float, beyond_m: float) -> Mapped | None:
+    """The mapped box: a world that is only walls, fence and moving obstacles is known everywhere."""
+    points = [] if hulls is None else [hulls.vertices_world]
+    if scene is not None:
+        points += ellipsoid_box(scene, sigma)
+    corners = np.concatenate([np.empty((0, 3)), *points])
+    return Mapped(corners.min(axis=0), corners.max(axis=0), beyond_m) if len(corners) else None
+
+
 def _suggested(scene: Artifact) -> float:
     manifest: Any = scene.manifest
     return float(manifest.suggested_inflation_m)
 
 
 def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) -> None:
-    """Refuse starts that touch an obstacle.
+    """Refuse starts and goals that touch an obstacle or are outside of the mapped box.
 
     Args:
         world: static obstacles.
@@ -276,6 +291,10 @@ def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) 
     Raises:
         UsageError: one does.
     """
+    if world.mapped is not None:
+        named = [(what, point) for point in points.tolist()]
+        if (words := world.mapped.refusal(named, world.radius_m, BEYOND_KEY)) is not None:
+            raise UsageError(words)
     if world.seen is not None and not (known := is_seen(world.seen, points)).all():
         where = " ".join(f"{value:.3f}" for value in points[np.argmin(known)])
         raise UsageError(f"{what} at ({where}) is not in the space that was seen")

@@ -45,7 +45,7 @@ COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 
 def blocked(name="polytope-cbf", via=(), **fields):
     """A flight along a plan that leads through the box."""
-    config = PlanConfig(start=START, goal=GOAL, via=via, radius_m=0.27, speed_m_s=1.0)
+    config = PlanConfig(beyond_map_m=6.0, start=START, goal=GOAL, via=via, radius_m=0.27, speed_m_s=1.0)
     words = {"max_time_s": 11.0, "replan_after_s": 1.0, "vehicle": COPTER} | fields
     return mission(name, cover=BOX, plan=plan(config, ELSEWHERE), is_clear=True, **words)
 
@@ -153,7 +153,7 @@ def test_each_part_of_a_flight_is_judged_by_the_plan_that_was_flown_then():
 
 def test_a_via_point_that_the_rest_of_the_flight_passes_by_is_missed():
     flight, _, _ = through()
-    straight = plan(PlanConfig(start=(1.5, 2.0, 1.0), goal=GOAL, radius_m=0.25), BOX)
+    straight = plan(PlanConfig(beyond_map_m=6.0, start=(1.5, 2.0, 1.0), goal=GOAL, radius_m=0.25), BOX)
     path = rows_of(flight)[:, 1:4]
     at = int(np.argmax(np.linalg.norm(path - AFTER, axis=1) < 0.4))
     path[at:] = path[at - 1]
@@ -233,7 +233,7 @@ def test_a_plan_from_a_motion_begins_with_it():
 
 def test_no_plan_leads_lower_than_the_first_or_out_of_the_fence():
     wall = box_cover([((18, -90, 8), (22, 90, 16))])  # with room below, where the ground may be
-    config = PlanConfig(start=START, goal=GOAL, radius_m=0.27)
+    config = PlanConfig(beyond_map_m=6.0, start=START, goal=GOAL, radius_m=0.27)
     made = mission(cover=wall, plan=plan(config, ELSEWHERE), is_clear=True)
     found = task_of(made).plan(request((1.4, 2.0, 1.0)))
     points = curve_of(found).at(np.linspace(0, found["time"][-1], 500))[:, :3]

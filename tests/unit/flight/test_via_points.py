@@ -25,7 +25,12 @@ VIA = (2.0, 1.78, 1.0)  # as near to the pillar as the filter lets it
 
 def around(speed_m_s):
     config = PlanConfig(
-        start=(0.4, 0.7, 1.0), goal=(3.6, 0.7, 1.0), via=(VIA,), radius_m=0.27, speed_m_s=speed_m_s
+        beyond_map_m=6.0,
+        start=(0.4, 0.7, 1.0),
+        goal=(3.6, 0.7, 1.0),
+        via=(VIA,),
+        radius_m=0.27,
+        speed_m_s=speed_m_s,
     )
     return mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
 
@@ -81,6 +86,7 @@ def test_a_vehicle_that_keeps_up_is_not_delayed():
 @pytest.mark.slow
 def test_a_real_loop_flies_through_gates_in_two_laps_with_the_heading_of_the_plan():
     config = PlanConfig(
+        beyond_map_m=6.0,
         start=(0.4, 0.7, 1.0),
         goal=(0.4, 0.7, 1.0),
         gate=((2.0, 2.1, 1.2, 1.0, 0.0, 0.0, 0.4), (3.0, 0.7, 1.0, 0.0, -1.0, 0.0, 0.45)),

@@ -24,7 +24,9 @@ from support.covers import boxes_cover
 from support.effort import examples
 
 WALLS = [(10, -30, 0, 12, -4, 20), (10, 4, 0, 12, 30, 20)]  # a door 0.8 m wide at x = 1, in cells of 0.1 m
-CONFIG = PlanConfig(start=(0, 0, 1), goal=(3, 0, 1), via=((1.1, 0, 1), (2, 0.5, 1)), radius_m=0.2)
+CONFIG = PlanConfig(
+    beyond_map_m=3.0, start=(0, 0, 1), goal=(3, 0, 1), via=((1.1, 0, 1), (2, 0.5, 1)), radius_m=0.2
+)
 
 
 @pytest.fixture(scope="module")

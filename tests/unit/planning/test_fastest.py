@@ -22,7 +22,7 @@ from alula.stages.vehicles.bodies import quadrotor
 from support.chains import box_chain, exact_derivatives
 from support.effort import examples, some
 
-CONFIG = PlanConfig(start=(0, 0, 0), goal=(1, 0, 0), speed_m_s=2.0)
+CONFIG = PlanConfig(beyond_map_m=3.0, start=(0, 0, 0), goal=(1, 0, 0), speed_m_s=2.0)
 LIMITS = motion_limits(CONFIG, FASTBRIDGE)
 
 

@@ -21,7 +21,12 @@ SLOW = msgspec.structs.replace(FASTBRIDGE, velocities=VelocitiesTable(horizontal
 
 def made(interface, vehicle=FASTBRIDGE):
     config = PlanConfig(
-        start=(1.0, -6.0, 1.0), goal=(4.0, 3.0, 3.0), radius_m=0.25, speed_m_s=3.0, interface=interface
+        beyond_map_m=6.0,
+        start=(1.0, -6.0, 1.0),
+        goal=(4.0, 3.0, 3.0),
+        radius_m=0.25,
+        speed_m_s=3.0,
+        interface=interface,
     )
     return plan(resolve_plan(config, vehicle), cover=ROOM, vehicle=vehicle)
 

@@ -26,7 +26,7 @@ from support.effort import examples
 
 EMPTY = boxes_cover([])
 SQUARE = ((4.0, 0.0, 1.0), (4.0, 4.0, 1.0), (0.0, 4.0, 1.0), (0.0, 0.0, 1.0))
-ROUND = PlanConfig(start=(2, 0, 1), goal=(2, 0, 1), via=SQUARE, radius_m=0.2, speed_m_s=1.0)
+ROUND = PlanConfig(beyond_map_m=3.0, start=(2, 0, 1), goal=(2, 0, 1), via=SQUARE, radius_m=0.2, speed_m_s=1.0)
 
 
 def flown(made, count=20_001):
@@ -58,7 +58,9 @@ def test_along_the_motion_the_heading_is_that_of_the_velocity_lap_by_lap():
 
 def test_at_rest_and_straight_up_the_heading_remains_that_of_before():
     mission = Mission(yaw="along", passes=(PassTable(point_m=(2, 2, 1), hold_s=2.0),))
-    made = plan(PlanConfig(start=(0, 0, 1), goal=(2, 2, 3), radius_m=0.2), EMPTY, mission=mission)
+    made = plan(
+        PlanConfig(beyond_map_m=3.0, start=(0, 0, 1), goal=(2, 2, 3), radius_m=0.2), EMPTY, mission=mission
+    )
     t, yaw, *_, position, velocity = flown(made)
     hold = made.manifest.passes[0]
     resting = (t > hold.time_s) & (t < hold.time_s + hold.hold_s)
@@ -78,7 +80,7 @@ def test_towards_a_point_and_of_single_passes():
         PassTable(point_m=(4, 0, 1), yaw_rad=-1.0, hold_s=1.0),
         PassTable(point_m=(4, 4, 1), look_at_m=(0, 4, 1), hold_s=3.0),
     )
-    config = PlanConfig(start=(0, 0, 1), goal=(0, 0, 1), radius_m=0.2)
+    config = PlanConfig(beyond_map_m=3.0, start=(0, 0, 1), goal=(0, 0, 1), radius_m=0.2)
     made = plan(config, EMPTY, mission=Mission(yaw_rad=3.0, passes=passes))
     t, yaw, *_ = flown(made)
     first, second = made.manifest.passes

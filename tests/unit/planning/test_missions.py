@@ -21,7 +21,9 @@ from alula.stages.planning.verify import verify_plan
 from support.covers import box_distance, boxes_cover
 
 WALL = [[10, -30, 0, 12, -4, 20], [10, 4, 0, 12, 30, 20]]  # a door 0.8 m wide at x = 1, in cells of 0.1 m
-CONFIG = PlanConfig(start=(0, 0, 1), goal=(0, 0, 1.2), radius_m=0.25, margin_m=0.1, speed_m_s=2.0)
+CONFIG = PlanConfig(
+    beyond_map_m=6.0, start=(0, 0, 1), goal=(0, 0, 1.2), radius_m=0.25, margin_m=0.1, speed_m_s=2.0
+)
 ASIDE = (3.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.5)
 BACK = (1.1, 0.0, 1.0, -2.0, 0.0, 0.0, 0.4)  # through the door, towards the start
 

@@ -309,7 +309,7 @@ def test_a_plan_stays_with_its_whole_ball_in_seen_space(room):
     """A room with a second half that only its far camera sees: without it, the plan is refused."""
     scene = box_scene(screen=2.0, hole=(2.0, 1.5, 1, 0.6))
     cover = merge(MergeConfig(hulls=60), voxelize(CONFIG, scene))
-    config = PlanConfig(start=(1.3, 1.5, 1.0), goal=(2.8, 1.6, 1.2), radius_m=0.2)
+    config = PlanConfig(beyond_map_m=3.0, start=(1.3, 1.5, 1.0), goal=(2.8, 1.6, 1.2), radius_m=0.2)
     both = observe(CONFIG, scene, TWO)
     made = plan(config, cover, within=both)
     assert made.manifest.guarantee.claims["within_seen_space"] is True

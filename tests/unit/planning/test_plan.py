@@ -41,7 +41,12 @@ CORRIDOR = [[0, 0, 0, 30, 30, 1], [0, 0, 29, 30, 30, 30], [0, 0, 1, 30, 1, 29], 
 def test_in_random_worlds_plans_keep_the_radius_and_the_limits(seed):
     boxes = random_boxes(seed)
     config = PlanConfig(
-        start=(-0.5, -0.5, -0.5), goal=(3.5, 3.5, 3.5), radius_m=0.2, speed_m_s=1.5, acceleration_m_s2=2.0
+        beyond_map_m=3.0,
+        start=(-0.5, -0.5, -0.5),
+        goal=(3.5, 3.5, 3.5),
+        radius_m=0.2,
+        speed_m_s=1.5,
+        acceleration_m_s2=2.0,
     )
     result = plan(config, boxes_cover(boxes))
     time, c = result["time"], result["coefficient"]
@@ -66,7 +71,13 @@ def test_in_random_worlds_plans_keep_the_radius_and_the_limits(seed):
 
 
 def test_a_plan_goes_through_a_hole_and_through_points_on_the_way():
-    config = PlanConfig(start=(0.2, 0.3, 0.3), goal=(2.5, 0.3, 0.3), radius_m=0.15, bounds=(0, 0, 0, 3, 3, 3))
+    config = PlanConfig(
+        beyond_map_m=3.0,
+        start=(0.2, 0.3, 0.3),
+        goal=(2.5, 0.3, 0.3),
+        radius_m=0.15,
+        bounds=(0, 0, 0, 3, 3, 3),
+    )
     boxes = WALL_WITH_HOLE
     result = plan(config, boxes_cover(boxes))
     points = evaluate(result["time"], result["coefficient"], np.linspace(0, result["time"][-1], 5000))[:, :3]
@@ -77,7 +88,7 @@ def test_a_plan_goes_through_a_hole_and_through_points_on_the_way():
     assert (inside[:, 1] > 1.1).all()
     assert (inside[:, 1] < 1.9).all()
     via = ((2.2, 2.6, 2.6), (0.5, 2.5, 0.5))
-    config = PlanConfig(start=(0.2, 0.3, 0.3), goal=(2.5, 0.3, 0.3), via=via)
+    config = PlanConfig(beyond_map_m=3.0, start=(0.2, 0.3, 0.3), goal=(2.5, 0.3, 0.3), via=via)
     result = plan(config, boxes_cover(boxes))
     waypoints = result["waypoint"][:, :3].tolist()
     assert waypoints.index(list(via[0])) < waypoints.index(list(via[1]))
@@ -95,7 +106,12 @@ def test_a_narrow_corner_is_passed_without_a_stop(radius):
         [-3, 0, 0, 0, 20, 20],
     ]
     config = PlanConfig(
-        start=(0.2, 1.15, 1.15), goal=(2.15, 1.95, 1.15), radius_m=radius, resolution_m=0.05, speed_m_s=5.0
+        beyond_map_m=3.0,
+        start=(0.2, 1.15, 1.15),
+        goal=(2.15, 1.95, 1.15),
+        radius_m=radius,
+        resolution_m=0.05,
+        speed_m_s=5.0,
     )
     result = plan(config, boxes_cover(boxes))
     points = evaluate(result["time"], result["coefficient"], np.linspace(0, result["time"][-1], 20000))[:, :3]
@@ -161,38 +177,40 @@ def test_near_an_edge_the_euclidean_distance_counts_not_the_planes():
 )
 def test_points_in_obstacles_are_named_with_their_clearance(start, goal, message):
     with pytest.raises(InfeasibleError, match=message):
-        plan(PlanConfig(start=start, goal=goal), boxes_cover([[0, 0, 0, 10, 10, 10]]))
+        plan(PlanConfig(beyond_map_m=3.0, start=start, goal=goal), boxes_cover([[0, 0, 0, 10, 10, 10]]))
 
 
 def test_without_a_way_there_is_no_plan():
     box = (0, 0, 0, 3, 3, 3)
     wall = [[10, 0, 0, 12, 30, 30]]
     with pytest.raises(InfeasibleError, match="no path from --start to --goal"):
-        plan(PlanConfig(start=(0.3, 1, 1), goal=(2.5, 1, 1), bounds=box), boxes_cover(wall))
+        plan(PlanConfig(beyond_map_m=3.0, start=(0.3, 1, 1), goal=(2.5, 1, 1), bounds=box), boxes_cover(wall))
     with pytest.raises(InfeasibleError, match="no path"):
         plan(
-            PlanConfig(start=(0.3, 1, 1), goal=(2.5, 1, 1), bounds=box, radius_m=0.45),
+            PlanConfig(beyond_map_m=3.0, start=(0.3, 1, 1), goal=(2.5, 1, 1), bounds=box, radius_m=0.45),
             boxes_cover(WALL_WITH_HOLE),
         )
-    around = plan(PlanConfig(start=(0.3, 1, 1), goal=(2.5, 1, 1)), boxes_cover(wall))
+    around = plan(PlanConfig(beyond_map_m=3.0, start=(0.3, 1, 1), goal=(2.5, 1, 1)), boxes_cover(wall))
     assert around.manifest.summary["length_m"] > 3
 
 
 def test_a_lattice_too_fine_is_refused_and_one_too_coarse_is_refined():
     cover = boxes_cover(CORRIDOR)
     with pytest.raises(UsageError, match="use a larger --resolution"):
-        plan(PlanConfig(start=(1, 1, 1), goal=(2, 2, 2), resolution_m=0.001), cover)
+        plan(PlanConfig(beyond_map_m=3.0, start=(1, 1, 1), goal=(2, 2, 2), resolution_m=0.001), cover)
     values = {"start": (0.3, 1, 1), "goal": (2.5, 1, 1), "radius_m": 0.3, "bounds": (0, 0, 0, 3, 3, 3)}
     for resolution in (
         0.9,
         None,
     ):  # where the lattice is too coarse, the search for the widest passage is not
-        made = plan(PlanConfig(**values, resolution_m=resolution), boxes_cover(WALL_WITH_HOLE))
+        made = plan(
+            PlanConfig(beyond_map_m=3.0, **values, resolution_m=resolution), boxes_cover(WALL_WITH_HOLE)
+        )
         assert made.manifest.summary["min_clearance_m"] >= 0.3
 
 
 def test_without_obstacles_a_plan_is_a_straight_line():
-    result = plan(PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), yaw="0.7"), boxes_cover([]))
+    result = plan(PlanConfig(beyond_map_m=3.0, start=(0, 0, 0), goal=(2, 0, 0), yaw="0.7"), boxes_cover([]))
     assert result.kind is PLAN
     assert result.manifest.summary["length_m"] == pytest.approx(2.0)
     assert result.manifest.summary["min_clearance_m"] is None
@@ -203,7 +221,7 @@ def test_without_obstacles_a_plan_is_a_straight_line():
 
 def test_threads_do_not_change_a_bit():
     cover = boxes_cover(random_boxes(3, 20))
-    config = PlanConfig(start=(-0.5, -0.5, -0.5), goal=(3.5, 3.5, 3.5))
+    config = PlanConfig(beyond_map_m=3.0, start=(-0.5, -0.5, -0.5), goal=(3.5, 3.5, 3.5))
     one, four = plan(config, cover, jobs=1), plan(config, cover, jobs=4)
     assert one.manifest == four.manifest
     assert all((one[name] == four[name]).all() for name in one.arrays)
@@ -213,7 +231,7 @@ def test_threads_do_not_change_a_bit():
 def test_the_polyline_is_clear_and_hardly_longer_than_the_shortest(seed):
     boxes = random_boxes(seed, 10)
     hulls = Hulls.from_cover(boxes_cover(boxes))
-    config = PlanConfig(start=(-0.5, -0.5, -0.5), goal=(3.5, 3.5, 3.5), radius_m=0.1)
+    config = PlanConfig(beyond_map_m=3.0, start=(-0.5, -0.5, -0.5), goal=(3.5, 3.5, 3.5), radius_m=0.1)
     path = find_polyline(config, plan_space(config, boxes_cover(boxes)))
     assert clearance_to_hulls(path.point, hulls).min() >= 0.1
     length = np.linalg.norm(np.diff(path.point, axis=0), axis=1).sum()
@@ -270,7 +288,7 @@ def test_the_search_finds_the_shortest_lattice_path():
 )
 def test_configurations_that_mean_nothing_are_refused(values):
     with pytest.raises(UsageError):
-        PlanConfig(start=(0.0, 0.0, 0.0), goal=(1.0, 1.0, 1.0), **values)
+        PlanConfig(beyond_map_m=3.0, start=(0.0, 0.0, 0.0), goal=(1.0, 1.0, 1.0), **values)
 
 
 def test_a_certificate_needs_a_radius():
@@ -312,12 +330,17 @@ def test_a_cover_whose_planes_and_vertices_disagree_is_not_planned_in(spoil):
     array[5] += 3
     bad = dataclasses.replace(cover, arrays={**cover.arrays, spoil: array})
     with pytest.raises(ArtifactError, match=r"the cover is not sound: .*hull 0"):
-        plan(PlanConfig(start=(0.5, 1.5, 1.5), goal=(2.5, 1.5, 1.5)), bad)
+        plan(PlanConfig(beyond_map_m=3.0, start=(0.5, 1.5, 1.5), goal=(2.5, 1.5, 1.5)), bad)
 
 
 def test_a_plan_begins_in_motion_and_a_motion_that_leads_out_of_the_path_is_refused_in_words():
     config = PlanConfig(
-        start=(0.2, 0.3, 0.3), goal=(2.5, 0.3, 0.3), radius_m=0.15, bounds=(0, 0, 0, 3, 3, 3), speed_m_s=2.0
+        beyond_map_m=3.0,
+        start=(0.2, 0.3, 0.3),
+        goal=(2.5, 0.3, 0.3),
+        radius_m=0.15,
+        bounds=(0, 0, 0, 3, 3, 3),
+        speed_m_s=2.0,
     )
     cover = boxes_cover(WALL_WITH_HOLE)
     still = np.zeros(3)
@@ -331,7 +354,9 @@ def test_a_plan_begins_in_motion_and_a_motion_that_leads_out_of_the_path_is_refu
 
 
 def test_a_plan_records_the_limits_of_its_vehicle():
-    config = PlanConfig(start=(0, 0, 0), goal=(2, 0, 0), radius_m=0.2, acceleration_m_s2=2.0)
+    config = PlanConfig(
+        beyond_map_m=3.0, start=(0, 0, 0), goal=(2, 0, 0), radius_m=0.2, acceleration_m_s2=2.0
+    )
     made = plan(config, boxes_cover([]))
     assert made.manifest.version == "1.2"
     assert made.manifest.vehicle == "fastbridge"

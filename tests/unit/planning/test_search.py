@@ -60,7 +60,7 @@ def balls(centres, radius_m, suggested_m=0.0, frame="world"):
 
 
 def config(start=(0.4, 1.5, 1.5), goal=(2.5, 0.5, 0.5), radius=0.2, **fields):
-    return PlanConfig(start=start, goal=goal, radius_m=radius, **fields)
+    return PlanConfig(beyond_map_m=3.0, start=start, goal=goal, radius_m=radius, **fields)
 
 
 def space_of(values, cover=None, scene=None, image=None) -> PlanSpace:
@@ -194,7 +194,14 @@ def test_a_cover_its_image_and_their_union_give_nearly_the_same_path():
 def test_a_plan_keeps_from_hulls_and_ellipsoids_the_distance_of_each():
     """Both keep radius, margin and what of the suggested inflation their obstacles have not grown by."""
     scene = balls([[2.0, 1.5, 1.5], [0.5, 2.5, 0.4]], 0.25, suggested_m=0.07)
-    values = PlanConfig(start=(0.4, 1.5, 1.5), goal=(2.6, 1.5, 1.5), bounds=BOX, speed_m_s=2.0, margin_m=0.05)
+    values = PlanConfig(
+        beyond_map_m=3.0,
+        start=(0.4, 1.5, 1.5),
+        goal=(2.6, 1.5, 1.5),
+        bounds=BOX,
+        speed_m_s=2.0,
+        margin_m=0.05,
+    )
     grown = boxes_cover(wall(9, 21))
     grown = dataclasses.replace(grown, manifest=msgspec.structs.replace(grown.manifest, inflation_m=0.04))
     made = plan(values, grown, scene=scene)

@@ -85,18 +85,18 @@ def test_peaks_are_those_of_the_derivatives():
     "own", [{}, {"acceleration_m_s2": 0.9}, {"tilt_rad": 0.07, "speed_m_s": 3.0}, {"smooth": 1.5}]
 )
 def test_a_clear_straight_plan_is_proven_again_with_its_limits(own):
-    made = plan(PlanConfig(**BESIDE | own), BOX)
+    made = plan(PlanConfig(beyond_map_m=3.0, **BESIDE | own), BOX)
     assert made.manifest.is_proven
     assert made.manifest.requires == []
     found = verify_plan(made, cover=BOX)
     assert found.covered, found
-    limits = motion_limits(PlanConfig(**BESIDE | own, radius_m=0.25), FASTBRIDGE)
+    limits = motion_limits(PlanConfig(beyond_map_m=3.0, **BESIDE | own, radius_m=0.25), FASTBRIDGE)
     shortest = straight_duration(np.array(BESIDE["start"]), np.array(BESIDE["goal"]), limits)
     assert made["time"].tolist() == pytest.approx([0, own.get("smooth", 1.0) * shortest], rel=TIGHT)
 
 
 def test_a_slow_straight_plan_is_the_reference_of_fastbridge():
-    made = plan(PlanConfig(**BESIDE, speed_m_s=0.5), BOX)
+    made = plan(PlanConfig(beyond_map_m=3.0, **BESIDE, speed_m_s=0.5), BOX)
     time, coefficient = rest_to_rest(BESIDE["start"], BESIDE["goal"], 0.5)
     np.testing.assert_allclose(made["time"], time, rtol=2e-6)
     np.testing.assert_allclose(made["coefficient"], coefficient, rtol=2e-5, atol=1e-12)
@@ -104,8 +104,8 @@ def test_a_slow_straight_plan_is_the_reference_of_fastbridge():
 
 def test_a_blocked_straight_plan_is_refused_or_says_that_it_is_not_proven(tmp_path):
     with pytest.raises(InfeasibleError, match=r"leads through an obstacle.*--allow-blocked"):
-        plan(PlanConfig(**THROUGH), BOX)
-    made = plan(PlanConfig(**THROUGH, allow_blocked=True), BOX)
+        plan(PlanConfig(beyond_map_m=3.0, **THROUGH), BOX)
+    made = plan(PlanConfig(beyond_map_m=3.0, **THROUGH, allow_blocked=True), BOX)
     write_artifact(tmp_path / "s.plan.npz", made)
     read = read_artifact(tmp_path / "s.plan.npz")
     assert not read.manifest.is_proven
@@ -118,24 +118,27 @@ def test_a_blocked_straight_plan_is_refused_or_says_that_it_is_not_proven(tmp_pa
 
 
 def test_a_clear_plan_with_leave_to_be_blocked_is_proven_all_the_same():
-    assert plan(PlanConfig(**BESIDE, allow_blocked=True), BOX).manifest.is_proven
+    assert plan(PlanConfig(beyond_map_m=3.0, **BESIDE, allow_blocked=True), BOX).manifest.is_proven
 
 
 @pytest.mark.parametrize("allow_blocked", [False, True])
 def test_start_and_goal_are_free_in_any_case(allow_blocked):
     with pytest.raises(InfeasibleError, match=r"the goal .* is inside an obstacle"):
-        plan(PlanConfig(**THROUGH | {"goal": (2.0, 2.0, 1.0)}, allow_blocked=allow_blocked), BOX)
+        plan(
+            PlanConfig(beyond_map_m=3.0, **THROUGH | {"goal": (2.0, 2.0, 1.0)}, allow_blocked=allow_blocked),
+            BOX,
+        )
 
 
 def test_words_that_do_not_go_together_are_refused():
     with pytest.raises(UsageError, match="leave out --via"):
-        PlanConfig(**THROUGH, via=((2.0, 1.0, 1.0),))
+        PlanConfig(beyond_map_m=3.0, **THROUGH, via=((2.0, 1.0, 1.0),))
     with pytest.raises(UsageError, match="plans with --straight"):
-        PlanConfig(start=(0, 0, 0), goal=(1, 1, 1), allow_blocked=True)
+        PlanConfig(beyond_map_m=3.0, start=(0, 0, 0), goal=(1, 1, 1), allow_blocked=True)
 
 
 def test_a_flight_along_a_plan_that_is_not_proven_is_judged_without_a_tube():
-    made = plan(PlanConfig(**THROUGH, allow_blocked=True), BOX)
+    made = plan(PlanConfig(beyond_map_m=3.0, **THROUGH, allow_blocked=True), BOX)
     judge = PlanJudge(made, [hull_obstacles(Hulls.from_cover(BOX))], 0.15, 0.15)
     around = np.array([(0.3, 2.0, 1.0), (1.5, 0.5, 1.0), (2.5, 0.5, 1.0), (3.7, 2.0, 1.0)])
     assert judge.result(around).outside_m == 0
@@ -144,7 +147,7 @@ def test_a_flight_along_a_plan_that_is_not_proven_is_judged_without_a_tube():
 
 
 def test_a_plan_that_is_not_proven_is_flown_behind_a_filter_where_this_is_insisted_on():
-    made = plan(PlanConfig(**THROUGH, allow_blocked=True), BOX)
+    made = plan(PlanConfig(beyond_map_m=3.0, **THROUGH, allow_blocked=True), BOX)
     with pytest.raises(UsageError, match="--allow-blocked"):
         mission(cover=BOX, plan=made)
     with pytest.raises(UsageError, match="behind a filter only"):
@@ -153,5 +156,6 @@ def test_a_plan_that_is_not_proven_is_flown_behind_a_filter_where_this_is_insist
     assert flown.is_clear == (
         True,
         "piece [0] is not proven to keep 0.15 m from hulls made for every ellipsoid of the scene at 1 sigma "
-        "(19.8 % of a Gaussian's mass); flown behind the filter alone (--allow-blocked)",
+        "(19.8 % of a Gaussian's mass); it leaves the mapped box, by at most 3 m (--beyond-map); flown "
+        "behind the filter alone (--allow-blocked)",
     )

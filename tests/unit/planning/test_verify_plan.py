@@ -19,7 +19,12 @@ from support.small_scenes import ball_scene
 
 BOXES = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]
 CONFIG = PlanConfig(
-    start=(0.3, 0.3, 1.5), goal=(2.6, 2.5, 1.5), via=((1.5, 1.0, 1.4),), radius_m=0.2, speed_m_s=2.0
+    beyond_map_m=3.0,
+    start=(0.3, 0.3, 1.5),
+    goal=(2.6, 2.5, 1.5),
+    via=((1.5, 1.0, 1.4),),
+    radius_m=0.2,
+    speed_m_s=2.0,
 )
 
 
@@ -187,7 +192,7 @@ def test_the_command_proves_a_plan_and_exits_with_4_where_it_is_damaged(good, co
     def verify(made, *more):
         path = tmp_path / "a.plan.npz"
         write_artifact(path, made)
-        return run(["verify", str(path), *more])
+        return run(["verify", str(path), "--allow-other-map", *more])
 
     map_path = tmp_path / "a.cover.npz"
     write_artifact(map_path, cover)
@@ -222,7 +227,9 @@ def test_verdict_and_guarantee_name_the_level_of_the_hulls_and_what_it_leaves_ou
     assert certificate.omits == left_out
     assert (certificate.level["sigma"], certificate.level["min_opacity"]) == (0.5, 0.2)
     made = plan(CONFIG, less)
-    assert made.manifest.guarantee.statement.endswith("; not included: " + ", ".join(left_out) + ".")
+    assert made.manifest.guarantee.statement.partition(" Space up to")[0].endswith(
+        "; not included: " + ", ".join(left_out) + "."
+    )
     (facts,) = made.manifest.maps
     assert (facts["level"]["sigma"], facts["level"]["min_overlap"]) == (0.5, 3)
 

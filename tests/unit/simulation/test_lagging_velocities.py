@@ -25,6 +25,7 @@ def flown(vehicle):
                 "start_m": [0.3, 2.0, 1.0],
                 "goal_m": [3.5, 2.0, 1.0],
                 "speed_m_s": 1.5,
+                "beyond_map_m": 10.0,
             },
             "safety": {"filters": ["polytope-cbf"]},
             "rules": {"max_time_s": 5.0},

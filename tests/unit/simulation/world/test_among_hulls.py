@@ -34,7 +34,7 @@ FAST = POINT | {"radius_m": 0.15, "max_speed_m_s": 2.25}  # for plans of `line_p
 def made(filters=("polytope-cbf",), vehicle=POINT, **tables):
     """A scenario of twelve pairs in a room with a cover, or with other tables."""
     world = {"cover": "x"} | tables.pop("world", {})
-    mission = {"bounds_m": ROOM} | tables.pop("mission", {})
+    mission = {"bounds_m": ROOM, "beyond_map_m": 10.0} | tables.pop("mission", {})
     rules = {"trials": 12, "max_time_s": 40.0} | tables.pop("rules", {})
     safety = {"filters": filters} | tables.pop("safety", {})
     return decoded(
@@ -50,7 +50,9 @@ def simulated(cover, *filters, scene=None, pairs=None, jobs=1, **tables):
 
 
 def along(cover, plan, *filters, vehicle=FAST, allow_tight=True, jobs=1, **tables):
-    mission = {"kind": "plan", "plan": "x", "allow_tight": allow_tight} | tables.pop("mission", {})
+    mission = {"kind": "plan", "plan": "x", "allow_tight": allow_tight, "beyond_map_m": 10.0} | tables.pop(
+        "mission", {}
+    )
     scenario = decoded(
         {
             "vehicle": vehicle,
@@ -150,7 +152,7 @@ def test_flights_are_those_of_the_older_loop_bit_by_bit(name):
 
 def test_a_plan_is_flown_as_by_the_older_loop_bit_by_bit():
     tables = {"vehicle": FAST, "world": {"cover": "x"}, "safety": {"filters": ["polytope-cbf"]}}
-    mission = {"kind": "plan", "plan": "x", "allow_tight": True}
+    mission = {"kind": "plan", "plan": "x", "allow_tight": True, "beyond_map_m": 10.0}
     scenario = decoded(tables | {"mission": mission, "rules": {"max_time_s": 20.0}})
     plan = line_plan([0.2, 0.2, 1.0], [2.0, 3.6, 1.0])
     ready = prepare(scenario, cover=box_cover(TWO_BLOCKS), plan=plan)

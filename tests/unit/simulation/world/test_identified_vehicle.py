@@ -183,7 +183,12 @@ VIA = (2.05, 1.4, 1.0)
 def around(speed_m_s=1.0):
     cover = box_cover(PILLAR)
     config = PlanConfig(
-        start=(0.4, 0.5, 1.0), goal=(3.6, 0.5, 1.0), via=(VIA,), radius_m=0.27, speed_m_s=speed_m_s
+        beyond_map_m=3.0,
+        start=(0.4, 0.5, 1.0),
+        goal=(3.6, 0.5, 1.0),
+        via=(VIA,),
+        radius_m=0.27,
+        speed_m_s=speed_m_s,
     )
     return cover, plan(config, cover)
 

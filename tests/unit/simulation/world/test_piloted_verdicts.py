@@ -88,6 +88,7 @@ def test_the_fence_of_a_pilot_without_a_filter_has_faces_and_hulls():
     fall = {
         "safety.filters": [],
         "mission.pilot.kind": "fall",
+        "mission.beyond_map_m": 10.0,
         "world.cover": "x",
         "rules.trials": 1,
         "rules.max_time_s": 0.5,

@@ -55,7 +55,7 @@ def simulated(cover, progress=None, which=range(5), **mission):
         {
             "vehicle": {"type": "single-integrator", "radius_m": 0.3},
             "world": {"cover": "x"},
-            "mission": {"bounds_m": BOUNDS, "margin_m": 0.0} | mission,
+            "mission": {"bounds_m": BOUNDS, "margin_m": 0.0, "beyond_map_m": 10.0} | mission,
             "safety": {"filters": ["polytope-cbf"]},
             "rules": {"trials": len(chosen.start)},
         }
@@ -140,7 +140,7 @@ def test_a_quadrotor_flies_its_plans_without_its_filter_acting(vehicle, name, mo
         {
             "vehicle": {"type": vehicle},
             "world": {"cover": "x"},
-            "mission": {"planned": True, "margin_m": 0.1},
+            "mission": {"planned": True, "margin_m": 0.1, "beyond_map_m": 10.0},
             "safety": {"filters": [name]},
             "rules": {"trials": 1},
         }

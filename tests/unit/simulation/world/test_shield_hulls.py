@@ -325,7 +325,11 @@ def test_the_command_flies_a_quadrotor_in_a_cover_alone(tmp_path, capsys):
     write_artifact(cover, BOX)
     write_artifact(scene, BALL)
     bounds = ["--set", f"mission.bounds_m={','.join(map(str, AROUND))}"]
-    assert run(["simulate", str(cover), "-o", str(out), "--filter", "shield", "--trials", "2", *bounds]) == 0
+    beyond = ("--set", "mission.beyond_map_m=5")
+    assert (
+        run(["simulate", str(cover), "-o", str(out), "--filter", "shield", "--trials", "2", *bounds, *beyond])
+        == 0
+    )
     record = read_run(out)
     assert record.summary["certified_against"] == ["hulls"]
     assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)

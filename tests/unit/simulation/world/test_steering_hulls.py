@@ -111,7 +111,18 @@ def test_the_command_flies_in_a_cover_alone(name, tmp_path):
     cover, out = tmp_path / "pillars.cover.npz", tmp_path / "flown.run.mcap"
     write_artifact(cover, PILLARS)
     words = ["simulate", str(cover), "-o", str(out), "--filter", name, "--trials", "2", "--speed", "1"]
-    assert run([*words, "--set", f"mission.bounds_m={','.join(map(str, AROUND))}"]) == 0
+    assert (
+        run(
+            [
+                *words,
+                "--set",
+                "mission.beyond_map_m=5",
+                "--set",
+                f"mission.bounds_m={','.join(map(str, AROUND))}",
+            ]
+        )
+        == 0
+    )
     record = read_run(out)
     assert record.summary.get("certified_against") == (None if name == "safer-splat" else ["hulls"])
     assert all(trial.scene_clearance_m is None and trial.map_clearance_m > 0 for trial in record.trials)

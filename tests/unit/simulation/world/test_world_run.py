@@ -23,7 +23,7 @@ WALL = ((15, -20, 0), (18, 20, 30))  # in voxels of 0.1 m
 COVER = box_cover([WALL])
 PILLARS = box_cover([((12, 3, 0), (15, 8, 25)), ((22, -8, 0), (25, -2, 25)), ((30, 2, 0), (33, 6, 25))])
 CENTRES, BALL = np.array([(1.5, 0.05, 1.1), (2.4, 0.6, 0.9)]), 0.2
-STRAIGHT = {"kind": "goal", "start_m": (0, 0, 1), "goal_m": (3, 0, 1.3)}
+STRAIGHT = {"kind": "goal", "start_m": (0, 0, 1), "goal_m": (3, 0, 1.3), "beyond_map_m": 10.0}
 ARTIFACTS = {"cover": COVER, "scene": ball_scene(CENTRES, BALL)}
 SPHERE = 0.1
 
@@ -172,7 +172,7 @@ def test_the_start_moves_as_the_scenario_says():
 AMONG = {
     "vehicle": QUADROTOR,
     "world": {"cover": "x"},
-    "mission": {"kind": "pairs", "bounds_m": (0, -2, 0.3, 4, 2, 2)},
+    "mission": {"kind": "pairs", "bounds_m": (0, -2, 0.3, 4, 2, 2), "beyond_map_m": 10.0},
 }
 HOVER = {"kind": "hover", "start_m": (0, 0, 1)}
 
@@ -373,7 +373,11 @@ def test_only_what_was_certified_is_claimed():
 
 def planned(via=(), plan=None, **tree):
     made = plan if plan is not None else line_plan((0, 0, 1), (1.0, -0.4, 1.2), 3.0)
-    given = {"vehicle": QUADROTOR, "world": {"cover": "x"}, "mission": {"kind": "plan", "plan": "x"}}
+    given = {
+        "vehicle": QUADROTOR,
+        "world": {"cover": "x"},
+        "mission": {"kind": "plan", "plan": "x", "beyond_map_m": 10.0},
+    }
     run = simulated(files={"plan": with_manifest(made, via_m=via), "cover": PILLARS}, **given | tree)
     return run.trials[0]
 
@@ -385,7 +389,7 @@ def test_a_plan_is_flown_when_each_via_point_was_passed():
     trial = planned([(0.5, -0.2, 1.1), (0.5, 0.0, 1.1)])
     assert trial.outcome == "missed-via"
     assert trial.plan.missed == [2]  # counted from 1
-    mission = {"kind": "plan", "plan": "x", "via_tolerance_m": 0.25}
+    mission = {"kind": "plan", "plan": "x", "via_tolerance_m": 0.25, "beyond_map_m": 10.0}
     assert planned([(0.5, -0.2, 1.1), (0.5, 0.0, 1.1)], mission=mission).outcome == "reached"
 
 
@@ -394,7 +398,7 @@ def test_a_plan_that_is_nearer_to_the_map_than_the_filter_lets_it_is_refused():
     tree = {"vehicle": QUADROTOR | {"radius_m": 0.15}, "plan": tight}
     with pytest.raises(UsageError, match=r"is 0.12\d* m from the map, and shield keeps 0.15"):
         planned(safety={"filters": ["shield"]}, **tree)
-    mission = {"kind": "plan", "plan": "x", "allow_tight": True}
+    mission = {"kind": "plan", "plan": "x", "allow_tight": True, "beyond_map_m": 10.0}
     trial = planned(safety={"filters": ["shield"]}, mission=mission, **tree)
     assert not trial.collision
 
