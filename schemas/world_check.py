@@ -339,12 +339,15 @@ def _wrong_gain(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
             f"`$.mission.speed_m_s`: {vehicle.name} flies at most {limit:g} m/s; set it to that, or raise "
             "vehicle.max_speed_m_s"
         )
-    most = (2 if vehicle.model == "single-integrator" else 1) / scenario.rules.dt_s
+    rules = scenario.rules
+    ticks = max(rules.controller_ticks, rules.filter_ticks)
+    most = (2 if vehicle.model == "single-integrator" else 1) / (rules.dt_s * ticks)
     gain = mission.controller.gain_per_s
     if gain > most * (1 + 1e-12):
         return (
             f"`$.mission.controller.gain_per_s`: {gain:g} is unstable with "
-            f"rules.dt_s={scenario.rules.dt_s:g}; set it to at most {most:g}"
+            f"rules.dt_s={rules.dt_s:g}{f', held for {ticks} ticks' if ticks > 1 else ''}; set it to at most "
+            f"{most:g}"
         )
     return None
 

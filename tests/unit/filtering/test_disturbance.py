@@ -73,6 +73,32 @@ def test_without_wind_nothing_is_estimated():
     assert bounds.max() < 1e-9
 
 
+@pytest.mark.parametrize(("lag_s", "delay_s"), [(0.05, 0.0), (0.0, 0.04), (0.05, 0.0325)])
+def test_known_lag_and_delay_are_no_disturbance(lag_s, delay_s):
+    """The thrust of an interval is what the rotors had in it, not what was commanded last."""
+    model = _core.ActuatorModel(motor_time_constant_s=lag_s, delay_s=delay_s)
+    spec = _core.VehicleSpec(BODY, interface="wrench", gains=GAINS, assumed=model)
+    options = _core.FlightOptions(dt_s=DT, disturbance_time_s=0.1)
+    flight = _core.Flight(spec, options, _core.Mission.given(), [])
+    sensor = _core.SensorOptions(delay_s=delay_s)
+    plant = _core.Plant(BODY, _core.PlantOptions(motor_time_constant_s=lag_s, sensor=sensor))
+    state, row, fastest, worst = np.zeros(12), np.zeros(18), 0.0, 0.0
+    plant.reset(state)
+    for k in range(300):
+        row[:3] = (0.5, 0.3, 0.4) if k % 100 < 50 else (0, 0, 0)  # away and back, at full tilt
+        flight.observe(k * DT, plant.measured, target=row)
+        found = flight.decide()
+        flight.sent()
+        before = np.array(plant.state)[6:9]
+        for _ in range(10):
+            plant.step(DT / 10, found["command"][3:7])
+        plant.switch_shadow()
+        fastest = max(fastest, np.linalg.norm(np.array(plant.state)[6:9] - before) / DT)
+        worst = max(worst, np.linalg.norm(found["disturbance"]), found["disturbance_bound"])
+    assert fastest > 1
+    assert worst < 0.1
+
+
 def test_noise_is_not_amplified_beyond_its_share():
     # Both poles at q = exp(-dt / T): the variance of the estimate for white noise of the velocity.
     _, estimates, _ = hover(0.1, (0, 0, 0), 40.0, drag=0.0, noise=0.01)

@@ -215,6 +215,14 @@ REFUSED = [
         r"201 is unstable with rules\.dt_s=0\.01; set it to at most 200",
     ),
     (
+        {
+            "vehicle": {"type": "single-integrator"},
+            "mission": {"controller": {"gain_per_s": 101}},
+            "rules": {"filter_ticks": 2},
+        },
+        r"101 is unstable with rules\.dt_s=0\.01, held for 2 ticks; set it to at most 100",
+    ),
+    (
         {"vehicle": {"type": "double-integrator"}, "mission": {"controller": {"gain_per_s": 101}}},
         "set it to at most 100",
     ),

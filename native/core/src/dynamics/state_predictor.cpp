@@ -65,6 +65,23 @@ void StatePredictor::advance(State& x, Vec4& rotors, const Tick& tick, double ti
   }
 }
 
+double StatePredictor::thrust(double from_s, double to_s) const {
+  const double lag = model_.motor_time_constant_s, newest = ago(1).command.thrust;
+  double beyond = 0, time = 0;  // beyond the newest command [N s]
+  const auto oldest = static_cast<std::size_t>(std::ceil((from_s - kSameTime) / tick_s_));
+  for (std::size_t k = std::min(oldest, past_.size()); k > 0; --k) {
+    const Tick& tick = ago(k);
+    const double after = static_cast<double>(k) * tick_s_, begin = std::max(0.0, after - from_s),
+                 end = std::min(tick_s_, after - to_s);
+    if (!(end - begin > kSameTime)) continue;
+    beyond += (end - begin) * (tick.command.thrust - newest), time += end - begin;
+    if (lag > 0)
+      beyond += lag * (std::exp(-begin / lag) - std::exp(-end / lag)) *
+                (body_.wrench(tick.rotors).thrust - tick.command.thrust);
+  }
+  return time > 0 ? newest + beyond / time : newest;
+}
+
 void StatePredictor::fly(const Wrench& command, Vec3 rates, const State& now) {
   const Tick& last = ago(1);
   const double lag = model_.motor_time_constant_s;

@@ -21,7 +21,7 @@ Vec3 limited(Vec3 v, double most) {
   return length > most ? most / length * v : v;
 }
 
-// Acceleration that brakes along the velocity to rest, without reversal.
+// Acceleration that, held for dt, brakes along the velocity to rest, without reversal.
 Vec3 braking(Vec3 v, double most, double dt) {
   const double speed = norm(v);
   return -std::min(1 / dt, (std::isfinite(most) ? most : 5) / std::max(speed, 1e-12)) * v;
@@ -120,7 +120,7 @@ Flight::Flight(const VehicleSpec& vehicle, const FlightOptions& options, const M
 void Flight::reset() {
   for (const auto& filter : filters_) filter->reset();
   predictor_.reset();
-  observer_.reset(), response_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0;
+  observer_.reset(), response_.reset(), level_out_ = {}, true_ = {}, sent_ticks_ = 0, measured_ = 0;
   if (clock_) clock_->reset();
   seen_ = {};
   seen_.thrust = vehicle_.body.hover_thrust();
@@ -151,13 +151,16 @@ void Flight::observe(const Observation& seen) {
   predict();
 }
 
-// From the measurement that just arrived, the one before it and the thrust between them. Ticks are counted by the
-// commands that were sent, because ticks can be left out while the vehicle goes on with its command.
+// From the measurement that just arrived, the one before it and the thrust that the rotors had between them. Ticks
+// are counted by the commands that were sent, because ticks can be left out while the vehicle goes on with its
+// command.
 void Flight::estimate_disturbance(const State& measured, const std::optional<double>& age_s) {
   const Quadrotor& body = vehicle_.body;
   if (!has_state_) observer_.begin(thrust_axis(measured.sigma), body.gravity());
-  const double time = static_cast<double>(sent_ticks_) * options_.dt_s - age_s.value_or(vehicle_.assumed.delay_s);
-  const double thrust = level_out_.scale() * seen_.thrust;
+  const double sent = static_cast<double>(sent_ticks_) * options_.dt_s,
+               age = age_s.value_or(vehicle_.assumed.delay_s);
+  const double time = sent - age, thrust = predictor_.thrust(has_state_ ? sent - measured_ : age, age);
+  measured_ = time;
   const Vec3 now = acceleration_of(body, measured, thrust);
   observer_.update(time, measured.v, has_state_ ? 0.5 * (acceleration_of(body, last_, thrust) + now) : now);
   level_out_ = Level(observer_.acceleration(), body.gravity());
@@ -338,7 +341,8 @@ void Flight::take(const FilterReport& report, CommandKind kind) {
 void Flight::stand_in(CommandKind kind) {
   FilterReport rest;
   rest.status = SafetyStatus::recovering;
-  rest.acceleration = seen_.is_known ? braking(seen_.x.v, vehicle_.max_acceleration, options_.dt_s) : Vec3{};
+  const double held = held_s(std::min(options_.controller_ticks, options_.filter_ticks));
+  rest.acceleration = seen_.is_known ? braking(seen_.x.v, vehicle_.max_acceleration, held) : Vec3{};
   rest.wrench = {vehicle_.body.hover_thrust(), {}};
   // A receiver's motors stand still without a command, as when a pilot is silent.
   if (vehicle_.interface != Interface::sticks)

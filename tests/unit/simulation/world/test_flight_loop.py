@@ -563,6 +563,20 @@ def test_a_refused_command_never_flies(kind):
     assert (log["mark"] & REFUSED).all()  # a tick that holds a refused command is refused too
 
 
+@pytest.mark.parametrize("ticks", [1, 4])
+def test_braking_in_place_of_a_refused_command_does_not_reverse(ticks):
+    (log,) = flown(
+        spec("acceleration", "double-integrator"),
+        _core.Mission.along(CURVE),
+        [Answering("acceleration", status=4).native()],
+        state=start(yaw=0.0, velocity=(0.5, 0, 0)),
+        rules=_core.SimulationRules(ends_when_refused=False),
+        options=_core.FlightOptions(controller_ticks=ticks, filter_ticks=ticks),
+    )
+    assert log["state"][:, 6].min() > -1e-9
+    assert abs(log["state"][-1, 6]) < 1e-3
+
+
 def test_a_filter_that_refuses_before_another_one_does_not_end_the_flight():
     refusing, passing = Answering("acceleration", status=4), Passing("wrench")
     (log,) = flown(spec(), _core.Mission.along(CURVE), [refusing.native(), passing.native()], time_s=0.2)

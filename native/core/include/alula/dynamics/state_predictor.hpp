@@ -28,6 +28,9 @@ class StatePredictor {
   State now(const State& measured, double age_s) const;
   State now(const State& measured) const { return now(measured, model_.delay_s); }
 
+  // The mean thrust of the rotors between two ages, from > to, of the commands that are known [N].
+  double thrust(double from_s, double to_s) const;
+
   // Current thrusts of the rotors [N].
   const Vec4& rotors() const { return rotors_; }
 

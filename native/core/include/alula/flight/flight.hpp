@@ -160,6 +160,7 @@ class Flight {
   Level level_out_;              // of the disturbance,
   State true_;                   // and the predicted state with its true attitude
   std::int64_t sent_ticks_ = 0;  // since the flight began, for the times of measurements
+  double measured_ = 0;          // time of the newest measurement by them [s]
   FlightState seen_;
   Nominal first_, nominal_;
   std::optional<RacerCommand> sticks_;  // of the pilot in this tick
