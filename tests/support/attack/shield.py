@@ -224,6 +224,7 @@ def drawn(rng: np.random.Generator) -> Case:
     mission = {
         "kind": "pairs",
         "bounds_m": [float(value) for value in room],
+        "beyond_map_m": 10.0,
         "speed_m_s": float(rng.uniform(0.5, 6)),
         "margin_m": float(rng.uniform(0.02, 0.2)),
         "which": "blocked" if (hulls or scene) and often(0.6) else "any",

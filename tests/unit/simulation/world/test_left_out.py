@@ -83,7 +83,13 @@ def scenario(keys, interface="wrench"):
     tree = {
         "vehicle": {"type": "fastbridge"},
         "world": {"cover": "x"},
-        "mission": {"kind": "goal", "start_m": (0.0, 0.0, 1.0), "goal_m": (1.0, 0.4, 1.3), "speed_m_s": 3.0},
+        "mission": {
+            "kind": "goal",
+            "start_m": (0.0, 0.0, 1.0),
+            "goal_m": (1.0, 0.4, 1.3),
+            "speed_m_s": 3.0,
+            "beyond_map_m": 3.0,
+        },
         "safety": {"filters": ["shield"] if interface in ("wrench", "body-rates") else []},
         "rules": {"max_time_s": 0.6},
     }
