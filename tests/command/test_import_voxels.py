@@ -351,3 +351,11 @@ def test_points_with_commas_are_refused_by_import_and_proof(tmp_path, capsys):
     refused(capsys, path, code=3, says="a.xyz: line 2: a point needs numbers with spaces between them")
     assert run(["verify", str(path.with_suffix(".voxels.npz")), "--source", str(path)]) == 3
     assert "a.xyz: line 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [(), ("--crop", "0 0 0 900 900 900")])
+def test_an_octree_with_a_huge_leaf_is_refused_before_the_work(words, tmp_path, capsys):
+    node = b"\0\0\x80\x3f"
+    head = b"# Octomap OcTree file\nid OcTree\nsize 2\nres 0.1\ndata\n"
+    (tmp_path / "a.ot").write_bytes(head + node + b"\x80" + node + b"\0")  # 32,768 cubes along each edge
+    refused(capsys, tmp_path / "a.ot", *words, code=3, says="of --max-voxels, which merge can take")

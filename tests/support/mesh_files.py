@@ -34,10 +34,12 @@ class Written:
     refused: str = ""
 
 
-def shapes(rng, grid=8, *, only_triangles=False):
-    """Vertices on a grid, in fractions, and polygons: triangles, bent ones, a rectangle, a segment."""
+def shapes(rng, grid=8, *, only_triangles=False, closed=False):
+    """Vertices on a grid, in fractions, and polygons: triangles, bent ones, a rectangle; or a tetrahedron."""
     point = lambda: [Fraction(rng.randint(-2 * grid, 2 * grid), grid) for _ in range(3)]  # noqa: E731
     vertices = [point() for _ in range(rng.randint(5, 8))]
+    if closed:
+        return vertices, [[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]]
     polygons = []
     for _ in range(rng.randint(1, 4)):
         size = 3 if only_triangles else rng.choice((3, 3, 3, 4, 5))
@@ -84,8 +86,9 @@ def obj(rng):
     wrap = (lambda: "\\" + end) if rng.random() < 0.3 else (lambda: "")
     lines, triangles, done = ["# \\ made by a test"] if rng.random() < 0.3 else [], [], 0
     colour = rng.choice(("", "", " 1", " 0.5 0.5 1"))
+    closed = rng.random() < 0.25
     for block in range(rng.randint(1, 3)):
-        vertices, polygons = shapes(rng, 10)
+        vertices, polygons = shapes(rng, 10, closed=closed)
         lines += rng.choice(
             ([], [f"o part {block}", "usemtl a\\b"], ["g a b", "s off", "vt 0 0", "vn 0 0 1"])
         )
@@ -115,7 +118,7 @@ def obj(rng):
 
 def stl(rng):
     """Binary, with a header that looks like text, or text in any spelling."""
-    vertices, polygons = shapes(rng, only_triangles=True)
+    vertices, polygons = shapes(rng, only_triangles=True, closed=rng.random() < 0.25)
     triangles = [[vertices[i] for i in polygon] for polygon in polygons]
     refused = ""
     if rng.random() < 0.5:
@@ -157,7 +160,7 @@ def ply(rng):
     long = rng.random() < 0.1
     head, two = _ply_head(rng, form, ["comment " + "x" * 70_000] if long else ["obj_info a"])
     is_whole = rng.random() < 0.2
-    vertices, polygons = shapes(rng, 1 if is_whole else 8)
+    vertices, polygons = shapes(rng, 1 if is_whole else 8, closed=rng.random() < 0.25)
     kind = rng.choice(("i2", "i4") if is_whole else ("f4", "f8"))
     strips = rng.random() < 0.2
     is_cloud = not strips and rng.random() < 0.2
@@ -310,6 +313,17 @@ def moved(node, p):
     return [c + Fraction(s) for c, s in zip(turned, node.get("translation", (0, 0, 0)), strict=True)]
 
 
+def mirrors(nodes):
+    """Whether the nodes turn triangles inside out, which the standard undoes."""
+    unit = [[Fraction(int(i == k)) for k in range(3)] for i in range(3)]
+    ends = [[Fraction(0)] * 3, *unit]
+    for node in nodes:
+        ends = [moved(node, p) for p in ends]
+    a, b, c = ([q - o for q, o in zip(end, ends[0], strict=True)] for end in ends[1:])
+    cross = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]]
+    return sum(x * y for x, y in zip(a, cross, strict=True)) < 0
+
+
 def transform(rng):
     """Random fields of a node."""
     if rng.random() < 0.2:
@@ -345,10 +359,11 @@ GLB_POISON = (
 def glb(rng):
     """Triangles, strips and fans, sparse, quantised or interleaved, in a tree of nodes."""
     made, triangles = Glb(), []
-    for _ in range(rng.randint(1, 2)):
-        vertices, polygons = shapes(rng, only_triangles=True)
+    closed = rng.random() < 0.3
+    for _ in range(rng.randint(1, 2) + closed):
+        vertices, polygons = shapes(rng, only_triangles=True, closed=closed)
         where, stored = _positions(made, rng, vertices)
-        mode = rng.choice((4, 4, 5, 6))
+        mode = 4 if closed else rng.choice((4, 4, 5, 6))
         index = [i for p in polygons for i in p]
         primitive = {"attributes": {"POSITION": where}, "mode": mode}
         if mode == 4 and rng.random() < 0.5:
@@ -378,7 +393,7 @@ def glb(rng):
             points = [stored[i] for i in three]
             for node in nodes:
                 points = [moved(node, p) for p in points]
-            triangles.append(points)
+            triangles.append(points[::-1] if mirrors(nodes) else points)
     refused = rng.choice(GLB_POISON) if rng.random() < 0.25 else ""
     _poison(made, refused)
     return Written(".glb", made.bytes(), triangles, refused=refused)
