@@ -56,11 +56,12 @@ def has_plausible_size(rows: NDArray[np.void]) -> NDArray[np.bool_]:
         rows: of the type `RECORD`, shape (N,).
     """
     mean, scale = np.abs(rows["mean"]), np.abs(rows["scale"])  # comparisons with NaN are false
-    return (
+    plausible: NDArray[np.bool_] = (
         ((mean == 0) | ((mean >= SMALLEST) & (mean <= FARTHEST))).all(axis=1)
         & ((scale == 0) | ((scale >= SMALLEST) & (scale <= LARGEST))).all(axis=1)
         & (scale > 0).any(axis=1)
     )
+    return plausible
 
 
 def _check_sizes(buffer: memoryview) -> None:

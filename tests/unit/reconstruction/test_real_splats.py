@@ -55,4 +55,5 @@ REFUSED = {
     "playbot-lod-sog/lod-meta.json",  # its finest level is not there
     "tiny-conformance/brush-init.ply",  # a point cloud
     "tiny-conformance/khr_extensible_fallback.gltf",
+    "reports-3/spacetime.ply",  # moving Gaussians
 }
