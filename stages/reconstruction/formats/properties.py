@@ -73,19 +73,24 @@ KNOWN = (
         (
             "roughness", "metallic", "specular*", "diffuse_#", "fresnel_#", "albedo*", "base_color_#",
             "reflect", "refl_strength*", "incidents_*", "visibility_*", "reflection_visible", "f_sg_#",
-            "asg_#", "sb_params_#",
+            "sb_params_#",
         ),
         Effect.IGNORED,
         "materials and view-dependent colour (GaussianShader, Relightable 3D Gaussian, GS-IR and others)",
     ),
     Known(
         (
-            "obj_dc_#", "semantic_#", "semantic_feature_#", "language_feature_#", "ins_feat_*", "label",
-            "object_id", "object_score", "group_id", "instance_id", "segment_id", "confidence",
-            "uncertainty",
+            "obj_dc_#", "semantic_#", "semantic_feature_#", "language_feature", "language_feature_#",
+            "ins_feat_*", "label", "object_id", "object_score", "group_id", "instance_id", "segment_id",
+            "confidence", "uncertainty",
         ),
         Effect.IGNORED,
         "labels and features of meaning (Gaussian Grouping, Feature 3DGS, OpenGaussian and others)",
+    ),
+    Known(
+        ("base_occupancy_#", "occupancy_shift_#"),
+        Effect.IGNORED,
+        "occupancies from which MILo extracts its mesh",
     ),
     Known(
         ("level", "extra_level", "ancestry_lod_#"),
@@ -113,7 +118,7 @@ KNOWN = (
         f"as Gaussians of SpacetimeGaussians have, {_MOVING}",
     ),
     Known(
-        ("t", "mu_t", "scale_t", "scale_t_#", "t_scale", "scaling_t*", "rot_l_#", "rot_r_#", "rotation_r_#"),
+        ("t", "mu_t", "scale_t", "scale_t_#", "t_scale", "rot_l_#", "rot_r_#"),
         Effect.REFUSED,
         f"as four-dimensional Gaussians have, {_MOVING}",
     ),
@@ -128,10 +133,10 @@ KNOWN = (
         "as GaussianAvatars have, whose positions and sizes are relative to the triangles of a mesh",
     ),
     Known(
-        ("beta", "shape", "shape_#", "nu_degree*"),
+        ("beta", "shape", "wave_#"),
         Effect.REFUSED,
-        "as kernels of another form than a Gaussian have (Deformable Beta Splatting, GES, Student "
-        "splatting), of which ellipsoids at a sigma say nothing",
+        "as kernels of another form than a Gaussian have (Deformable Beta Splatting, GES and others), of "
+        "which ellipsoids at a sigma say nothing",
     ),
     Known(
         ("adjacency_offset", "density"),
@@ -211,7 +216,7 @@ def judged(
             unknown.append(name)
         elif found.effect is Effect.REFUSED:
             raise ArtifactError(
-                f"not a scene of Gaussians that stand still: it has {what} {name[:40]}, {found.what}; "
+                f"not a scene of plain Gaussians: it has {what} {name[:40]}, {found.what}; "
                 "export plain Gaussians from the trainer"
             )
         elif found.effect is Effect.APPLIED and name not in applied:

@@ -320,3 +320,16 @@ def test_lengths_and_fractions_in_a_file_of_logarithms_and_logits_get_a_hint(kin
     hint = "as if they were lengths" if kind == "lengths" else "as if it were a fraction"
     assert any(hint in note for note in decode(ply(columns, 50)[1]).notes)
     assert not any("as if" in note for note in decode(ply({}, 50)[1]).notes)
+
+
+def test_the_proof_of_a_cover_repeats_what_was_applied(tmp_path, capsys):
+    _, raw = ply({"filter_3D": 0.1}, rows=3)
+    (tmp_path / "a.ply").write_bytes(raw)
+    s, m, v, c = (str(tmp_path / f"a.{kind}.npz") for kind in ("scene", "metric.scene", "voxels", "cover"))
+    assert run(["import-splat", str(tmp_path / "a.ply"), "--min-opacity", "0", "-o", s]) == 0
+    assert run(["scale-align", s, "--scale", "1", "-o", m]) == 0
+    assert run(["voxelize", m, "--size", "0.05", "-o", v]) == 0
+    assert run(["merge", v, "--hulls", "9", "-o", c]) == 0
+    capsys.readouterr()
+    assert run(["verify", c, "--voxels", v, "--scene", m]) == 0
+    assert "in the scene, filter_3D was applied" in capsys.readouterr().out
