@@ -250,7 +250,7 @@ def read_material(
         for kind in (COVER, SCENE, PLAN)
         if kind.name.removeprefix("alula/") in inputs
     }
-    certificate = None
+    certificate, made = None, None
     if "certificate" in inputs:
         try:
             certificate = decode_certificate(inputs["certificate"].read_bytes())
@@ -271,6 +271,7 @@ def read_material(
         runs=tuple(flown),
         **artifacts,
         certificate=certificate,
+        certified_cover=None if made is None else cover_hash(made.inputs),
         inputs=tuple(provenance.inputs),
         file_bytes={role: size_of(path) for role, path in inputs.items()},
     )

@@ -21,6 +21,7 @@ from alula.stages.reporting.material import (
     Run,
     clearance_of,
     coverage,
+    elsewhere,
     outcome_of,
     proof,
 )
@@ -121,7 +122,7 @@ def brief(material: Material) -> Brief:
         words = f"{gaussians:,} Gaussians. Voxelize and merge them to get a map."
         others.append(Subject("scene", "Scene", "", words, PLAIN, ()))
     verdict, tone = _overall(material.runs, runs) if runs else _first(others)
-    verdict += _unlike(material.runs)
+    verdict += _unlike(material.runs) + _elsewhere(material)
     proofs, limits = guarantees(material)
     return Brief(material.title, verdict, tone, (*runs, *others), proofs, limits, tuple(statements(material)))
 
@@ -172,6 +173,12 @@ def _unlike(runs: Sequence[Run]) -> str:
     found = {one.what for run in runs[1:] for one in unlike(runs[0].record, run.record)}
     kinds = [kind for kind in ("vehicle", "map") if kind in found]
     return f" The runs differ in their {' and '.join(kinds)}, too." if kinds else ""
+
+
+def _elsewhere(material: Material) -> str:
+    """Sentence that names the runs that did not fly in the map or the scan of the report."""
+    labels = [run.label for run in material.runs if elsewhere(run, material)]
+    return f" Not flown in the map and scan of this report: {', '.join(labels)}." if labels else ""
 
 
 def _ends_of(runs: Sequence[Run]) -> str:

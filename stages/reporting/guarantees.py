@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alula.stages.filtering.registry import NO_FILTER
 from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import NOT_JUDGED, Material, coverage, omitted
+from alula.stages.reporting.material import NOT_JUDGED, Material, coverage, elsewhere, omitted
 from alula.stages.reporting.plain import deviations
 from alula.stages.reporting.table import text
 
@@ -35,6 +35,11 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
     for run in material.runs:
         claims, trials = run.record.guarantee.claims, run.record.trials
         touched = sum(trial.collision for trial in trials)
+        if others := elsewhere(run, material):
+            limits.append(
+                f"{run.label} flew in another {' and another '.join(others)} than this report is about: what "
+                "is proven here says nothing about its flights."
+            )
         if claims.get("plan_certified") is True:
             proofs.append(
                 "Proven before take-off: the plan keeps clear of the map that the statement below names."
@@ -54,6 +59,14 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
             proofs.append(f"Proven at each step of {run.label}: a manoeuvre clear of {parts} remained.")
         elif run.record.trials and run.record.filter != NO_FILTER:
             limits.append(f"No proof beforehand says that {run.record.filter} keeps these flights clear.")
+        chain = claims.get("chain")
+        if isinstance(chain, dict) and chain.get("holds") is True and not touched:
+            proofs.append(
+                f"Proven for {run.label} where the map covers the scan: its flights met nothing of the scan, "
+                "under the assumptions of its statement."
+            )
+        elif isinstance(chain, dict) and isinstance(broken := chain.get("broken_by"), list) and broken:
+            limits.append(f"Nothing is proven of {run.label} and the scan: {' '.join(map(str, broken))}")
         if run.record.trials and claims.get("continuous_time") is True:
             proofs.append("Checked after the flights: every distance, along the whole path, not by samples.")
         elif run.record.trials and "ended_by" in run.record.summary:

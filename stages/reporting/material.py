@@ -53,7 +53,8 @@ class Run:
 class Material:
     """All inputs of a report; every number in the report comes from here.
 
-    `inputs` describes the files that were read; `file_bytes` maps their roles to their sizes.
+    `inputs` describes the files that were read; `file_bytes` maps their roles to their sizes;
+    `certified_cover` is the hash of the cover that `certificate` proves.
     """
 
     title: str
@@ -62,6 +63,7 @@ class Material:
     scene: Artifact | None = None
     plan: Artifact | None = None
     certificate: Mapping[str, Any] | None = None
+    certified_cover: str | None = None
     inputs: tuple[InputRef, ...] = ()
     file_bytes: Mapping[str, int] = field(default_factory=dict)
 
@@ -152,11 +154,34 @@ def proof(certificate: Mapping[str, Any] | None) -> str:
 
 def flew_through(run: Run, material: Material) -> bool | None:
     """Return whether a run flew through the cover that is shown; None when one of them is not known."""
-    flown = cover_hash(run.record.provenance.inputs)
-    shown = cover_hash(material.inputs)
-    return None if flown is None or shown is None else flown == shown
+    return _is_same(cover_hash(run.record.provenance.inputs), cover_hash(material.inputs))
+
+
+def elsewhere(run: Run, material: Material) -> list[str]:
+    """Name what of a report a run did not fly in: the map, which is shown or proven, and the scan.
+
+    Args:
+        run: one of its runs.
+        material: all inputs of the report.
+    """
+    flown = run.record.provenance.inputs
+    covers = (cover_hash(material.inputs), material.certified_cover)
+    found = []
+    if any(_is_same(cover_hash(flown), cover) is False for cover in covers):
+        found.append("map")
+    if _is_same(_hash_of(flown, "scene"), _hash_of(material.inputs, "scene")) is False:
+        found.append("scan")
+    return found
+
+
+def _is_same(one: str | None, other: str | None) -> bool | None:
+    return None if one is None or other is None else one == other
 
 
 def cover_hash(inputs: Iterable[InputRef]) -> str | None:
     """SHA-256 of the cover among input files."""
-    return next((ref.sha256 for ref in inputs if ref.role == "cover"), None)
+    return _hash_of(inputs, "cover")
+
+
+def _hash_of(inputs: Iterable[InputRef], role: str) -> str | None:
+    return next((ref.sha256 for ref in inputs if ref.role == role), None)

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from alula.schemas.manifest import Guarantee
+from alula.schemas.manifest import Guarantee, InputRef
 from alula.stages.filtering.registry import NO_FILTER
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.material import Material, Run
@@ -128,3 +128,35 @@ def test_a_proof_is_stated_only_where_the_run_claims_it():
     found = brief(Material("t", (run_of(SAFE, claims={}),)))
     assert found.proofs == ()
     assert "No proof beforehand says that polytope-cbf keeps these flights clear." in found.limits
+    found = brief(Material("t", (run_of([*SAFE, HIT], claims=proven),)))
+    assert not any("Proven" in line for line in found.proofs)
+    assert "The proofs of a do not cover what its flights touched: see its statement below." in found.limits
+
+
+def test_a_chain_is_stated_as_it_holds():
+    whole = {"chain": {"holds": True, "broken_by": []}}
+    assert any("met nothing of the scan" in line for line in brief_of(SAFE, whole).proofs)
+    assert not any("met nothing" in line for line in brief_of([*SAFE, HIT], whole).proofs)
+    broken = brief_of(SAFE, {"chain": {"holds": False, "broken_by": ["The cover was made elsewhere."]}})
+    assert "Nothing is proven of a and the scan: The cover was made elsewhere." in broken.limits
+    assert not any("met nothing" in line for line in broken.proofs)
+
+
+def brief_of(trials, claims):
+    return brief(Material("t", (run_of(trials, claims=claims),)))
+
+
+@pytest.mark.parametrize("how", ["cover", "certificate", "scene"])
+def test_a_run_in_another_map_than_that_of_the_report_is_named(how):
+    """The map that is shown, the map that is proven, or the scan is not the one that was flown in."""
+    role = "scene" if how == "scene" else "cover"
+    ours, theirs = (InputRef(role, "", "", digit * 64, "a.npz") for digit in "12")
+    run = run_of(SAFE)
+    record = msgspec.structs.replace(
+        run.record, provenance=msgspec.structs.replace(run.record.provenance, inputs=[ours])
+    )
+    for shown, is_named in ((theirs, True), (ours, False)):
+        others = {"certified_cover": shown.sha256} if how == "certificate" else {"inputs": (shown,)}
+        found = brief(Material("t", (Run("a", record),), **others))
+        assert ("Not flown in the map and scan of this report: a." in found.verdict) == is_named
+        assert any("a flew in another" in line for line in found.limits) == is_named
