@@ -86,6 +86,7 @@ class ScaleAlignFields(TypedDict, total=False):
 
     scale: float | None
     origin: Sequence[float] | NDArray[Any] | None
+    map_origin: Sequence[float] | NDArray[Any] | None
     up: Sequence[float] | NDArray[Any] | None
     floor: bool
     rescale: bool

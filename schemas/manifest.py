@@ -185,6 +185,7 @@ class ImportedMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         up: axis of the file that points up and that became z.
         solid: of a mesh, what it encloses is an obstacle, too.
         unknown: of an octree, what space is that it does not describe, within the box of what it describes.
+        map_origin_m: position in metres, with z up, that became the origin of the map.
     """
 
     kind: Literal["mesh", "cloud", "octree"]
@@ -192,6 +193,7 @@ class ImportedMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     up: Literal["y", "z"] = "z"
     solid: bool = False
     unknown: Literal["free", "occupied"] = "free"
+    map_origin_m: Vector = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 class LevelManifest(Manifest, frozen=True, kw_only=True):

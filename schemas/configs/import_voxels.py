@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from alula.schemas.configs.scale_align import require_map_origin
 from alula.schemas.configs.voxelize import MERGE_VOXELS
 from alula.schemas.errors import UsageError
 
@@ -52,6 +53,15 @@ class ImportVoxelsConfig:
             "help": "Axis of the file that points up; it becomes z. auto is y for .glb, else z.",
         },
     )
+    map_origin: tuple[float, float, float] | None = field(
+        default=None,
+        metadata={
+            "group": "Frame",
+            "help": "Position of the world that becomes 0 0 0 of the map [m]; default: 0 0 0, or a round one "
+            "in the middle where coordinates are too large for the map's numbers.",
+            "metavar": "'X Y Z'",
+        },
+    )
     max_voxels: int = field(
         default=MERGE_VOXELS,
         metadata={
@@ -75,5 +85,6 @@ class ImportVoxelsConfig:
             raise UsageError(f"--scale must be between 1e-09 and 1e+09, not {self.scale}")
         if self.max_voxels < 1:
             raise UsageError(f"--max-voxels must be at least 1, not {self.max_voxels}")
+        require_map_origin(self.map_origin)
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
             raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")

@@ -28,6 +28,19 @@ def require_min_near(fraction: float) -> None:
         raise UsageError(f"--min-near must be between 0 and 1, not {fraction}")
 
 
+def require_map_origin(origin: Point | None) -> None:
+    """Refuse an origin of a map beyond the earth.
+
+    Args:
+        origin: value of --map-origin [m].
+
+    Raises:
+        UsageError: a coordinate is not finite or beyond 1e8 m.
+    """
+    if origin is not None and not all(abs(c) <= 1e8 for c in origin):
+        raise UsageError("--map-origin must have coordinates between -1e+08 and 1e+08 m")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaleAlignConfig:
     """Parameters of `scale-align`; the evidence is an input, except distances and a plain scale."""
@@ -39,6 +52,15 @@ class ScaleAlignConfig:
             "group": "Cameras",
             "help": "Position where lat,lon,alt become 0,0,0; default: the first row of --reference.",
             "metavar": "'LAT LON ALT'",
+        },
+    )
+    map_origin: Point | None = field(
+        default=None,
+        metadata={
+            "group": "Cameras",
+            "help": "Position of the world that becomes 0 0 0 of the map [m]; default: 0 0 0, or a round one "
+            "in the middle where coordinates are too large for the map's numbers.",
+            "metavar": "'X Y Z'",
         },
     )
     up: Point | None = field(
@@ -133,6 +155,7 @@ class ScaleAlignConfig:
         if not (0 < self.min_fitness <= 1):
             raise UsageError(f"--min-fitness must be above 0 and at most 1, not {self.min_fitness}")
         require_min_near(self.min_near)
+        require_map_origin(self.map_origin)
         if self.min_inliers is not None and self.min_inliers < 1:
             raise UsageError(f"--min-inliers must be at least 1, not {self.min_inliers}")
         if self.origin is not None and not (abs(self.origin[0]) <= 90 and abs(self.origin[1]) <= 180):

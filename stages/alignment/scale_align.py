@@ -26,6 +26,7 @@ from alula.stages.alignment.levelling import level_by_direction, level_by_floor
 from alula.stages.alignment.model_frame import ModelFrame, model_frame
 from alula.stages.alignment.similarity import compose, transform_points
 from alula.stages.alignment.uncertainty import CONFIDENCE, mapped_corners
+from alula.stages.coordinates import nearer_origin
 from alula.stages.reconstruction.formats.splats import rounded_up
 from alula.stages.rotation import quat_wxyz_from_matrix
 
@@ -34,6 +35,7 @@ __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 _CHUNK = 2**15  # rows; their temporary arrays stay in the cache
 _SAME_SCALE = 1e-6  # a larger change of the scale of a scene in metres causes a warning
 _CORRECTION = 0.05  # a larger one is taken for a mistake
+_FAR_M = 8192.0  # coordinates up to it are rounded by less than a millimetre
 _COARSE_M = 1e-3  # a larger rounding of positions causes a warning
 _BOUNDED_SIGMA = 3.0  # the error bound holds for all points of the ellipsoids of this level
 _SINGLE = 1.2e-7  # just over 2^-23, twice the rounding to single precision
@@ -126,7 +128,38 @@ def solved(
     if config.levels:
         known = manifest.frame == "world" or isinstance(evidence, Similarity)
         found = _levelled(config, found, means, box, frame_is_known=known)
-    return found
+    return _from_map_origin(config, found, means, box)
+
+
+def _from_map_origin(
+    config: ScaleAlignConfig,
+    found: Estimate,
+    means: Callable[[], FloatArray],
+    box: tuple[FloatArray, FloatArray],
+) -> Estimate:
+    """Estimate whose world has the origin of the map, chosen where single precision would be coarse."""
+    origin, warnings = config.map_origin, list(found.record["warnings"])
+    if origin is None:
+        if np.abs(mapped_corners(found.similarity, *box)).max() <= _FAR_M:
+            return found
+        # floaters may be anywhere
+        low, high = np.percentile(transform_points(found.similarity, means()), [1, 99], axis=0)
+        origin = nearer_origin(low, high, _FAR_M)
+        if any(origin):
+            words = " ".join(f"{c:.12g}" for c in origin)
+            warnings.append(
+                f"coordinates are too large for single precision, so that the map's origin is ({words}) "
+                "m of the world (--map-origin)"
+            )
+    if not any(origin):
+        return found
+    similarity = found.similarity
+    moved = [t - o for t, o in zip(similarity.translation_m, origin, strict=True)]
+    return dataclasses.replace(
+        found,
+        similarity=Similarity(similarity.scale, similarity.rotation, moved),
+        record={**found.record, "map_origin_m": list(origin), "warnings": warnings},
+    )
 
 
 def _in_scene_frame(
@@ -194,7 +227,7 @@ def alignment_of(
     if rounding > _COARSE_M:
         warnings.append(
             f"coordinates are so large that single precision moves Gaussians by up to {rounding:.2g} m; put "
-            "the world's origin nearer to the scene"
+            "the map's origin nearer to the scene (--map-origin)"
         )
     scale = similarity.scale
     if manifest.unit == "m" and abs(scale - 1.0) > _SAME_SCALE:
@@ -263,7 +296,7 @@ def align_summary(
     """
     record = alignment.record
     figures = (
-        *("method", "scale", "scale_sigma", "scale_interval", "count", "inliers", "fitness"),
+        *("method", "scale", "scale_sigma", "scale_interval", "map_origin_m", "count", "inliers", "fitness"),
         *("rms_m", "max_m", "rms_deg", "position_error_m"),
     )
     summary = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,16 @@ from alula.stages.compression.imported import (
     require_watertight,
 )
 from alula.stages.compression.level import imported_words
+from alula.stages.compression.limits import LATTICE_LIMIT
 from alula.stages.compression.voxelize import SURE, rounded, too_many
+from alula.stages.coordinates import nearer_origin, single_rounding
 
 _ALL = 2**32 - 1  # a minimum count that no voxel has: only their number is wanted
 _COARSE = 32  # voxels along the longest edge of the box when the estimate begins
 _CERTAIN = 4.0  # multiple of the limit above which a rough estimate ends the command
 _ROOM = 0.8  # fraction of the limit that a remedy aims at
+_FINE = 0.1  # of a voxel: a larger rounding of the file's numbers is refused unless --margin covers it
+_NEAR = 0.5  # of the lattice that merge can take
 _UNKNOWN, _FREE, _OCCUPIED = 0, 1, 2
 _ONLY = {"margin_m": (Mesh, Cloud), "solid": (Mesh,), "min_points": (Cloud,), "unknown": (Octree,)}
 
@@ -99,16 +103,28 @@ def import_voxels(
     if len(index) == 0:
         raise InfeasibleError(f"no voxel is touched by {config.min_points} points; the maximum is {most}")
     size = config.size_m
-    summary = marked.facts | {
-        "voxels": len(index),
-        "dropped_by_min_overlap": below,
-        "volume_m3": len(index) * size**3,
-        "mean_overlap": float(overlap.mean(dtype=np.float64)),
-        "max_overlap": int(overlap.max()),
-        "lower_m": (index.min(axis=0) * size).tolist(),
-        "upper_m": ((index.max(axis=0).astype(np.float64) + 1) * size).tolist(),
-        "inflation_m": config.margin_m,
-    }
+    moved: dict[str, Any] = {}
+    if any(imported.map_origin_m):
+        moved["map_origin_m"] = imported.map_origin_m
+        if config.map_origin is None:
+            moved["notes"] = [
+                "coordinates are too large for merge, so that the map has its origin at "
+                f"({' '.join(f'{c:.12g}' for c in imported.map_origin_m)}) m of the file (--map-origin)"
+            ]
+    summary = (
+        marked.facts
+        | moved
+        | {
+            "voxels": len(index),
+            "dropped_by_min_overlap": below,
+            "volume_m3": len(index) * size**3,
+            "mean_overlap": float(overlap.mean(dtype=np.float64)),
+            "max_overlap": int(overlap.max()),
+            "lower_m": (index.min(axis=0) * size).tolist(),
+            "upper_m": ((index.max(axis=0).astype(np.float64) + 1) * size).tolist(),
+            "inflation_m": config.margin_m,
+        }
+    )
     return make_artifact(
         VOXELS,
         {"index": index, "overlap": overlap},
@@ -136,6 +152,7 @@ def imported_of(config: ImportVoxelsConfig, source: ImportedSource) -> ImportedM
 
     Raises:
         UsageError: a parameter is not for this kind of source.
+        InputError: the numbers of the source are coarser than the voxels.
     """
     names = {"margin_m": "--margin", "solid": "--solid", "min_points": "--min-points", "unknown": "--unknown"}
     for field, kinds in _ONLY.items():
@@ -143,6 +160,8 @@ def imported_of(config: ImportVoxelsConfig, source: ImportedSource) -> ImportedM
         if getattr(config, field) != default and not isinstance(source, kinds):
             words = " and ".join(f"{NAMES[kind]}s" for kind in kinds)
             raise UsageError(f"{names[field]} is for {words}, and this is {_article(source)}")
+    if isinstance(source, Octree) and config.map_origin is not None:
+        raise UsageError("--map-origin is for meshes and clouds, and this is an octree")
     if isinstance(source, Octree) and config.up == "y":
         raise UsageError("--up is for meshes and clouds, and this is an octree")
     up = source.up if isinstance(source, Mesh) and config.up == "auto" else config.up
@@ -152,7 +171,40 @@ def imported_of(config: ImportVoxelsConfig, source: ImportedSource) -> ImportedM
         up="y" if up == "y" else "z",
         solid=config.solid,
         unknown=config.unknown,
+        map_origin_m=list(_map_origin(config, source, up)),
     )
+
+
+def _map_origin(
+    config: ImportVoxelsConfig, source: ImportedSource, up: Literal["auto", "y", "z"]
+) -> tuple[float, float, float]:
+    """Origin of the map, chosen where voxels would lie too far from that of the file for `merge`.
+
+    Raises:
+        InputError: the file's numbers are coarser than the voxels, or the crop is in a frame that moves.
+    """
+    if isinstance(source, Octree):
+        return 0.0, 0.0, 0.0
+    points = source.surface.reshape(-1, 3) if isinstance(source, Mesh) else source.points
+    rounding = config.scale * float(single_rounding(points).max(initial=0.0))
+    if rounding > max(config.margin_m, _FINE * config.size_m):
+        raise InputError(
+            f"its coordinates are single-precision numbers as large as {np.abs(points).max():.6g}, which are "
+            f"rounded by up to {at_most(rounding)} m: walls may be lost; write it in double precision or "
+            f"from a local origin, or grow it by --margin {at_most(rounding)}"
+        )
+    if config.map_origin is not None:
+        return config.map_origin
+    found = in_world(points, config.scale, "y" if up == "y" else "z")
+    far = _NEAR * LATTICE_LIMIT * config.size_m
+    origin = nearer_origin(found.min(axis=0), found.max(axis=0), far) if len(found) else (0.0, 0.0, 0.0)
+    if any(origin) and config.crop is not None:
+        words = " ".join(f"{c:.12g}" for c in origin)
+        raise InputError(
+            f"it reaches more than {far:g} m from its origin, too far for merge; give --map-origin, such as "
+            f'"{words}", and --crop relative to it'
+        )
+    return origin
 
 
 def _article(source: ImportedSource) -> str:
@@ -167,18 +219,18 @@ def _mark_touched(
     progress: Progress | None,
 ) -> _Marked:
     if isinstance(source, Mesh):
-        found = in_world(source.surface, config.scale, imported.up)
+        found = in_world(source.surface, config.scale, imported.up, imported.map_origin_m)
         facts: dict[str, Any] = {"triangles": len(source.corners)}
         if len(source.bent):
             facts["triangles_of_polygons_that_are_not_flat"] = len(source.bent)
         native: Callable[..., Voxels] = _core.touched_by_triangles
     else:
-        found = in_world(source.points, config.scale, imported.up)
+        found = in_world(source.points, config.scale, imported.up, imported.map_origin_m)
         facts, native = {"points": len(found)}, _core.touched_by_points
     crop = None if config.solid else config.crop
     inside = 0.0
     if isinstance(source, Mesh) and config.solid:
-        closed = in_world(source.corners, config.scale, imported.up)
+        closed = in_world(source.corners, config.scale, imported.up, imported.map_origin_m)
         require_watertight(closed)
         inside = abs(float(np.linalg.det(closed).sum()) / 6) if config.crop is None else 0.0
     common = {"radius": config.margin_m, "crop": crop, "jobs": jobs}

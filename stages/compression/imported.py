@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Literal
@@ -71,18 +72,23 @@ ImportedSource = Mesh | Cloud | Octree
 NAMES = {Mesh: "mesh", Cloud: "cloud", Octree: "octree"}
 
 
-def in_world(points: FloatArray, scale: float, up: Literal["y", "z"]) -> FloatArray:
-    """Points in metres with z up; each coordinate is rounded once, which the voxels allow for.
+def in_world(
+    points: FloatArray, scale: float, up: Literal["y", "z"], map_origin_m: Sequence[float] = (0.0, 0.0, 0.0)
+) -> FloatArray:
+    """Points in metres with z up, from the map's origin; two roundings, which the voxels allow for.
 
     Args:
         points: shape (..., 3), file units.
         scale: metres per unit.
         up: axis of the file that becomes z; y turns about x by 90 degrees.
+        map_origin_m: position of the map's origin [m]; subtracted before the scale, in units of the file.
 
     Raises:
         InputError: a point is too far away for voxels.
     """
     turned = points if up == "z" else np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+    if any(map_origin_m):
+        turned = turned - np.array(map_origin_m) / scale
     found = np.ascontiguousarray(turned * scale, np.float64)
     if np.abs(found).max(initial=0.0) > 1e9:
         raise InputError("a point lies more than 1e9 m from the origin; is --scale right?")

@@ -87,7 +87,7 @@ def imported_checks(
     if isinstance(source, Octree):
         return [_octree_check(level, source, index)]
     points = source.surface if isinstance(source, Mesh) else np.repeat(source.points[:, None], 3, axis=1)
-    corners = in_world(points, imported.scale, imported.up)
+    corners = in_world(points, imported.scale, imported.up, imported.map_origin_m)
     crop = None if level.crop is None else tuple(level.crop)
     voxels = np.ascontiguousarray(index, np.int32)
     what = "triangle" if isinstance(source, Mesh) else "point"
@@ -108,7 +108,7 @@ def imported_checks(
     name = f"every {what} lies in the voxels"
     checks = [Finding(name, len(corners), total, "separating planes", faults, missing.astype(np.int64))]
     if isinstance(source, Mesh) and imported.solid:
-        closed = in_world(source.corners, imported.scale, imported.up)
+        closed = in_world(source.corners, imported.scale, imported.up, imported.map_origin_m)
         checks.append(_solid_check(level, closed, voxels, jobs, share(progress, 0.8, 1)))
     return checks
 

@@ -17,11 +17,12 @@ from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
+from alula.stages.coordinates import single_rounding
 from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.properties import unknown_words
-from alula.stages.reconstruction.formats.splats import LOSSES, Level, Properties, Splats
+from alula.stages.reconstruction.formats.splats import LOSSES, Level, Loss, Properties, Splats, loss_bound
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ZERO = "zero_rotation"
@@ -29,6 +30,7 @@ _MOST_ZERO = 0.1  # fraction of the rows without a rotation above which the file
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, _ZERO, "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
 NOTABLE = 0.02  # fraction of the volume that is worth a note
+_FINE = 0.2  # of the median of the largest semi-axes: a larger spacing of coordinates counts as a loss
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
@@ -57,7 +59,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             of a level of detail are lacking.
     """
     check_whole(config, splats.levels)
-    splats = turned(splats, config.turn)
+    splats = with_rounding(turned(splats, config.turn))
     given = _Columns(
         np.ascontiguousarray(splats.mean, np.float32),
         np.ascontiguousarray(splats.scale, np.float32),
@@ -268,6 +270,31 @@ def _opacity_notes(
             f"--min-opacity {FAINT:g} removes them"
         ]
     return []
+
+
+def with_rounding(splats: Splats) -> Splats:
+    """Gaussians whose loss bounds the rounding of centres far from the origin, where that is not negligible.
+
+    The file rounded them to single precision, or a reader did, whose loss bounds it already.
+
+    Args:
+        splats: file frame and units.
+    """
+    finite = np.isfinite(splats.mean).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
+    largest = float(np.abs(splats.mean[finite]).max(initial=0.0))
+    typical = float(np.median(splats.scale[finite].max(axis=1))) if finite.any() else 0.0
+    if np.spacing(np.float32(largest)) <= _FINE * typical:
+        return splats
+    rounding = np.zeros(len(splats))
+    rounding[finite] = single_rounding(splats.mean[finite])
+    note = (
+        f"coordinates as large as {largest:.6g} are rounded by up to {at_most(float(rounding.max()))} file "
+        f"units, where half of the Gaussians have semi-axes below {typical:.2g}: each grows by its own "
+        "rounding, so that none is lost; subtract an offset from the coordinates, before the training if the "
+        "file has single precision"
+    )
+    loss = splats.loss or Loss(loss_bound(len(splats), position=rounding))
+    return dataclasses.replace(splats, loss=loss, notes=(*splats.notes, note))
 
 
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:

@@ -366,3 +366,19 @@ def test_cameras_without_points_are_said_to_be_unchecked(demo, align, capsys):
     words = ["--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv"]
     assert align(*words, quiet=False) == 0
     assert "could not be checked: they come without 3D points" in capsys.readouterr().err
+
+
+def test_a_scene_in_coordinates_of_the_earth_gets_an_origin_of_its_own(demo, align, tmp_path, capsys):
+    path = tmp_path / "utm.json"
+    rotation = np.eye(3).tolist()
+    path.write_text(json.dumps({"scale": 2.7, "rotation": rotation, "translation_m": [450003, 4500000, 9]}))
+    assert align("--transform", path, quiet=False) == 0
+    assert "the map's origin is (450000 4500000 0) m of the world (--map-origin)" in capsys.readouterr().err
+    found = read_artifact(tmp_path / "m.scene.npz")
+    assert found.manifest.alignment["map_origin_m"] == [450_000, 4_500_000, 0]
+    assert found.manifest.alignment["rounding_m"] < 1e-3
+    before = read_artifact(demo / "room.scene.npz")["mean"].astype(np.float64)
+    np.testing.assert_allclose(found["mean"], 2.7 * before + [3, 0, 9], atol=1e-5)
+    assert align("--transform", path, "--map-origin", "0 0 0", output="far.scene.npz", quiet=False) == 0
+    assert "put the map's origin nearer to the scene (--map-origin)" in capsys.readouterr().err
+    assert align("--transform", path, "--map-origin", "nan 0 0") == 2

@@ -359,3 +359,47 @@ def test_an_octree_with_a_huge_leaf_is_refused_before_the_work(words, tmp_path, 
     head = b"# Octomap OcTree file\nid OcTree\nsize 2\nres 0.1\ndata\n"
     (tmp_path / "a.ot").write_bytes(head + node + b"\x80" + node + b"\0")  # 32,768 cubes along each edge
     refused(capsys, tmp_path / "a.ot", *words, code=3, says="of --max-voxels, which merge can take")
+
+
+UTM = np.array([450_000.0, 4_500_000.0, 100.0])
+
+
+def placed_box(path, at):
+    """A box whose faces lie off the lattice, moved; an OBJ with its numbers in full."""
+    low, high = np.array([-1.1, -0.6, -0.3]) + at, np.array([0.9, 0.4, 0.7]) + at
+    mesh = trimesh.creation.box(bounds=[low, high])
+    corners = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    path.write_text("\n".join([*corners, *(f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()), ""]))
+    return mesh
+
+
+def test_a_map_of_the_earth_gets_an_origin_of_its_own_and_stays_proven(tmp_path, capsys):
+    placed_box(tmp_path / "near.obj", np.zeros(3))
+    placed_box(tmp_path / "far.obj", UTM)
+    near, far = imported(tmp_path / "near.obj"), imported(tmp_path / "far.obj")
+    assert far.manifest.imported.map_origin_m == [450_000, 4_500_000, 0]
+    assert near.manifest.imported.map_origin_m == [0, 0, 0]
+    assert cells(far["index"]) == cells(near["index"] + [0, 0, 400])
+    cover, voxels = tmp_path / "far.cover.npz", tmp_path / "far.voxels.npz"
+    assert run(["merge", str(voxels), "-o", str(cover), "--hulls", "2", "-q"]) == 0
+    assert run(["verify", str(cover), "--voxels", str(voxels), "--source", str(tmp_path / "far.obj")]) == 0
+    assert run(["verify", str(cover), "--voxels", str(voxels), "--source", str(tmp_path / "near.obj")]) == 4
+    capsys.readouterr()
+    given = imported(tmp_path / "far.obj", "--map-origin", "450001 4500000 100")
+    assert cells(given["index"]) == cells(near["index"] - [4, 0, 0])
+    words = ["--crop", "449999 4499999 99 450001 4500001 101"]
+    refused(
+        capsys, tmp_path / "far.obj", *words, code=3, says='give --map-origin, such as "450000 4500000 0"'
+    )
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_numbers_that_are_coarser_than_the_voxels_are_refused(suffix, tmp_path, capsys):
+    mesh = placed_box(tmp_path / "far.obj", UTM)
+    mesh.export(tmp_path / f"far{suffix}")
+    says = "rounded by up to 0.251 m: walls may be lost"
+    refused(capsys, tmp_path / f"far{suffix}", code=3, says=says)
+    grown = imported(tmp_path / f"far{suffix}", "--margin", "0.251")
+    exact = imported(tmp_path / "far.obj")
+    assert cells(grown["index"]) >= cells(exact["index"])  # all walls are there
+    imported(tmp_path / f"far{suffix}", size=3)  # fine enough for these

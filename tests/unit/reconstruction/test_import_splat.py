@@ -354,3 +354,16 @@ def test_dropped_floaters_are_counted_and_the_rule_is_recorded():
     rule = scene.manifest.source["rules"]["floaters"]
     assert rule["smallest_group"] == SMALLEST_GROUP
     assert 0.1 < rule["cell"] < 0.4
+
+
+def test_centres_far_from_the_origin_grow_by_their_rounding():
+    rng = np.random.default_rng(0)
+    true = rng.uniform(-2, 2, (500, 3)) + np.array([450_000.0, 4_500_000.0, 100.0])
+    far = dataclasses.replace(splats(rows=500), mean=true.astype(np.float32))
+    scene = import_splat(ImportSplatConfig(), far)
+    shift = np.linalg.norm(scene["mean"] - true, axis=1)
+    assert shift.max() > 0.2
+    assert (shift <= scene["loss"][:, 0]).all()
+    assert any("rounded by up to 0.251 file units" in note for note in scene.manifest.summary["notes"])
+    near = import_splat(ImportSplatConfig(), dataclasses.replace(far, mean=far.mean - far.mean[0]))
+    assert "loss" not in near.arrays
