@@ -25,7 +25,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _POSITION = (FLOAT, "i8", "i8n", "u8", "u8n", "i16", "i16n", "u16", "u16n")
 _NO_SHAPES = re.compile(  # extensions that leave every triangle where it is
     r"[A-Z]+_(materials|texture|lights|xmp|audio|image)\w*"
-    r"|KHR_(mesh_quantization|node_visibility)|EXT_(mesh_features|structural_metadata)"
+    r"|KHR_(mesh_quantization|node_visibility)|EXT_(mesh_features|structural_metadata)|FB_ngon_encoding"
 )
 _PIECE = 26  # bits of a factor, whose products with single precision are exact
 _KEPT = 192  # bits of a factor
