@@ -253,5 +253,6 @@ def _has_noise(known: EstimationTable) -> bool:
         (
             *(known.position_noise_m, known.velocity_noise_m_s),
             *(known.attitude_noise_rad, known.rate_noise_rad_s),
+            *(known.sensor.own_position_sigma_m, known.sensor.own_velocity_sigma_m_s),
         )
     )

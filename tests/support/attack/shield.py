@@ -7,6 +7,7 @@ lost that.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,6 +38,7 @@ CLAIM = (
 )
 CERTIFIED = 4  # bit of the flags of a native log
 GRID_M = 0.1
+SIDES = np.vstack([np.eye(3), -np.eye(3)])  # normals of a box
 ROOM_M = np.array([6.0, 5.0, 3.0])
 NEAR_M = 1e-5  # sag of the path between steps of the plant, and rounding
 
@@ -168,6 +170,9 @@ def drawn(rng: np.random.Generator) -> Case:
     vehicle = drawn_vehicle(rng)
     parts = one(("hulls",), ("ellipsoids",), ("fence",), ("hulls", "ellipsoids"), ("hulls", "fence"))
     cover, hulls, planes = drawn_cover(rng) if "hulls" in parts else (None, [], [])
+    walls = drawn_walls(rng) if "hulls" in parts and often(0.3) else []
+    hulls += [np.array(list(itertools.product(*zip(*wall, strict=True)))) for wall in walls]
+    planes += [np.column_stack([SIDES, [*high, *(-value for value in low)]]) for low, high in walls]
     scene = drawn_scene(rng) if "ellipsoids" in parts else None
     tick_s = one(0.002, 0.004, 0.005, 0.01, 0.01, 0.0125, 0.02, 1 / 240, 0.03)
     most = max(1, int(0.1 / tick_s))
@@ -188,8 +193,10 @@ def drawn(rng: np.random.Generator) -> Case:
         "shield_map": "ellipsoids" if scene is not None and not hulls else "both" if scene else "hulls",
         "line_search": int(rng.integers(0, 4)),
     }
-    before = one("safer-splat", "cone-di") if scene is not None and often(0.2) else None
-    before = "safer-splat" if cover is not None and before is None and often(0.2) else before
+    steering = ["safer-splat", "dr-acbf"] if hulls or scene is not None else ["dr-acbf"]
+    steering += ["cone-di"] if scene is not None else []
+    steering += ["polytope-cbf"] if hulls else []
+    before = one(*steering) if often(0.3) else None
     disturbance: dict[str, Any] = {"motor_time_constant_s": lag}
     estimation: dict[str, Any] = {"delay_s": delay}
     table: dict[str, Any] = {"interface": one("wrench", "body-rates"), "disturbance": disturbance}
@@ -216,6 +223,10 @@ def drawn(rng: np.random.Generator) -> Case:
     if often(0.04):
         estimation["sensor"] = {"own_position_sigma_m": 0.02}
     world: dict[str, Any] = {"inflation_m": float(rng.uniform(0, 0.05)) if often(0.3) else 0.0}
+    world["walls"] = [{"lower_m": low, "upper_m": high} for low, high in walls]
+    if before == "dr-acbf":
+        ball = {"motion": "ballistic", "radius_m": 0.1, "distance_m": 3.0, "aims_at_vehicle": True}
+        world["moving"] = [ball | {"azimuth_rad": (-3.1, 3.1), "speed_m_s": (2.0, 8.0)}]
     world |= {"cover": "x.cover.npz"} if cover is not None else {}
     world |= {"scene": "x.scene.npz", "sigma": float(rng.uniform(0.5, 3))} if scene is not None else {}
     if "fence" in parts:
@@ -243,6 +254,16 @@ def drawn_fence(rng: np.random.Generator) -> dict[str, Any]:
     normal /= np.linalg.norm(normal)
     face = [*normal.tolist(), float(normal @ (ROOM_M / 2) + rng.uniform(0.8, 2))]
     return {"box_m": [*low.tolist(), *high.tolist()], "faces": [face] if rng.random() < 0.5 else []}
+
+
+def drawn_walls(rng: np.random.Generator) -> list[tuple[list[float], list[float]]]:
+    """Lower and upper corners of boxes that are thin along one axis."""
+    walls = []
+    for _ in range(1 + rng.integers(3)):
+        low, size = rng.uniform(0, ROOM_M - 1), rng.uniform(0.3, 2, 3)
+        size[rng.integers(3)] = rng.uniform(0.01, 0.1)
+        walls.append((low.tolist(), (low + size).tolist()))
+    return walls
 
 
 def drawn_vehicle(rng: np.random.Generator) -> Vehicle:
