@@ -290,7 +290,7 @@ def make_mission(
         obstacles.append(("a hull", hull_obstacles(hulls)))
         level = level_of(cover)
         what = f"hulls made for {obstacles_words(level)}{without(omissions(level))}"
-        what += "" if within is None else ", and of unseen space"
+        what += "" if within is None else ", and from unseen space"
         proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), what, radius))
         if within is not None and not is_seen(within, curve_of(plan).at(np.zeros(1))[:, :3]).all():
             proofs.append((False, "the plan begins outside of the space that was seen"))

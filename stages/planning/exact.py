@@ -12,7 +12,7 @@ from alula.schemas.arrays import FloatArray
 Vector = tuple[Fraction, Fraction, Fraction]
 Points = list[Vector]  # control points of one piece
 _DEGREE = 7
-_INSTANTS = 16  # of a piece, at which it may be well behind a plane
+_PARTINGS = 6  # halvings of a piece beside a plane
 THROUGH_M = 1e-2
 """Distance before and behind the plane of a gate that a flight through it reaches at least [m]."""
 PLANE_M = 1e-9
@@ -101,8 +101,9 @@ def is_slow_in(points: Points, velocity: Points, box: Sequence[float], speed: fl
 def is_crossed(pieces: Sequence[Points], knot: int, centre: Sequence[float], normal: Sequence[float]) -> bool:
     """Whether a curve is proven to cross a plane along its normal between two pieces, not only to touch it.
 
-    Where they meet, it is in the plane. Back from there no control point lies behind the plane, until a point
-    of the curve that is `THROUGH_M` before it at least; and the other way round behind the plane.
+    Where they meet, it is in the plane. Back from there no control point of a part of the curve lies behind
+    the plane, until a point of the curve that is `THROUGH_M` before it at least; and the other way round
+    behind the plane. Pieces are halved where they do not decide that.
 
     Args:
         pieces: control points of all pieces.
@@ -115,30 +116,43 @@ def is_crossed(pieces: Sequence[Points], knot: int, centre: Sequence[float], nor
     n, c = [Fraction(x) for x in normal], [Fraction(x) for x in centre]
 
     def heights(piece: Points, side: int) -> list[Fraction]:
-        return [side * sum(a * (x - b) for a, x, b in zip(n, p, c, strict=True)) for p in piece]
+        return [
+            side * sum((a * (x - b) for a, x, b in zip(n, p, c, strict=True)), Fraction(0)) for p in piece
+        ]
 
     def leaves(numbers: range, side: int) -> bool:
         for k in numbers:
             row = heights(pieces[k], side)
-            if min(row) < -Fraction(PLANE_M):
-                return False
-            if max(row) >= THROUGH_M and _most(row) >= THROUGH_M:
-                return True
+            found = _leaves(row if side > 0 else row[::-1], _PARTINGS)
+            if found is not None:
+                return found
         return False
 
     at = heights(pieces[knot][:1], 1)[0]
     return abs(at) <= PLANE_M and leaves(range(knot - 1, -1, -1), -1) and leaves(range(knot, len(pieces)), 1)
 
 
-def _most(row: list[Fraction]) -> Fraction:
-    """Largest of some values of a polynomial, from its control points."""
-    found = [row[0], row[-1]]
-    for i in range(1, _INSTANTS):
-        t, level = Fraction(i, _INSTANTS), row
-        while len(level) > 1:
-            level = [(1 - t) * a + t * b for a, b in pairwise(level)]
-        found.append(level[0])
-    return max(found)
+def _leaves(row: list[Fraction], halvings: int) -> bool | None:
+    """Whether a polynomial reaches `THROUGH_M` before it may fall below zero; None if it does neither.
+
+    Args:
+        row: control points, in the order in which they are flown or in the opposite one.
+        halvings: of the interval, at most.
+    """
+    if min(row) >= -Fraction(PLANE_M):
+        if max(row[0], row[-1]) >= THROUGH_M:
+            return True
+        if max(row) < THROUGH_M or halvings == 0:
+            return None
+    elif halvings == 0:
+        return False
+    left, right, level = [row[0]], [row[-1]], row
+    while len(level) > 1:
+        level = [(p + q) / 2 for p, q in pairwise(level)]
+        left.append(level[0])
+        right.append(level[-1])
+    found = _leaves(left, halvings - 1)
+    return _leaves(right[::-1], halvings - 1) if found is None else found
 
 
 def nothing(_: Vector) -> bool:

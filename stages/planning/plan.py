@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -27,8 +27,8 @@ from alula.stages.compression.level import without
 from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
+from alula.stages.planning.exact import THROUGH_M, is_crossed
 from alula.stages.planning.exact import control_points as control_fractions
-from alula.stages.planning.exact import is_crossed
 from alula.stages.planning.fastest import (
     PIECES_PER_CELL,
     Curve,
@@ -49,6 +49,7 @@ from alula.stages.planning.heading import (
 )
 from alula.stages.planning.limits import Limits, motion_limits
 from alula.stages.planning.mapped import words_beyond
+from alula.stages.planning.opening import Opening
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
@@ -57,6 +58,8 @@ from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, p
 from alula.stages.planning.unseen import require_seen
 from alula.stages.planning.zones import Zone, split_at
 
+_ROUNDS = 3  # of curves, with more and more gates that are led through
+_LED, _LEAST_ROOM_M = 1.05, 1e-4  # distance from the plane there, in `THROUGH_M`; room about these points [m]
 METHOD_FASTEST = "minimum time in a corridor of convex cells"
 METHOD_STRAIGHT = "straight lines from rest to rest"
 
@@ -167,15 +170,23 @@ def plan(
         ]
         return passes, *_heading(mission, passages, passes, along.time, along.coefficient(), limits)
 
-    for is_led in (False, True):
-        corridor = corridor_around(path, passages, space, zones, is_led=is_led, jobs=jobs)
+    led: set[int] = set()  # passages that the first curves only touched
+    for _ in range(_ROUNDS):
+        corridor = corridor_around(path, passages, space, zones, led=led, jobs=jobs)
         curve, acting = solve(corridor), 0
         if behind is not None and motion is None:
             corridor, curve, acting = slowed(
                 corridor, curve, behind, config.speed_m_s, lambda *flown: headed(*flown)[1], solve
             )
-        if _crosses_all(curve, _passed(curve, corridor, path), passages):
+        touched = _touched(curve, _passed(curve, corridor, path), passages)
+        if not touched:
             break
+        led |= touched
+    else:
+        name = passages[min(touched)].name
+        raise InfeasibleError(
+            f"no curve was found that flies through {name} and does not only touch its plane"
+        )
     time, coefficient = curve.time, curve.coefficient()
     proof = certify_in(time, coefficient, space, jobs=jobs)
 
@@ -251,7 +262,7 @@ def corridor_around(
     space: PlanSpace,
     zones: Sequence[Zone] = (),
     *,
-    is_led: bool = False,
+    led: Collection[int] = (),
     jobs: int = 0,
 ) -> Corridor:
     """The corridor of a plan.
@@ -261,17 +272,21 @@ def corridor_around(
         passages: waypoints and gates, in their order.
         space: obstacles.
         zones: boxes with a lower top speed.
-        is_led: a curve in it crosses also the planes before and behind each gate to which the path leads
-            straight; without this it may only touch that of the gate.
+        led: passages through gates before and behind which a curve passes also near the points between
+            which the path is straight; without this it may only touch the plane of the gate.
         jobs: threads; the result does not depend on it.
     """
     marks = np.zeros(len(path.point), np.bool_)
     marks[list(path.at)] = True
     room = {i: each.opening for i, each in zip(path.at, passages, strict=True) if each.opening is not None}
-    gates = [each for each in passages if each.is_gate for _ in ("before", "behind")] if is_led else []
-    for i, each in zip(path.beside, gates, strict=False):  # those of zones follow
-        assert each.opening is not None
-        marks[i], room[i] = True, dataclasses.replace(each.opening, centre=path.point[i])
+    gates = [(k, each) for k, each in enumerate(passages) if each.is_gate]
+    for number, (k, each) in enumerate(gates):
+        if k not in led or each.opening is None:
+            continue
+        for i in path.beside[2 * number : 2 * number + 2]:  # those of zones follow
+            reach_m = abs(float((path.point[i] - each.opening.centre) @ each.opening.normal))
+            marks[i] = True
+            room[i] = Opening(path.point[i], np.zeros(3), max(reach_m - _LED * THROUGH_M, _LEAST_ROOM_M))
     box = (path.lower, path.upper)
     return find_corridor(
         *(path.point, marks, space.solids(), space.keep_m, box),
@@ -282,17 +297,20 @@ def corridor_around(
     )
 
 
-def _crosses_all(curve: Curve, at: Sequence[int], passages: Sequence[Passage]) -> bool:
-    """Whether the stored curve crosses the planes of the gates where the pieces with these numbers begin."""
-    gates = [(i, each) for i, each in zip(at, passages, strict=True) if each.is_gate]
+def _touched(curve: Curve, at: Sequence[int], passages: Sequence[Passage]) -> set[int]:
+    """Numbers of the gates whose planes the stored curve does not cross, where the pieces `at` begin."""
+    gates = [
+        (k, i, each.opening) for k, (i, each) in enumerate(zip(at, passages, strict=True)) if each.is_gate
+    ]
     if not gates:
-        return True
+        return set()
     duration = [b - a for a, b in pairwise(map(Fraction, curve.time.tolist()))]
     pieces = [control_fractions(c, t) for c, t in zip(curve.coefficient(), duration, strict=True)]
-    return all(
-        each.opening is not None and is_crossed(pieces, i, each.opening.centre, each.opening.normal)
-        for i, each in gates
-    )
+    return {
+        k
+        for k, i, disc in gates
+        if disc is None or not is_crossed(pieces, i, disc.centre.tolist(), disc.normal.tolist())
+    }
 
 
 def _split(path: Polyline, zones: Sequence[Zone]) -> Polyline:

@@ -19,8 +19,7 @@ def guarantees(material: Material) -> tuple[tuple[str, ...], tuple[str, ...]]:
         level = material.certificate.get("level") if material.certificate is not None else None
         sigma = level.get("sigma") if isinstance(level, dict) else None
         imported = level.get("imported") if isinstance(level, dict) else None
-        known = isinstance(sigma, int | float)
-        size = f" up to {deviations(sigma)}" if known else ""
+        size = f" up to {deviations(sigma)}" if isinstance(sigma, int | float) else ""
         what = f"every Gaussian of the scan{size}"
         if isinstance(imported, dict):
             what = f"the whole {text(imported.get('kind'))} that was imported"

@@ -13,6 +13,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.kinds import SEEN
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.compression.level import level_words
 from alula.stages.flight.mission import make_mission, make_safety
 
 
@@ -211,6 +212,8 @@ def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_pat
     assert make_safety(kept) is not None
     inside = read_artifact(pipeline / "tiny.plan.npz")
     good = make_mission(config, inside, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
-    assert good.is_clear == (True, "proven clear of all hulls and of unseen space by 0.15 m")
+    words = "proven to keep 0.15 m from all hulls made for every ellipsoid of the scene at "
+    words += f"{level_words(cover.manifest.sigma)}, and from unseen space"
+    assert good.is_clear == (True, words)
     with pytest.raises(UsageError, match="--within needs a cover"):
         make_mission(config, plan, FASTBRIDGE, cover=None, scene=scene, is_splat=True, within=seen)

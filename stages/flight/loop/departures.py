@@ -122,6 +122,6 @@ def departures_of(plan: Artifact, limit_m_s: float, law: tuple[float, float]) ->
     return Departures(np.column_stack([whole[:-1], whole[1:]]), around)
 
 
-def _most(bounds: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
+def _most(bounds: FloatArray, first: NDArray[np.intp], last: NDArray[np.intp]) -> FloatArray:
     """Largest of the bounds from one piece to another, shape (N,)."""
     return np.array([bounds[i : j + 1].max() for i, j in zip(first.tolist(), last.tolist(), strict=True)])

@@ -20,7 +20,7 @@ from alula.stages.planning.verify import verify_plan
 from support.covers import boxes_cover
 from support.flights import mission
 
-FAR_WALL = [[100, 0, 0, 102, 14, 30]]
+FAR_WALL = [[100, 0, 0, 102, 14, 30], [-20, -20, -2, 60, 60, -1]]
 
 
 @pytest.fixture(scope="module")
@@ -104,10 +104,11 @@ def test_a_piece_lasts_a_millisecond(cover):
 
 
 def test_the_bounds_are_ten_times_what_genuine_plans_need_100_km_from_the_origin():
-    box = [[10**6, 10**6, 0, 10**6 + 2, 10**6 + 14, 20]]
+    far = 10**6
+    room = [[far, far, 0, far + 2, far + 14, 20], [far - 40, far - 40, -2, far + 40, far + 40, -1]]
     config = PlanConfig(start=(1e5 - 1, 1e5 - 1, 1), goal=(1e5 + 1, 1e5 + 1, 1.2), radius_m=0.2)
     config = dataclasses.replace(config, via=((1e5 - 1, 1e5 + 1.8, 1.0),))
-    made = plan(config, boxes_cover(box))
+    made = plan(config, boxes_cover(room))
     time, c = made["time"], np.asarray(made["coefficient"])[:, :3]
     powers = np.arange(8)
     most = np.zeros(5)
@@ -122,7 +123,7 @@ def test_the_bounds_are_ten_times_what_genuine_plans_need_100_km_from_the_origin
                 begin = Fraction(c[k + 1, axis, order]) * falling[order]
                 most[order] = max(most[order], float(abs(end - begin)))
     assert (most < 0.1 * np.array(APART)).all()
-    assert verify_plan(made, cover=boxes_cover(box)).covered
+    assert verify_plan(made, cover=boxes_cover(room)).covered
 
 
 def test_a_plane_is_crossed_where_the_curve_leaves_it_on_both_sides():
@@ -141,6 +142,8 @@ def test_a_plane_is_crossed_where_the_curve_leaves_it_on_both_sides():
     dip = [(Fraction(p), Fraction(0), Fraction(0)) for p in (0, 0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 0)]
     before = [(Fraction(p), Fraction(0), Fraction(0)) for p in np.linspace(-1, 0, 8)]
     assert is_crossed([before, dip], 1, (0, 0, 0), (1, 0, 0))  # well behind it within a piece
+    back = [(Fraction(p), Fraction(0), Fraction(0)) for p in (0, *[0.05] * 6, -0.05)]  # and before it again
+    assert is_crossed([before, back], 1, (0, 0, 0), (1, 0, 0))
 
 
 def test_a_rest_shorter_than_a_piece_takes_a_little_longer(cover):
