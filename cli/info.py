@@ -217,13 +217,14 @@ def _toml(path: Path) -> Explained:
 def _splat(path: Path) -> Explained:
     from alula.schemas.errors import ArtifactError
     from alula.schemas.provenance import read_provenance
+    from alula.stages.reconstruction.formats.containers import ContainerError
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reporting.inspect import provenance_facts, splat_facts
 
     try:
         found = SplatFile.find(path)
     except ArtifactError as error:
-        if path.is_dir():
+        if path.is_dir() or isinstance(error, ContainerError):
             raise
         known = "an artifact, a run, a scenario, a vehicle, or a splat or other file of a known format"
         raise ArtifactError(f"{path}: is not {known}") from error

@@ -56,7 +56,11 @@ def splats_in(path: Path) -> list[Path]:
     """
     found = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not found:
-        raise InputError(f"{path}: is a folder without a splat; the suffixes are {', '.join(SUFFIXES)}")
+        over = passed_over(path)
+        raise InputError(
+            f"{path}: is a folder without a splat; the suffixes are {', '.join(SUFFIXES)}"
+            + (f"; {over}: name them" if over else "")
+        )
     return found
 
 

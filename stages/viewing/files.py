@@ -128,12 +128,13 @@ def _parts(path: Path) -> Artifact:
 
 
 def _splat(path: Path) -> SplatFile:
+    from alula.stages.reconstruction.formats.containers import ContainerError
     from alula.stages.reconstruction.formats.registry import SplatFile
 
     try:
         return SplatFile.find(path)
     except ArtifactError as error:
-        if path.is_dir():
+        if path.is_dir() or isinstance(error, ContainerError):
             raise
         raise ArtifactError(f"{path}: is not an artifact, a run, or a splat of a known format") from error
 

@@ -41,6 +41,10 @@ _INSIDE = (
 )
 
 
+class ContainerError(ArtifactError):
+    """A file is an archive, or of a kind that holds no splat."""
+
+
 def check_unpacked(source: Source) -> None:
     """Refuse archives and files of other kinds by their magic number, with what to do.
 
@@ -48,7 +52,7 @@ def check_unpacked(source: Source) -> None:
         source: a file that no reader has recognised by its own magic number.
 
     Raises:
-        ArtifactError: it is one.
+        ContainerError: it is one.
     """
     if source.is_folder:
         return
@@ -57,7 +61,7 @@ def check_unpacked(source: Source) -> None:
         kinds = [what for magic, what in _INSIDE if start.startswith(magic)]
         inside = kinds[0] if kinds else "a tar archive" if _is_tar(start) else "no SPZ file"
         tool = "tar xzf" if _is_tar(start) else "gunzip"
-        raise ArtifactError(
+        raise ContainerError(
             f"a gzip stream around {inside}; unpack it first ({tool}), and name the file inside"
         )
     if head.startswith(_ZIP):
@@ -66,18 +70,18 @@ def check_unpacked(source: Source) -> None:
             kind = (
                 "an artifact, which alula info explains" if _MANIFEST in names else "arrays of NumPy (.npz)"
             )
-            raise ArtifactError(f"not a splat file, but {kind}")
-        raise ArtifactError(f"a ZIP archive{_listed(names)}; unpack it first, and name the splat inside")
+            raise ContainerError(f"not a splat file, but {kind}")
+        raise ContainerError(f"a ZIP archive{_listed(names)}; unpack it first, and name the splat inside")
     if re.match(rb"BZh[1-9]1AY&SY", head):
-        raise ArtifactError("a bzip2 stream; unpack it first (bunzip2), and name the file inside")
+        raise ContainerError("a bzip2 stream; unpack it first (bunzip2), and name the file inside")
     if _is_tar(head):
-        raise ArtifactError("a tar archive; unpack it first (tar xf), and name the splat inside")
+        raise ContainerError("a tar archive; unpack it first (tar xf), and name the splat inside")
     for magic, what in _PACKED:
         if head.startswith(magic):
-            raise ArtifactError(f"{what}; unpack it first, and name the splat inside")
+            raise ContainerError(f"{what}; unpack it first, and name the splat inside")
     for magic, what in _OTHER:
         if head.lstrip()[: len(magic)].lower() == magic.lower():
-            raise ArtifactError(f"no splat, but {what}")
+            raise ContainerError(f"no splat, but {what}")
 
 
 def _inflated(head: bytes) -> bytes | None:

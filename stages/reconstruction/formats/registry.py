@@ -209,7 +209,7 @@ class SplatFile:
         try:
             found = cls(path, source, recognise(source, name))
         except ArtifactError as error:
-            raise ArtifactError(f"{path}: {error}") from error
+            raise error.reworded(f"{path}: {error}") from error
         return found
 
     def fresh(self) -> SplatFile:

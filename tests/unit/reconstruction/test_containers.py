@@ -79,6 +79,15 @@ def test_no_advice_leads_from_an_archive_to_gaussians(tmp_path, capsys):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("words", [["info"], ["init"], ["view", "-o", "v.html"]])
+def test_every_command_that_takes_a_splat_names_the_container(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.zip").write_bytes(ARCHIVES["zip"][0])
+    assert run([words[0], "a.zip", *words[1:]]) == 3
+    assert "a.zip: a ZIP archive with scan/a.ply, b.txt; unpack it first" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["a.zip"]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_random_bytes_are_no_splat_whatever_they_are_called(seed, tmp_path):
     path = tmp_path / "a.splat"

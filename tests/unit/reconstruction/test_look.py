@@ -5,6 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.stages.reconstruction.formats.registry import read_splats
+from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.reconstruction.look import (
     CONVENTION,
     Convention,
@@ -15,6 +18,7 @@ from alula.stages.reconstruction.look import (
     up_of,
     up_of_cameras,
 )
+from support import splat_files
 
 AXES = {
     "+x": (1, 0, 0),
@@ -123,3 +127,18 @@ def test_the_crop_holds_the_matter_and_leaves_far_outliers_out():
     assert (low > -0.5).all()
     assert (high < 4.5).all()
     assert 0.97 < inside < 1
+
+
+def test_the_twin_of_a_ply_in_spz_has_the_up_of_its_format(tmp_path):
+    """Gaussians all over a place, 5 % of them in a wall across x, which is no floor."""
+    g = splat_files.some_gaussians(4000)
+    g.mean[:200, 0] = -3.9
+    ups = {}
+    for name, files in (("ply", splat_files.ply(g)), ("spz", splat_files.spz(g))):
+        (file,) = files
+        (tmp_path / file).write_bytes(files[file])
+        splats = read_splats(tmp_path / file)
+        source = import_splat(ImportSplatConfig(), splats).manifest.source
+        ups[name] = up_of(splats.mean, convention_of(source))
+    assert {name: up.direction for name, up in ups.items()} == {"ply": AXES["-y"], "spz": AXES["+y"]}
+    assert all("too few for a floor" in up.why for up in ups.values())

@@ -267,6 +267,9 @@ def test_folders_with_splats_that_are_passed_over_are_named(tmp_path, capsys):
     assert "notes" not in said.replace("note:", "")
     assert run("import-splat", place / "loose.sog", "-o", tmp_path / "b.scene.npz") == 0
     assert "were not read" not in capsys.readouterr().err
+    (place / "loose.sog").unlink()
+    assert run("import-splat", place, "-o", tmp_path / "c.scene.npz") == 3
+    assert "2 folders with splats (deep, street) were not read: name them" in capsys.readouterr().err
 
 
 def test_the_real_index_reads_the_levels_that_are_there(data):
