@@ -104,7 +104,7 @@ def make_plans(folder: Path, speeds: list[float]) -> None:
         start, goal = ((START, GOAL), (GOAL, START))[back]
         path = plan_path(folder, speed, back, setpoints)
         words = ["plan", str(folder / "cover.npz"), "-o", str(path), "--vehicle", str(VEHICLE), "-f", "-q"]
-        words += ["--speed", str(speed), "--interface", _INTERFACES[setpoints]]
+        words += ["--speed", str(speed), "--interface", _INTERFACES[setpoints], "--beyond-map", "10"]
         for option, point in (("--start", start), ("--via", VIA), ("--goal", goal)):
             words += [option, "{} {} {}".format(*point)]
         if alula(words) != 0:

@@ -425,6 +425,7 @@ def make_world(folder: Path) -> None:
     for name, interface in PLANS.items():
         words = ["plan", str(folder / "corridor.cover.npz"), "-o", str(plan_path(folder, name)), "-f", "-q"]
         words += ["--speed", "1", "--vehicle", str(VEHICLE), "--interface", interface, "--bounds", BOUNDS]
+        words += ["--beyond-map", "10"]  # there is no floor and no ceiling
         for option, point in (("--start", START), ("--via", VIA), ("--goal", GOAL)):
             words += [option, "{} {} {}".format(*point)]
         if alula(words) != 0:

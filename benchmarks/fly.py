@@ -126,7 +126,17 @@ def make_world(folder: Path, gaussians: int, voxel_m: float, hulls: int) -> None
 def make_plan(folder: Path, speed_m_s: float) -> Path:
     """Write the plan at a speed."""
     path = folder / f"{speed_m_s:g}.plan.npz"
-    words = ["plan", str(folder / "cover.npz"), "-o", str(path), "--speed", str(speed_m_s), "-q"]
+    words = [
+        "plan",
+        str(folder / "cover.npz"),
+        "-o",
+        str(path),
+        "--speed",
+        str(speed_m_s),
+        "-q",
+        "--beyond-map",
+        "10",
+    ]
     points = {"--start": START, "--via": VIA, "--goal": GOAL}
     for option, point in points.items():
         words += [option, "{} {} {}".format(*point)]

@@ -10,7 +10,7 @@ import msgspec
 
 from alula.schemas.artifact import file_hash
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import InputRef, LevelManifest, PlanManifest
+from alula.schemas.manifest import CoverManifest, InputRef, PlanManifest, VoxelsManifest
 from alula.schemas.parts import INDEX, manifest_of
 from alula.schemas.provenance import read_provenance
 
@@ -18,6 +18,7 @@ MAPS = ("cover", "scene", "image")
 """Roles of the maps that a plan is made in."""
 _LEVELS = ("alula/voxels", "alula/cover", "alula/seen", "alula/onboard-map", "alula/tiles")
 _DEPTH = 16
+_MOST_FILES = 64  # of a kind in a folder, among which one that was renamed is looked for
 
 Relation = Literal["same", "derived", "other"]
 
@@ -48,13 +49,28 @@ def ancestors(refs: Iterable[InputRef], folders: Iterable[Path]) -> set[str]:
     return found
 
 
-def relation(made: Iterable[InputRef], flown: Iterable[InputRef], folders: Iterable[Path]) -> Relation:
+def origins_of(manifest: CoverManifest) -> list[str]:
+    """Keys of what the voxels of a cover were made from; equal keys mean one place in one frame.
+
+    Args:
+        manifest: of the cover.
+    """
+    how = ""
+    if manifest.imported is not None:  # of a mesh or a cloud the same file may be read in other metres
+        how = " " + msgspec.json.encode((manifest.frame, manifest.imported), order="sorted").decode()
+    return sorted(ref.sha256 + how for ref in manifest.made_from)
+
+
+def relation(
+    made: Iterable[InputRef], flown: Iterable[InputRef], folders: Iterable[Path], origins: Iterable[str] = ()
+) -> Relation:
     """How the maps that a plan was made in are related to those that it is flown in.
 
     Args:
         made: maps of the plan.
         flown: maps of the flight.
         folders: where their files and those that they were made from may lie.
+        origins: of the plan's covers, see `origins_of`.
 
     Returns:
         `same` where a file is the same; `derived` where both were made from the same aligned scene, voxels or
@@ -63,7 +79,8 @@ def relation(made: Iterable[InputRef], flown: Iterable[InputRef], folders: Itera
     made, flown, places = list(made), list(flown), tuple(folders)
     if {ref.sha256 for ref in made} & {ref.sha256 for ref in flown}:
         return "same"
-    return "derived" if ancestors(made, places) & ancestors(flown, places) else "other"
+    older = ancestors(made, places) | set(origins)
+    return "derived" if older & ancestors(flown, places) else "other"
 
 
 def require_own_map(
@@ -94,7 +111,8 @@ def require_own_map(
     made, maps = ([ref for ref in refs if ref.role in MAPS] for refs in (manifest.inputs, flown))
     covers = [each["cover_hash"] for each in manifest.maps if isinstance(each.get("cover_hash"), str)]
     is_image = any(short.strip("0") and ref.sha256.startswith(short) for short in covers for ref in maps)
-    how = "same" if is_image else relation(made, maps, folders)
+    origins = [key for each in manifest.maps for key in each.get("made_from", ()) if isinstance(key, str)]
+    how = "same" if is_image else relation(made, maps, folders, origins)
     if how == "same" or not maps:
         return None
     was = " and ".join(map(_known_as, made)) or "a map that it does not name"
@@ -112,15 +130,18 @@ def _known_as(ref: InputRef) -> str:
 
 
 def _file_of(ref: InputRef, folders: Iterable[Path]) -> Path | None:
-    """The file with the name and the hash of a reference; None where there is none."""
-    for folder in folders if ref.name else ():
-        path = folder / ref.name
-        index = path / INDEX if (path / INDEX).is_file() else path
-        try:
-            if index.is_file() and file_hash(index) == ref.sha256:
-                return path
-        except (OSError, InputError):
-            continue
+    """The file of a reference by its name, or another of its kind with its hash; None where there is none."""
+    suffix = f".{ref.schema.removeprefix('alula/')}.npz"
+    for folder in folders:
+        named = [folder / ref.name] if ref.name else []
+        others = sorted(folder.glob(f"*{suffix}"))[:_MOST_FILES]
+        for path in dict.fromkeys([*named, *others]):
+            index = path / INDEX if (path / INDEX).is_file() else path
+            try:
+                if index.is_file() and file_hash(index) == ref.sha256:
+                    return path
+            except (OSError, InputError):
+                continue
     return None
 
 
@@ -129,11 +150,11 @@ def _made_from(path: Path) -> tuple[list[InputRef], set[str]]:
     known = read_provenance(path)
     if known is None or known.schema not in _LEVELS:
         return [], set()
-    refs = [ref for ref in known.inputs if ref.schema in _LEVELS or ref.schema == "alula/scene"]
     keys: set[str] = set()
     if known.schema in ("alula/voxels", "alula/cover"):
         manifest = manifest_of(path)
-        if isinstance(manifest, LevelManifest) and manifest.imported is not None:
+        keys |= set(origins_of(manifest)) if isinstance(manifest, CoverManifest) else set()
+        if isinstance(manifest, VoxelsManifest) and manifest.imported is not None:
             how = msgspec.json.encode((manifest.frame, manifest.imported), order="sorted").decode()
-            keys = {f"{ref.sha256} {how}" for ref in known.inputs if ref.role == "source"}
-    return refs, keys
+            keys |= {f"{ref.sha256} {how}" for ref in known.inputs}
+    return [ref for ref in known.inputs if ref.schema in _LEVELS or ref.schema == "alula/scene"], keys

@@ -168,6 +168,12 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     alignment: dict[str, Any] | None = None
     suggested_inflation_m: Margin = 0.0
 
+    @property
+    def floor_m(self) -> float | None:
+        """Height of the floor that the scene was levelled to [m]; None where it was not."""
+        level = (self.alignment or {}).get("level")
+        return 0.0 if isinstance(level, dict) and level.get("by") == "floor" else None
+
     def __post_init__(self) -> None:
         """Refuse a loss that older readers would ignore, and entries of a wrong type."""
         if ("loss" in self.arrays) != (SPLAT_LOSS in self.requires):
@@ -216,6 +222,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
         min_opacity: minimum opacity of a Gaussian that counts.
         ignore_loss: the ellipsoids were not grown by the loss of the splat file's format.
         imported: the obstacles, where they are no ellipsoids of Gaussians; null where they are.
+        floor_m: height of the floor that the scene was levelled to; null where it was not [m].
     """
 
     unit: Literal["m"]
@@ -227,6 +234,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     min_opacity: Fraction = 0.0
     ignore_loss: bool = False
     imported: ImportedMap | None = None
+    floor_m: Coordinate | None = None
 
     def __post_init__(self) -> None:
         """Refuse an empty crop, and obstacles that older readers would take for ellipsoids."""
@@ -235,7 +243,11 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
             raise ValueError("`sigma`, `imported` and `requires` do not agree")
 
 
-LEVEL = tuple(name for name in LevelManifest.__struct_fields__ if name not in Manifest.__struct_fields__)
+LEVEL = tuple(
+    name
+    for name in LevelManifest.__struct_fields__
+    if name not in Manifest.__struct_fields__ and name != "floor_m"
+)
 """Fields that define an obstacle."""
 
 
@@ -247,7 +259,8 @@ def level_fields(manifest: LevelManifest) -> dict[str, Any]:
     """
     requires = [need for need in manifest.requires if need == IMPORTED_MAP]
     origin = manifest.made_from if isinstance(manifest, CoverManifest) else manifest.inputs
-    return {name: getattr(manifest, name) for name in LEVEL} | {"requires": requires, "made_from": origin}
+    further = {"requires": requires, "made_from": origin, "floor_m": manifest.floor_m}
+    return {name: getattr(manifest, name) for name in LEVEL} | further
 
 
 class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):

@@ -308,7 +308,10 @@ class MissionTable(Table, frozen=True, kw_only=True):
     ] = None
     bounds_m: Annotated[
         Box | None,
-        about("box of random pairs; default: the central 98 % of hulls' vertices or Gaussians' centres [m]"),
+        about(
+            "box of random pairs; default: the central 98 % of hulls' vertices or Gaussians' centres, above "
+            "the floor where it is known, and inside the closed space where there is one [m]"
+        ),
     ] = None
     margin_m: Annotated[Length, about("extra clearance of random starts and goals (pairs) [m]")] = 0.05
     separation: Annotated[

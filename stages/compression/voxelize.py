@@ -228,6 +228,7 @@ def voxels_fields(config: VoxelizeConfig, scene: SceneManifest, left_out: dict[s
         "crop": None if config.crop is None else list(config.crop),
         "min_opacity": config.min_opacity,
         "ignore_loss": config.ignore_loss,
+        "floor_m": scene.floor_m,
     }
 
 

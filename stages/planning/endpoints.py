@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.plan import BEYOND_MAP, PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.progress import Progress
+from alula.stages.planning.inside import ENCLOSED, inside_of, lattice_of
 from alula.stages.planning.space import PlanSpace, mapped_box, room_around
 
 _TOUCHES_M = 1e-9  # a smaller depth is none
@@ -18,7 +20,7 @@ _NEAREST_M = 1e-3  # tolerance of the nearest free point
 _NEAREST_CELLS = 400_000  # of its search
 _DECIMALS = 3  # of points that are printed
 _MOST_POINTS = 500_000  # of the lattice that free points are chosen from
-_LEAST_SPACING = 0.5  # of that lattice, in radii
+_NEAREST_NODES = 64  # lattice points inside, around which a nearest free point is looked for
 
 
 def free_points_of_flight(
@@ -60,7 +62,7 @@ def free_points_of_flight(
         if distance >= radius_m and not is_out:
             points.append(point)
             continue
-        nearest = nearest_free_point(space, lower, upper, point, radius_m)
+        nearest = _nearest_inside(config, space, lower, upper, point, radius_m)
         if config.snap and nearest is not None:
             points.append(nearest)
             moved.append((name, point, nearest))
@@ -77,6 +79,31 @@ def free_points_of_flight(
         free = " ".join(f"{x:g}" for x in nearest)
         raise InfeasibleError(f"{where} {place}; the nearest free point is ({free}), and --snap takes it")
     return points, moved
+
+
+def _nearest_inside(
+    config: PlanConfig, space: PlanSpace, lower: FloatArray, upper: FloatArray, point: Point, radius_m: float
+) -> Point | None:
+    """The nearest free point, of those inside unless bounds are given; see `inside_of`."""
+    nearest = nearest_free_point(space, lower, upper, point, radius_m)
+    if config.bounds is not None or nearest is None:
+        return nearest
+    inside = inside_of(space.map, lower, upper, space.keep_m, space.floor_m)
+    if inside.holds(np.array([nearest]))[0]:
+        return nearest
+    nodes = lattice_of(space.map, inside.lower, upper, space.keep_m, _MOST_POINTS)
+    chosen = nodes.point[nodes.enclosed >= ENCLOSED] if inside.is_closed else nodes.point
+    near = chosen[np.argsort(np.linalg.norm(chosen - point, axis=1))[:_NEAREST_NODES]]
+    half = 0.5 * nodes.spacing_m
+    found = [
+        each
+        for node in near
+        if (each := nearest_free_point(
+            space, np.maximum(node - half, inside.lower), np.minimum(node + half, upper), point, radius_m
+        )) is not None
+        and inside.holds(np.array([each]))[0]
+    ]  # fmt: skip
+    return min(found, key=lambda each: math.dist(each, point), default=None)
 
 
 def nearest_free_point(
@@ -117,10 +144,10 @@ def free_points(
 ) -> FloatArray:
     """Free points of the largest connected part of a map, far from one another.
 
-    Candidates are the points of a lattice in the mapped box, and in `bounds`, with the distance
-    to keep and a millimetre from all obstacles; two neighbours are connected where the segment between them
-    keeps the distance, exactly. The first point is drawn from the largest connected set, and each further one
-    is the candidate of that set that is farthest from all before.
+    Candidates are the points of a lattice in the mapped box, and in `bounds`, with the distance to keep and a
+    millimetre from all obstacles; without bounds those that are inside, see `inside_of`. Two neighbours are
+    connected where the segment between them keeps the distance, exactly. The first point is drawn from the
+    largest connected set, and each further one is the candidate of that set that is farthest from all before.
 
     Args:
         config: of the plan; start and goal are not needed.
@@ -137,7 +164,7 @@ def free_points(
     """
     if space.box() is None and config.bounds is None:
         raise InfeasibleError("the map has no obstacles; set --bounds to the box to choose points from")
-    point = _largest_part(space, *room_around(config, space, ()))
+    point = _largest_part(space, *room_around(config, space, ()), has_bounds=config.bounds is not None)
     if len(point) < count:
         raise InfeasibleError(
             f"the largest connected part of the map has {len(point)} candidates that keep "
@@ -154,39 +181,36 @@ def free_points(
     return found
 
 
-def _largest_part(space: PlanSpace, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Free lattice points of the largest connected set, shape (N, 3) [m]."""
+def _largest_part(space: PlanSpace, lower: FloatArray, upper: FloatArray, *, has_bounds: bool) -> FloatArray:
+    """Free lattice points of the largest connected set, shape (N, 3) [m]; without bounds those inside."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    grain = 10.0**-_DECIMALS
-    least = float(np.prod(upper - lower) / _MOST_POINTS) ** (1 / 3)
-    spacing = grain * np.ceil(max(_LEAST_SPACING * space.keep_m, least) / grain)
-    axes = [
-        np.round(np.arange(np.ceil(a / grain) * grain, b, spacing), _DECIMALS)
-        for a, b in zip(lower, upper, strict=True)
-    ]
-    shape = tuple(len(axis) for axis in axes)
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    radius, upto = space.keep_m + grain, space.keep_m + grain + spacing
-    distance = space.map.distance(np.ascontiguousarray(grid), upto)
-    free = np.flatnonzero(distance >= radius)
-    number = np.full(len(grid), -1)
-    number[free] = np.arange(len(free))
-    cube, ends = number.reshape(shape), []
+    inside = None
+    if not has_bounds:
+        inside = inside_of(space.map, lower, upper, space.keep_m, space.floor_m)
+        lower = inside.lower
+    found = lattice_of(space.map, lower, upper, space.keep_m, _MOST_POINTS)
+    chosen = np.arange(len(found.point))
+    if inside is not None and inside.is_closed:
+        chosen = np.flatnonzero(found.enclosed >= ENCLOSED)
+    if len(chosen) == 0:
+        return np.empty((0, 3))
+    point, distance = found.point[chosen], found.distance[chosen]
+    number = np.full(found.shape, -1)
+    number[tuple(found.index[chosen].T)] = np.arange(len(chosen))
+    ends = []
     for axis in range(3):
-        a = np.delete(cube, -1, axis=axis).reshape(-1)
-        b = np.delete(cube, 0, axis=axis).reshape(-1)
+        a = np.delete(number, -1, axis=axis).reshape(-1)
+        b = np.delete(number, 0, axis=axis).reshape(-1)
         both = (a >= 0) & (b >= 0)
         ends.append(np.stack([a[both], b[both]]))
     a, b = np.concatenate(ends, axis=1)
-    here, there = distance[free[a]], distance[free[b]]
-    clear = 0.5 * (here + there - spacing) >= space.keep_m  # distances are 1-Lipschitz
+    clear = 0.5 * (distance[a] + distance[b] - found.spacing_m) >= space.keep_m  # distances are 1-Lipschitz
     doubt = np.flatnonzero(~clear)
-    clear[doubt] = space.map.is_clear(grid[free[a[doubt]]], grid[free[b[doubt]]], space.keep_m)
+    here, there = (np.ascontiguousarray(point[each[doubt]]) for each in (a, b))
+    clear[doubt] = space.map.is_clear(here, there, space.keep_m)
     a, b = a[clear], b[clear]
-    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(free), len(free)))
-    if len(free) == 0:
-        return np.empty((0, 3))
+    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(chosen), len(chosen)))
     _, part = connected_components(graph, directed=False)
-    return np.ascontiguousarray(grid[free[part == np.bincount(part).argmax()]])
+    return np.ascontiguousarray(point[part == np.bincount(part).argmax()])

@@ -408,6 +408,7 @@ def _artifact(
         crop=None if config.crop is None else list(config.crop),
         min_opacity=config.min_opacity,
         ignore_loss=config.ignore_loss,
+        floor_m=scene.floor_m,
         method="cameras" if space.figures else "reach",
         radius_m=config.radius_m,
         lower=space.lower.tolist(),

@@ -15,7 +15,8 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.manifest import SceneManifest
+from alula.schemas.lineage import origins_of
+from alula.schemas.manifest import CoverManifest, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.ellipsoids import removed_from
 from alula.stages.compression.hulls import Hulls, image_hulls
@@ -32,6 +33,7 @@ from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.planning.corridor import Kept, Obstacles
+from alula.stages.planning.inside import floor_of
 from alula.stages.planning.mapped import Mapped, ellipsoid_box
 from alula.stages.planning.unseen import unseen_hulls
 
@@ -102,20 +104,23 @@ class PlanSpace:
         frame: name of their frame.
         keep_m: the least distance that a plan keeps from a part [m].
         map: all obstacles, where those that need a larger distance have grown by the difference.
+        floor_m: height of the floor that the scene was levelled to; None where it was not [m].
     """
 
     parts: tuple[Part, ...]
     frame: str
     keep_m: float
     map: _core.ObstacleMap
+    floor_m: float | None = None
 
     @classmethod
-    def of(cls, parts: Sequence[Part], frame: str) -> PlanSpace:
+    def of(cls, parts: Sequence[Part], frame: str, floor_m: float | None = None) -> PlanSpace:
         """Join maps in one frame.
 
         Args:
             parts: maps, at least one.
             frame: name of their frame.
+            floor_m: height of the floor, if it is known [m].
         """
         keep = min(part.keep_m for part in parts)
         grown = [
@@ -123,7 +128,7 @@ class PlanSpace:
             for part in parts
         ]
         joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
-        return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined)
+        return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined, floor_m=floor_m)
 
     def distances(self) -> str:
         """Distances that a plan keeps, and from what, with the level of the obstacles, in words."""
@@ -237,7 +242,15 @@ def plan_space(
         parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
     if within is not None:
         parts.append(_seen_part(within, config.keep_m))
-    return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME))
+    floors = [floor for each in maps.values() if (floor := floor_of(each)) is not None]
+    return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME), max(floors, default=None))
+
+
+def _origins(cover: Artifact) -> dict[str, Any]:
+    """What the cover's voxels were made from, by which another map of the same scene is recognised."""
+    manifest = cover.manifest
+    found = origins_of(manifest) if isinstance(manifest, CoverManifest) else []
+    return {"made_from": found} if found else {}
 
 
 def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> Part:
@@ -248,6 +261,7 @@ def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> P
         "inflation_m": beyond_m,
         "keep_m": keep_m + beyond_m,
         "level": recorded_level(level),
+        **_origins(cover),
     }
     hulls, left_out = Hulls.from_cover(cover), omissions(level)
     return _hull_part("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
@@ -352,6 +366,8 @@ def room_around(
 ) -> tuple[FloatArray, FloatArray]:
     """Corners of the box for the centre of the vehicle: within what is mapped, and the given bounds.
 
+    Without bounds no way leads below the floor, where it is known and no point of the flight is there.
+
     Args:
         config: of the plan.
         space: obstacles.
@@ -370,6 +386,9 @@ def room_around(
         lower, upper = every.min(axis=0) - room, every.max(axis=0) + room
     else:
         lower, upper = mapped.room(space.keep_m)
+        heights = [point[2] for point in points]
+        if given is None and space.floor_m is not None and min(heights, default=math.inf) >= space.floor_m:
+            lower[2] = min(max(lower[2], space.floor_m), upper[2])  # no way below the floor
     if not math.isfinite(float(np.abs([lower, upper]).max())):
         raise InputError("the map has no finite bounds")
     if given is not None:

@@ -92,11 +92,14 @@ def test_another_map_needs_insistence_in_simulate_fly_and_verify(folder, capsys)
     assert run(["verify", plan, "--map", str(folder / "tiny.cover.npz"), "-q"]) == 0
 
 
-def test_without_the_files_between_a_coarser_cover_is_another_map(folder, tmp_path, capsys):
-    for name in ("tiny.plan.npz", "coarse.cover.npz"):
-        shutil.copy(folder / name, tmp_path)
-    assert flown(tmp_path, "tiny.plan.npz", "coarse.cover.npz") == 3
-    assert "nothing shows that coarse.cover.npz" in capsys.readouterr().err
+def test_the_scene_of_a_plan_is_known_without_the_files_between(folder, tmp_path, capsys):
+    """A plan records what its cover was made from; covers record it, too."""
+    shutil.copy(folder / "tiny.plan.npz", tmp_path)
+    for name, new in (("coarse.cover.npz", "a.cover.npz"), ("tiny.metric.scene.npz", "b.scene.npz")):
+        shutil.copy(folder / name, tmp_path / new)
+        assert flown(tmp_path, "tiny.plan.npz", new) == 0, capsys.readouterr().err
+    shutil.copy(folder / "other.cover.npz", tmp_path)
+    assert flown(tmp_path, "tiny.plan.npz", "other.cover.npz") == 3
 
 
 def test_fly_and_simulate_refuse_a_plan_that_leaves_the_mapped_box(folder, capsys):

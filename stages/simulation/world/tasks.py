@@ -21,6 +21,7 @@ from alula.schemas.world import WorldScenario
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.behind import Behind
+from alula.stages.planning.inside import inside_of
 from alula.stages.planning.joins import require_motion
 from alula.stages.planning.mapped import BEYOND_KEY
 from alula.stages.planning.plan_samples import curve_of
@@ -34,6 +35,7 @@ _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
 _HOLD_S = 10.0  # time limit of hovering and of pilots
 _STOP_FLOOR_M = {True: 1e-3, False: 0.05}  # by whether a point is moved by velocities
+_WIDE = 1.25  # diagonal that the separation of pairs counts, at most, in those of the closed space
 _PLAN_FLOOR_M = 0.01  # of a plan, which may end where it begins: a point is slow from there on
 
 Clearance = Callable[[FloatArray], FloatArray]
@@ -318,13 +320,25 @@ def _pairs(
         found = given
     else:
         lower, upper = central_box(around, mission.bounds_m, "obstacles")
+        inside, diagonal = None, float(np.linalg.norm(upper - lower))
+        if mission.bounds_m is None and world.mapped is not None and world.map is not None:
+            room = world.mapped.room(keep + mission.margin_m)
+            inside = inside_of(world.map, *room, keep + mission.margin_m, world.floor_m)
+            diagonal = min(diagonal, _WIDE * inside.diagonal_m)
+
+        def may_be_end(points: FloatArray, apart: FloatArray) -> NDArray[np.bool_]:
+            clear = is_clear(points, apart, mission.margin_m)
+            if inside is not None and clear.any():
+                clear[clear] = inside.holds(points[clear])
+            return clear
+
         found = sample_pairs(
             count,
             scenario.rules.seed,
             (lower, upper),
-            mission.separation * float(np.linalg.norm(upper - lower)),
+            mission.separation * diagonal,
             apart_of,
-            lambda points, apart: is_clear(points, apart, mission.margin_m),
+            may_be_end,
             is_blocked if mission.which == "blocked" else None,
         )
     counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}

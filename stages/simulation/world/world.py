@@ -28,6 +28,7 @@ from alula.stages.filtering.obstacles import (
     tile_set,
     union_of,
 )
+from alula.stages.planning.inside import floor_of
 from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.fence import fence_faces
@@ -59,6 +60,7 @@ class StaticWorld:
         image: the cover as an onboard map; empty unless filters read it.
         tiles: the cover in tiles; None unless a filter reads them.
         centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+        floor_m: height of the floor that the scene was levelled to; None where it was not [m].
         mapped: box around the hulls and ellipsoids of cover, scene and seen space; None without any.
         claims: of the guarantees of scene and cover, for that of the run.
         suggested_inflation_m: bound of the error of the scene's alignment [m].
@@ -79,6 +81,7 @@ class StaticWorld:
     image: bytes
     tiles: _core.TileSet | None
     centres: FloatArray
+    floor_m: float | None
     mapped: Mapped | None
     claims: dict[str, Any]
     suggested_inflation_m: float
@@ -255,6 +258,10 @@ def static_world(
         image=image,
         tiles=None if tiles is None else tile_set(tiles),
         centres=np.concatenate(centres),
+        floor_m=max(
+            (at for each in (cover, scene) if each is not None and (at := floor_of(each)) is not None),
+            default=None,
+        ),
         mapped=_mapped(None if cover is None and seen is None else hulls, scene, sigma, beyond_map_m),
         claims={
             f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims
