@@ -24,7 +24,11 @@ Examples:
 @grouped.command("init", epilog=EXAMPLES)
 @click.argument("splat", type=options.input_path())
 @click.option("--colmap", type=options.PATH, help="COLMAP model (folder) of the splat: its cameras tell up.")
-@click.option("--up", type=click.Choice(UPS), help="Axis of the splat that points up; default: by its floor.")
+@click.option(
+    "--up",
+    type=click.Choice(UPS),
+    help="Axis of the splat that points up; default: by its header, format or floor.",
+)
 @click.option("--metres-per-unit", type=options.FINITE_FLOAT, help="Length of a unit of the splat [m].")
 @click.option("--height", "height_m", type=options.FINITE_FLOAT, help="Height of all that is shown [m].")
 @click.option(

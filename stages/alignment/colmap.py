@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,15 +56,18 @@ def read_model(folder: Path) -> Positions:
     try:
         pycolmap.logging.minloglevel = 3
         model = pycolmap.Reconstruction(str(folder))
+        names = image_names(folder, model)
         found = {
-            image.name: (
+            names[number]: (
                 np.asarray(image.projection_center(), np.float64),
                 np.asarray(image.cam_from_world().rotation.matrix(), np.float64).T,
             )
-            for image in model.images.values()
+            for number, image in model.images.items()
             if image.has_pose
         }
         points = np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
+    except InputError:
+        raise
     except Exception as error:
         reason = str(error).split("] ")[-1].splitlines()
         raise InputError(f"{folder}: is no readable COLMAP model: {' '.join(reason)[:200]}") from error
@@ -78,3 +82,31 @@ def read_model(folder: Path) -> Positions:
     points = points[np.isfinite(points).all(axis=1)]
     rows = tuple(f"{folder.name} ({name})" for name in names)
     return Positions(names, position, rows, axes, landmarks=Landmarks(str(folder), points, position, axes))
+
+
+def image_names(folder: Path, model: Any) -> dict[int, str]:
+    """Names of the images of a model by their numbers; COLMAP cuts names in text files at the first space.
+
+    Args:
+        folder: the model's folder.
+        model: pycolmap's `Reconstruction` of it.
+
+    Raises:
+        InputError: two images have the same name.
+    """
+    names = {number: str(image.name) for number, image in model.images.items()}
+    path = model_files(folder)["images"]
+    if path.suffix == ".txt":
+        with path.open(encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                words = line.split(maxsplit=9)
+                if not words or words[0].startswith("#"):
+                    continue
+                if len(words) == 10:
+                    names[int(words[0])] = words[9].rstrip()
+                next(lines, None)  # points of the image
+    seen: dict[str, int] = {}
+    for number, name in sorted(names.items()):
+        if seen.setdefault(name, number) != number:
+            raise InputError(f"{path}: images {seen[name]} and {number} have the same name, {name!r}")
+    return names

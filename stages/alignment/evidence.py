@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,14 @@ from alula.stages.alignment.similarity import inverse, transform_points
 UNCHECKED = (
     "that the cameras are in the frame of the splat could not be checked: {why}; gsplat, nerfstudio and "
     "OpenSplat move a model before they train"
+)
+
+# Differences of names that hide matches, each with those before it.
+_NAMINGS: tuple[tuple[str, Callable[[str], str]], ...] = (
+    ("with / instead of \\", lambda name: name.replace("\\", "/")),
+    ("without regard to case", lambda name: name.replace("\\", "/").lower()),
+    ("without their folders", lambda name: PureWindowsPath(name).name.lower()),
+    ("without folders and endings", lambda name: PureWindowsPath(name).stem.lower()),
 )
 
 
@@ -152,6 +161,7 @@ def match(
         raise InputError(
             f"{first}: no camera has an image of that name; {len(unmatched)} of {len(known)} rows name none, "
             f"and {min_matched:.0%} must name one (--min-matched)"
+            + _naming_hint(cameras.names, reference.names, min_matched)
         )
     warnings: tuple[str, ...] = ()
     if unmatched:
@@ -184,6 +194,17 @@ def match(
         assert reference.axes is not None
         found = dataclasses.replace(found, R_scene=cameras.axes[chosen], R_world=reference.axes)
     return distinct(found)
+
+
+def _naming_hint(cameras: Sequence[str], reference: Sequence[str], min_matched: float) -> str:
+    """Hint at a difference of the names without which enough would match; empty without one."""
+    for words, named in _NAMINGS:
+        of = dict(zip(map(named, cameras), cameras, strict=True))
+        pairs = [(name, of[named(name)]) for name in reference if named(name) in of]
+        if pairs and len(pairs) >= min_matched * len(reference) and len(of) == len(cameras):
+            row, camera = pairs[0]
+            return f"; {words} {len(pairs)} would match: name {row!r} as the camera is, {camera!r}"
+    return ""
 
 
 def in_training_frame(

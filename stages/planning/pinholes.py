@@ -11,7 +11,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.colmap import read_model
+from alula.stages.alignment.colmap import image_names, read_model
 from alula.stages.alignment.evidence import Positions
 
 WIDEST = 2.0  # largest |x/z| and |y/z| that is used, 63 degrees off the axis
@@ -82,7 +82,8 @@ def read_pinholes(folder: Path) -> Pinholes:
     poses = read_model(folder)
     try:
         model = pycolmap.Reconstruction(str(folder))
-        camera_of = {image.name: image.camera_id for image in model.images.values()}
+        names = image_names(folder, model)
+        camera_of = {names[number]: image.camera_id for number, image in model.images.items()}
         used = sorted({camera_of[name] for name in poses.names})
         found = {number: _rectangle(model.cameras[number], f"{folder}: camera {number}") for number in used}
     except InputError:

@@ -32,22 +32,28 @@ class Convention:
         direction: unit vector in the frame of the splat.
         words: whose convention it is.
         is_stated: the format, or the file, states it; other formats leave it to the writer.
+        decides: the header of this file states it, whatever the Gaussians look like.
     """
 
     direction: tuple[float, float, float] = CONVENTION
     words: str = "the axis -y of most trainers"
     is_stated: bool = False
+    decides: bool = False
 
 
 def convention_of(source: Mapping[str, Any]) -> Convention:
     """Up by the convention of a scene's format.
 
-    SPZ names its frame by the directions of x, y and z (RUB: right, up, back), which is RUB where the file
-    names none; glTF is y up; nerfstudio trains with z up.
+    A vertical axis that the header of the file states decides. SPZ names its frame by the directions of x, y
+    and z (RUB: right, up, back), which is RUB where the file names none; glTF is y up; nerfstudio trains with
+    z up.
 
     Args:
         source: of the manifest of an `alula/scene`.
     """
+    if named := re.fullmatch(r"([+-]?)([xyz])", str(source.get("tags", {}).get("vertical_axis", "")).lower()):
+        sign, axis = (-1.0 if named[1] == "-" else 1.0), "xyz".index(named[2])
+        return Convention(_axis(axis, sign), f"Vertical Axis: {named[0]}", True, True)
     frame = str(source["frame"]["file"])
     if (named := re.match(r"([LRUDFB]{3})\b", frame)) and (place := re.search("[UD]", named[1])):
         sign, axis = (1.0 if place[0] == "U" else -1.0), place.start()
@@ -92,6 +98,8 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
         mean: centres, shape (N, 3).
         convention: up by the format of the file.
     """
+    if convention.decides:
+        return Up(convention.direction, f"the header of the file states {convention.words}")
     no_floor = Up(convention.direction, f"no floor stands out, so {convention.words} is taken")
     low, high = np.percentile(mean, (_OUTER, 100 - _OUTER), axis=0)
     thickness = float((high - low).max()) / _LAYERS

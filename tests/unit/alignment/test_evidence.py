@@ -224,3 +224,48 @@ def test_folders_that_are_no_model_are_refused(tmp_path):
     (tmp_path / "images.txt").write_text("1 what is this\n\n")
     with pytest.raises(InputError, match="is no readable COLMAP model"):
         read_model(tmp_path)
+
+
+def text_model(folder, names):
+    folder.mkdir()
+    (folder / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    (folder / "points3D.txt").write_text("")
+    rows = [f"{7 - k} 1 0 0 0 {k} {k * k} {k % 3} 1 {name}\n1 2 -1\n" for k, name in enumerate(names)]
+    (folder / "images.txt").write_text("# IMAGE_ID, ..., NAME\n" + "".join(rows))
+    return folder
+
+
+def test_names_with_spaces_in_a_text_model_keep_their_images_apart(tmp_path):
+    pytest.importorskip("pycolmap")
+    names = ["walk 1/a b.jpg", "walk 1/a  c.jpg", "walk 2/a b.jpg", "plain.jpg"]
+    found = read_model(text_model(tmp_path / "model", names))
+    assert set(found.names) == set(names)
+    where = dict(zip(found.names, found.position.tolist(), strict=True))
+    for k, name in enumerate(names):
+        np.testing.assert_allclose(where[name], [-k, -k * k, -(k % 3)], atol=1e-12)
+    with pytest.raises(InputError, match=r"images 6 and 7 have the same name, 'a b\.jpg'"):
+        read_model(text_model(tmp_path / "twice", ["a b.jpg", "a b.jpg", "c.jpg"]))
+
+
+@pytest.mark.parametrize(
+    ("row", "camera", "says"),
+    [
+        (
+            "a/{}.jpg",
+            "{}.jpg",
+            "without their folders 3 would match: name 'a/0.jpg' as the camera is, '0.jpg'",
+        ),
+        ("C:\\fly\\{}.jpg", "fly/{}.jpg", "without their folders 3"),
+        ("fly\\{}.jpg", "fly/{}.jpg", "with / instead of"),
+        ("IMG{}.JPG", "img{}.jpg", "without regard to case"),
+        ("{}.png", "{}.jpg", "without folders and endings"),
+        ("b{}.jpg", "a{}.jpg", None),
+        ("{}.jpg", "a/{}.jpg\tb/{}.jpg", None),  # which one?
+    ],
+)
+def test_names_that_differ_alike_are_hinted_at(row, camera, says):
+    cameras = [part.format(k) for k in range(3) for part in camera.split("\t")]
+    with pytest.raises(InputError, match="no camera has an image of that name") as found:
+        match(positions(*cameras), positions(*(row.format(k) for k in range(3)), start=5.0))
+    hint = str(found.value).partition("(--min-matched)")[2]
+    assert (says in hint) if says else not hint

@@ -142,3 +142,11 @@ def test_the_twin_of_a_ply_in_spz_has_the_up_of_its_format(tmp_path):
         ups[name] = up_of(splats.mean, convention_of(source))
     assert {name: up.direction for name, up in ups.items()} == {"ply": AXES["-y"], "spz": AXES["+y"]}
     assert all("too few for a floor" in up.why for up in ups.values())
+
+
+@pytest.mark.parametrize(("stated", "up"), [("z", "+z"), ("-Y", "-y"), ("x", "+x"), ("left", None)])
+def test_the_vertical_axis_of_the_header_decides(stated, up):
+    convention = convention_of({"frame": {"file": "unnamed"}, "tags": {"vertical_axis": stated}})
+    found = up_of(place("+x"), convention)  # whatever the layers say
+    assert found.direction == AXES[up or "+x"]
+    assert (f"the header of the file states Vertical Axis: {stated.lower()}" == found.why) == (up is not None)
