@@ -23,10 +23,11 @@ def single_rounding(points: NDArray[Any]) -> FloatArray:
     Returns:
         Shape (n,), same units.
     """
-    single = points.astype(np.float32)
+    with np.errstate(over="ignore"):  # infinite where it is beyond single precision
+        single = points.astype(np.float32)
+        half = np.spacing(np.abs(single)).astype(np.float64) / 2
     if not (single == points).all():
         return np.zeros(len(points))
-    half = np.spacing(np.abs(single)).astype(np.float64) / 2
     bound: FloatArray = np.linalg.norm(half, axis=1)
     return bound
 

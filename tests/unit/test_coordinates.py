@@ -27,6 +27,12 @@ def test_finer_numbers_have_no_rounding():
     assert single_rounding(points.astype(np.float32).astype(np.float64))[0] == pytest.approx(0.2505, abs=1e-3)
 
 
+def test_numbers_beyond_single_precision_do_not_warn():
+    assert single_rounding(np.array([[1e300, 0.0, 0.0]])).tolist() == [0.0]
+    largest = float(np.finfo(np.float32).max)
+    assert single_rounding(np.array([[largest, 0.0, 0.0]]))[0] >= largest * 2.0**-24
+
+
 def test_an_origin_is_chosen_only_along_axes_that_are_far():
     low, high = np.array([449_990.0, -5.0, 90.0]), np.array([450_020.0, 5.0, 110.0])
     assert nearer_origin(low, high, 8192.0) == (450_000.0, 0.0, 0.0)
