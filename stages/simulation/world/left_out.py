@@ -202,8 +202,9 @@ def left_out(scenario: WorldScenario) -> list[str]:
     steps = plant_steps_of(scenario, is_point=False)
     step_s = scenario.rules.dt_s / steps
     if scenario.vehicle.interface in _BY_ROTORS and step_s > PLANT_STEP_S * _STEP_TOLERANCE:
+        loop = " and a rate loop" if scenario.vehicle.interface == "body-rates" else ""
         found.append(
-            f"a plant and a rate loop by steps of {exact(step_s)} s, longer than the model's "
+            f"a plant{loop} by steps of {exact(step_s)} s, longer than the model's "
             f"{exact(PLANT_STEP_S)} s (plant_steps {steps})"
         )
     return found
