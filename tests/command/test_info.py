@@ -48,7 +48,7 @@ def plain(path: Path, capsys, code=0) -> str:
 
 def test_every_kind_of_artifact_is_explained(folder, capsys):
     facts, _ = info(folder / "a.cover.npz", capsys)
-    assert (facts["kind"], facts["version"], facts["whole"]) == ("alula/cover", "1.0", True)
+    assert (facts["kind"], facts["version"], facts["whole"]) == ("alula/cover", "1.1", True)
     assert facts["measured"]["hulls"] == 1
     assert facts["measured"]["half-planes"] == 6
     assert facts["measured"]["upper"] == pytest.approx([0.45, 0.2, 0.1])

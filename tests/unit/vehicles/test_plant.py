@@ -211,13 +211,17 @@ def test_a_delay_of_whole_steps_is_exact(late):
     assert flown.time_s == 0
 
 
-def test_a_delay_between_steps_measures_the_newest_state_old_enough():
-    flown = plant(sensor=SensorOptions(delay_s=0.0025))
-    past = [flown.state]
+def test_a_delay_between_steps_measures_the_state_of_that_time():
+    flown, fine = plant(sensor=SensorOptions(delay_s=0.0025)), plant()
+    past = [fine.state]  # every half step
     for u in commands(20):
         flown.step(0.001, u)
-        past.append(flown.state)
-        assert (flown.measured == past[max(0, len(past) - 1 - 3)]).all()
+        for _ in range(2):
+            fine.step(0.0005, u)
+            past.append(fine.state)
+        error = np.abs(flown.measured - past[max(0, len(past) - 1 - 5)])
+        assert error[:9].max() < 1e-6
+        assert error[9:].max() < 1e-3  # torques jump at each step
 
 
 def test_the_shadow_switch_keeps_the_attitude():
