@@ -84,6 +84,8 @@ def _evidence(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         text += f", seed {found['seed']}" if "seed" in found else ""
     if found.get("unused"):
         text += f"; {found['unused']} cameras without a reference"
+    if found.get("same_place"):
+        text += f"; {found['same_place']} images at a place of another"
     if found.get("unmatched"):
         text += f"; {len(found['unmatched'])} references without a camera"
     yield "evidence", text

@@ -20,6 +20,9 @@ UNCHECKED = (
     "OpenSplat move a model before they train"
 )
 
+_SAME_PLACE = 1e-6  # of the extent
+_NEAR_PLACE = 1e-2  # of the extent: as far as the other side may be apart
+
 # Differences of names that hide matches, each with those before it.
 _NAMINGS: tuple[tuple[str, Callable[[str], str]], ...] = (
     ("with / instead of \\", lambda name: name.replace("\\", "/")),
@@ -151,7 +154,8 @@ def match(
         min_matched: minimum fraction of the reference's rows whose image is a camera.
 
     Raises:
-        InputError: too few rows of the reference name a camera, or two positions are equal.
+        InputError: too few rows of the reference name a camera, or cameras at one place are far apart on the
+            other side.
     """
     index = {name: i for i, name in enumerate(cameras.names)}
     known = np.array([name in index for name in reference.names])
@@ -193,7 +197,63 @@ def match(
         assert cameras.axes is not None
         assert reference.axes is not None
         found = dataclasses.replace(found, R_scene=cameras.axes[chosen], R_world=reference.axes)
-    return distinct(found)
+    return one_of_each_place(found)
+
+
+def one_of_each_place(found: Correspondences) -> Correspondences:
+    """Keep the first of the cameras at one place, as of a hover or of the faces of a 360 degree camera.
+
+    Their errors are the same, so that they are no independent evidence. Places are the same within a
+    millionth of the extent on one side; the other side may then differ by a hundredth of its extent.
+
+    Args:
+        found: correspondences of cameras.
+
+    Raises:
+        InputError: cameras at one place on one side are far apart on the other; names both rows.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    sides = {"scene": found.scene, "world": found.world}
+    extent = {name: float(np.linalg.norm(np.ptp(points, axis=0))) for name, points in sides.items()}
+    count = len(found.rows)
+    pairs = np.concatenate(
+        [
+            cKDTree(points).query_pairs(_SAME_PLACE * extent[name], output_type="ndarray")
+            for name, points in sides.items()
+        ]
+    )
+    if not len(pairs):
+        return found
+    for name, points in sides.items():
+        gap = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+        worst = int(np.argmax(gap))
+        if gap[worst] > _NEAR_PLACE * extent[name]:
+            other = "world" if name == "scene" else "scene"
+            first, second = sorted(pairs[worst].tolist())
+            raise InputError(
+                f"{found.rows[second]}: the same point in the {other} as {found.rows[first]}, but in "
+                f"the {name} they are {gap[worst]:.4g} apart"
+            )
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    kept = np.sort(np.unique(connected_components(graph, directed=False)[1], return_index=True)[1])
+    left_out = count - len(kept)
+    warning = (
+        f"{left_out} of {count} images were taken at a place of another one (a hover, or the faces of a 360 "
+        f"degree camera) and add no evidence: one of each of {len(kept)} places counts"
+    )
+    return dataclasses.replace(
+        found,
+        rows=tuple(found.rows[k] for k in kept),
+        scene=found.scene[kept],
+        world=found.world[kept],
+        R_scene=None if found.R_scene is None else found.R_scene[kept],
+        R_world=None if found.R_world is None else found.R_world[kept],
+        facts={**found.facts, "same_place": left_out},
+        warnings=(*found.warnings, warning),
+    )
 
 
 def _naming_hint(cameras: Sequence[str], reference: Sequence[str], min_matched: float) -> str:

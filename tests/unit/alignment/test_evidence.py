@@ -269,3 +269,45 @@ def test_names_that_differ_alike_are_hinted_at(row, camera, says):
         match(positions(*cameras), positions(*(row.format(k) for k in range(3)), start=5.0))
     hint = str(found.value).partition("(--min-matched)")[2]
     assert (says in hint) if says else not hint
+
+
+def table_of(names, where):
+    rows = (f"{name},{x!r},{y!r},{z!r}" for name, (x, y, z) in zip(names, where.tolist(), strict=True))
+    return "\n".join(["image,x,y,z", *rows])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-3], ids=["faces", "rounded faces", "hover"])
+def test_one_image_of_each_place_counts(noise):
+    """Four images at each of ten places; a hover has one reading of the receiver, but moves a little."""
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-5, 5, (10, 3))
+    scene = np.repeat(place, 4, axis=0) / 2.5 + noise * rng.standard_normal((40, 3))
+    world = np.repeat(place + 0.01 * rng.standard_normal((10, 3)), 4, axis=0)
+    names = [f"camera{k % 4}/{k // 4:03}.jpg" for k in range(40)]
+    order = rng.permutation(40)
+    shuffled = [names[k] for k in order]
+    cameras, reference = (
+        parse_positions(table_of(*table), "t.csv") for table in ((names, scene), (shuffled, world[order]))
+    )
+    found = match(cameras, reference)
+    first = sorted({k // 4: at for at, k in reversed(list(enumerate(order.tolist())))}.values())
+    np.testing.assert_array_equal(found.world, world[order][first])
+    np.testing.assert_array_equal(found.scene, scene[order][first])
+    assert found.facts["same_place"] == 30
+    assert any(
+        "30 of 40 images" in warning and "one of each of 10 places" in warning for warning in found.warnings
+    )
+
+
+def test_cameras_at_one_place_that_are_apart_in_the_other_frame_are_refused():
+    where = np.random.default_rng(0).uniform(-5, 5, (6, 3))
+    names = [f"{k}.jpg" for k in range(6)]
+    twice = where.copy()
+    twice[4] = twice[1]
+    tables = [parse_positions(table_of(names, points), "t.csv") for points in (where, twice)]
+    with pytest.raises(
+        InputError, match=r"t\.csv row 6 \(4\.jpg\): the same point in the world as t\.csv row 3"
+    ):
+        match(*tables)
+    with pytest.raises(InputError, match=r"the same point in the scene as .* but in the world they are"):
+        match(*reversed(tables))

@@ -220,7 +220,8 @@ def test_what_does_not_fit_single_precision_is_refused():
 
 def test_an_origin_far_away_is_warned_of():
     far = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[650_000.0, 4_540_000.0, 0.0])
-    found = scale_align(ScaleAlignConfig(), scene(), far, 0).manifest
+    as_it_is = ScaleAlignConfig(map_origin=(0.0, 0.0, 0.0))
+    found = scale_align(as_it_is, scene(), far, 0).manifest
     assert 0.1 < found.alignment["rounding_m"] < 0.5
     assert "origin nearer to the scene" in found.summary["warnings"][-1]
     near = scale_align(ScaleAlignConfig(), scene(), scale_only(1.0), 0).manifest
@@ -228,15 +229,16 @@ def test_an_origin_far_away_is_warned_of():
 
 
 def test_rounding_far_from_the_origin_is_part_of_the_suggested_inflation():
+    as_it_is = ScaleAlignConfig(map_origin=(0.0, 0.0, 0.0))
     near, far = similarity(), similarity()
     far.translation_m[:] = [650_000.0, 4_540_000.0, 0.0]
-    found, other = (scale_align(ScaleAlignConfig(), scene(), pairs(s), 0).manifest for s in (near, far))
+    found, other = (scale_align(as_it_is, scene(), pairs(s), 0).manifest for s in (near, far))
     rounded = other.alignment["rounding_m"]
     assert rounded > 0.1
     grown = other.suggested_inflation_m - found.suggested_inflation_m
     assert grown == pytest.approx(rounded, rel=1e-3)
     assert f"{other.suggested_inflation_m:.3g} m" in other.guarantee.statement
-    given_far = scale_align(ScaleAlignConfig(), scene(), far, 0).manifest
+    given_far = scale_align(as_it_is, scene(), far, 0).manifest
     assert given_far.suggested_inflation_m == given_far.alignment["rounding_m"]
     assert given_far.alignment["position_error_m"] is None
 
