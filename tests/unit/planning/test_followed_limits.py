@@ -21,7 +21,7 @@ SLOW = msgspec.structs.replace(FASTBRIDGE, velocities=VelocitiesTable(horizontal
 
 def made(interface, vehicle=FASTBRIDGE):
     config = PlanConfig(
-        beyond_map_m=6.0,
+        beyond_map_m=7.0,
         start=(1.0, -6.0, 1.0),
         goal=(4.0, 3.0, 3.0),
         radius_m=0.25,

@@ -179,7 +179,7 @@ def test_a_simulated_quadrotor_turns_as_its_plan_does():
         {
             "vehicle": {"file": "fastbridge.toml", "interface": "wrench"},
             "world": {"cover": "x"},
-            "mission": {"kind": "plan", "plan": "x"},
+            "mission": {"kind": "plan", "plan": "x", "beyond_map_m": 20.0},
             "safety": {"filters": ["cone-backup"]},
         }
     )
