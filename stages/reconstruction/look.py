@@ -44,14 +44,16 @@ class Convention:
 def convention_of(source: Mapping[str, Any]) -> Convention:
     """Up by the convention of a scene's format.
 
-    A vertical axis that the header of the file states decides. SPZ names its frame by the directions of x, y
-    and z (RUB: right, up, back), which is RUB where the file names none; glTF is y up; nerfstudio trains with
-    z up.
+    A vertical axis that the header of the file states decides, except y without a sign: Brush writes that
+    into every file, whatever its axes are, and its own reader takes -y for up. SPZ names its frame by the
+    directions of x, y and z (RUB: right, up, back), which is RUB where the file names none; glTF is y up;
+    nerfstudio trains with z up.
 
     Args:
         source: of the manifest of an `alula/scene`.
     """
-    if named := re.fullmatch(r"([+-]?)([xyz])", str(source.get("tags", {}).get("vertical_axis", "")).lower()):
+    stated = str(source.get("tags", {}).get("vertical_axis", "")).lower()
+    if stated != "y" and (named := re.fullmatch(r"([+-]?)([xyz])", stated)):
         sign, axis = (-1.0 if named[1] == "-" else 1.0), "xyz".index(named[2])
         return Convention(_axis(axis, sign), f"Vertical Axis: {named[0]}", True, True)
     frame = str(source["frame"]["file"])

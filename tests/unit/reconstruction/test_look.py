@@ -144,7 +144,9 @@ def test_the_twin_of_a_ply_in_spz_has_the_up_of_its_format(tmp_path):
     assert all("too few for a floor" in up.why for up in ups.values())
 
 
-@pytest.mark.parametrize(("stated", "up"), [("z", "+z"), ("-Y", "-y"), ("x", "+x"), ("left", None)])
+@pytest.mark.parametrize(
+    ("stated", "up"), [("z", "+z"), ("-Y", "-y"), ("+y", "+y"), ("x", "+x"), ("y", None), ("left", None)]
+)
 def test_the_vertical_axis_of_the_header_decides(stated, up):
     convention = convention_of({"frame": {"file": "unnamed"}, "tags": {"vertical_axis": stated}})
     found = up_of(place("+x"), convention)  # whatever the layers say
