@@ -40,6 +40,7 @@ CERTIFIED = 4  # bit of the flags of a native log
 GRID_M = 0.1
 SIDES = np.vstack([np.eye(3), -np.eye(3)])  # normals of a box
 ROOM_M = np.array([6.0, 5.0, 3.0])
+MOST_CALLS = 1000  # of a filter in a flight
 NEAR_M = 1e-5  # sag of the path between steps of the plant, and rounding
 
 Floats = NDArray[np.float64]
@@ -207,7 +208,7 @@ def drawn(rng: np.random.Generator) -> Case:
         "controller_ticks": int(rng.integers(1, 4)) if often(0.3) else 1,
         "trials": 3,
         "seed": int(rng.integers(2**31)),
-        "max_time_s": float(rng.uniform(2, 6)),
+        "max_time_s": min(float(rng.uniform(2, 6)), MOST_CALLS * tick_s * ticks),
         "logged": 0,
     }
     if often(0.1):
@@ -276,14 +277,20 @@ def drawn_vehicle(rng: np.random.Generator) -> Vehicle:
     assert rotors is not None
     inertia = tuple(float(value * rng.uniform(0.7, 1.3)) for value in body.inertia_kg_m2)
     mass = float(body.mass_kg * rng.uniform(0.7, 1.5))
-    thrust = float(mass * 9.81 / 4 * rng.uniform(1.7, 4))
+    hover = mass * 9.81 / 4
+    most, least = (float(hover * rng.uniform(*range_)) for range_ in ((1.7, 4), (0, 0.3)))
+    tau = [float(value) for value in rng.uniform(0.01, 0.05, 3)]
     replace = msgspec.structs.replace
     return replace(
         FASTBRIDGE,
         name="drawn",
         body=replace(body, radius_m=float(rng.uniform(0.05, 0.25)), mass_kg=mass, inertia_kg_m2=inertia),
-        rotors=replace(rotors, max_thrust_n=(thrust,) * 4),
-        rates=replace(FASTBRIDGE.rates, time_constant_s=float(rng.uniform(0.01, 0.05))),
+        rotors=replace(rotors, max_thrust_n=(most,) * 4, min_thrust_n=(least,) * 4),
+        rates=replace(
+            FASTBRIDGE.rates,
+            axis_time_constant_s=(tau[0], tau[1], 4 * tau[2]),
+            max_rad_s=(float(rng.uniform(3, 12)), float(rng.uniform(3, 12)), float(rng.uniform(1, 6))),
+        ),
     )
 
 
