@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -46,11 +45,9 @@ def _speeds(context: click.Context, parameter: click.Parameter, value: str) -> t
     help="Link to the vehicle: udpin:HOST:PORT, udpout:…, tcp:…, serial:DEVICE:BAUD, or sim: for a simulated "
     "one.",
 )
-@click.option(
-    "--vehicle",
-    "vehicle_path",
-    type=options.input_path(),
-    help="First guess (.toml), which gives all that is not measured; default: the quadrotor of FastBridge.",
+@options.vehicle(
+    "First guess, a built-in vehicle or a file (.toml), which gives all that is not measured; default: the "
+    "quadrotor of FastBridge."
 )
 @click.option(
     "--speeds",
@@ -66,7 +63,7 @@ def _speeds(context: click.Context, parameter: click.Parameter, value: str) -> t
 @options.output(".toml")
 def command(
     address: str,
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
     speeds_m_s: tuple[float, ...],
     route: Route,
     config: IdentifyConfig,
@@ -89,12 +86,12 @@ def command(
     from alula.cli.runner import check_output, input_ref
     from alula.schemas.manifest import VERSION
     from alula.schemas.provenance import Provenance, parameters_of
-    from alula.schemas.vehicle import FASTBRIDGE, VEHICLE_SCHEMA, contents, read_vehicle
+    from alula.schemas.vehicle import VEHICLE_SCHEMA, contents
+    from alula.schemas.vehicles import vehicle_named
     from alula.stages.identification.survey import make_survey
 
     config = dataclasses.replace(config, speeds_m_s=speeds_m_s)
-    paths = {} if vehicle_path is None else {"vehicle": vehicle_path}
-    guess = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
+    guess, paths = vehicle_named(vehicle_name)
     check_output(common.output, paths)
     if common.output.exists() and not (common.force or common.dry_run):
         raise UsageError(f"{common.output}: exists; use -f to replace it")

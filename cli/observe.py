@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
-  alula observe room.scene.npz -o room.seen.npz --colmap sparse/0 --vehicle crazyflie21.toml
+  alula observe room.scene.npz -o room.seen.npz --colmap sparse/0 --vehicle crazyflie21
   alula observe room.scene.npz -o room.seen.npz --voxels room.voxels.npz --colmap sparse/0 --radius 0.15
   alula observe hall.scene.npz -o hall.seen.npz --reach "2 1 1" --radius 0.3"""
 
@@ -48,11 +48,9 @@ LEVEL = (
     help="Run folder or dataparser_transforms.json: the cameras are in the frame of the source poses.",
 )
 @click.option("--voxels", type=PATH, help="The obstacles, voxels of the SCENE; their level is used.")
-@click.option(
-    "--vehicle",
-    "vehicle_path",
-    type=options.input_path(),
-    help="Vehicle (.toml) that must be able to go there; default: the quadrotor of FastBridge.",
+@options.vehicle(
+    "Built-in vehicle, or vehicle file (.toml), that must be able to go there; default: the quadrotor of "
+    "FastBridge."
 )
 @options.from_config(
     ObserveConfig,
@@ -71,7 +69,7 @@ def command(
     cameras: Path | None,
     nerfstudio: Path | None,
     voxels: Path | None,
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
 ) -> None:
     """Mark the space that cameras saw to be free and that a vehicle can reach.
 
@@ -86,7 +84,7 @@ def command(
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE, SEEN, VOXELS
     from alula.schemas.parts_join import read_whole
-    from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+    from alula.schemas.vehicles import vehicle_named
     from alula.stages.alignment import colmap as models
     from alula.stages.alignment import nerfstudio as training
     from alula.stages.planning.observe import observe
@@ -99,21 +97,21 @@ def command(
         raise UsageError("--nerfstudio goes with --colmap or --cameras")
     if colmap is None and options.is_given(context, "min_near"):
         raise UsageError("--min-near goes with --colmap")
-    if config.radius_m is not None and vehicle_path is not None:
+    if config.radius_m is not None and vehicle_name is not None:
         raise UsageError("--radius is that of the vehicle; leave out --vehicle")
     if voxels is not None:
         for name in LEVEL:
             if options.is_given(context, name):
                 option = next(p.opts[0] for p in context.command.params if p.name == name)
                 raise UsageError(f"the level is that of --voxels; leave out {option}")
+    inputs = {"scene": scene}
     if config.radius_m is None:
-        vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
+        vehicle, file = vehicle_named(vehicle_name)
         config = dataclasses.replace(config, radius_m=vehicle.body.radius_m)
+        inputs |= file
     if colmap is not None:
         with handlers_kept(), suppress(ImportError):  # the stage says that it is not installed
             import pycolmap  # noqa: F401
-    inputs = {"scene": scene}
-    inputs |= {"vehicle": vehicle_path} if vehicle_path is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"cameras": cameras} if cameras is not None else {}
     if colmap is not None:

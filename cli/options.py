@@ -363,6 +363,17 @@ def input_path() -> FilePath:
     return PATH
 
 
+def vehicle(help: str) -> Callable[[F], F]:
+    """Add `--vehicle NAME|FILE`; the function gets `vehicle_name`, for `vehicle_named`.
+
+    Args:
+        help: of the option.
+    """
+    return click.option(
+        "--vehicle", "vehicle_name", metavar="NAME|FILE", help=help, shell_complete=completion.vehicles
+    )
+
+
 def settings(help: str, group: str = "") -> Callable[[F], F]:
     """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `set_values`.
 

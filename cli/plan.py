@@ -29,7 +29,7 @@ if TYPE_CHECKING:
   alula plan room.cover.npz -o fast.plan.npz --start "0 0 1" --goal "6 4 1" --via "3 2 1.5" --speed 3
   alula plan room.cover.npz -o laps.plan.npz --start "0 0 1" --goal "0 0 1" --gate "3 2 1 1 0 0 0.5" --loops 2
   alula plan room.cover.npz -o course.plan.npz --mission course.toml --speed 2
-  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21.toml
+  alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21
   alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap
   alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
@@ -41,11 +41,8 @@ if TYPE_CHECKING:
     type=options.input_path(),
     help="Scene, beside a cover or onboard map.",
 )
-@click.option(
-    "--vehicle",
-    "vehicle_path",
-    type=options.input_path(),
-    help="Vehicle (.toml) that will fly the plan; default: the quadrotor of FastBridge.",
+@options.vehicle(
+    "Built-in vehicle, or vehicle file (.toml), that will fly the plan; default: the quadrotor of FastBridge."
 )
 @click.option(
     "--mission",
@@ -76,7 +73,7 @@ def command(
     config: PlanConfig,
     map_path: Path,
     scene_path: Path | None,
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
     mission_path: Path | None,
     within: Path | None,
     count: int | None,
@@ -92,20 +89,19 @@ def command(
     """
     from alula.schemas.errors import UsageError
     from alula.schemas.kinds import PLAN
-    from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-    from alula.stages.planning.plan import resolve_plan
+    from alula.schemas.vehicles import vehicle_named
 
-    if config.radius_m is not None and vehicle_path is not None:
+    if config.radius_m is not None and vehicle_name is not None:
         raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
     if config.confidence is not None and options.is_given(context, "sigma"):
         raise UsageError("give --sigma or --confidence, not both")
     paths = _maps(map_path, scene_path) | ({} if within is None else {"within": within})
-    vehicle = FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path)
+    vehicle, file = vehicle_named(vehicle_name)
     mission = None if mission_path is None else _mission(context, mission_path)
     if mission is not None:
         start, goal = config.start or mission.start_m, config.goal or mission.goal_m
         config = dataclasses.replace(config, start=start, goal=goal)
-    config = resolve_plan(config, vehicle)
+    config = resolved(config, vehicle, paths)
     if count is not None:
         _print_free_points(common, config, paths, count)
         return
@@ -119,9 +115,37 @@ def command(
     def build(progress: Progress) -> Artifact:
         return find_plan(config, _read(paths), vehicle, mission, jobs=common.jobs, progress=progress)
 
-    further = {"vehicle": vehicle_path, "mission": mission_path}
-    inputs = paths | {role: path for role, path in further.items() if path is not None}
+    inputs = paths | file | ({} if mission_path is None else {"mission": mission_path})
     runner.run_stage(common, PLAN, config, inputs, build)
+
+
+def resolved(config: PlanConfig, vehicle: Vehicle, roles: Container[str]) -> PlanConfig:
+    """Complete what follows from the vehicle, the filters and the maps.
+
+    Args:
+        config: as given by the user.
+        vehicle: that will fly the plan.
+        roles: of the maps.
+
+    Raises:
+        UsageError: parameters do not go together, or there is no such filter.
+    """
+    from alula.schemas.errors import UsageError
+    from alula.schemas.flight_defaults import filter_in, planned_interface
+    from alula.stages.filtering.registry import filter_kind
+    from alula.stages.planning.plan import resolve_plan
+
+    is_guided = vehicle.model == "quadrotor" and not config.straight and "image" not in roles
+    if config.filter is None and is_guided:
+        config = dataclasses.replace(config, filter=filter_in(roles))
+    if config.interface is None:
+        names = [name.strip() for name in (config.filter or "").split(",") if name.strip()]
+        try:
+            interface = planned_interface(names, filter_kind, roles)
+        except UsageError as error:
+            raise UsageError(f"--filter {config.filter}: {error}") from error
+        config = dataclasses.replace(config, interface=interface)
+    return resolve_plan(config, vehicle)
 
 
 def check_filter(config: PlanConfig, roles: Container[str]) -> None:
@@ -154,7 +178,7 @@ def find_plan(
     """Find the plan, behind the filters of the configuration if it names some.
 
     Args:
-        config: see `resolve_plan`.
+        config: see `resolved`.
         maps: `cover`, `scene`, `image` and `within`.
         vehicle: that will fly it.
         mission: waypoints, gates and zones.

@@ -28,7 +28,7 @@ _CRTP = "udp://"
   alula sim-vehicle --link udpout:127.0.0.1:14550
   alula sim-vehicle --link tcpin:127.0.0.1:5760 --boot-time 5 --param GUID_OPTIONS=8
   alula sim-vehicle --autopilot px4 --link udpout:127.0.0.1:14540
-  alula sim-vehicle --link udp://127.0.0.1:19850 --vehicle crazyflie21.toml
+  alula sim-vehicle --link udp://127.0.0.1:19850 --vehicle crazyflie21
   alula sim-vehicle --link udpin:127.0.0.1:14551 --fault drop:since=airborne,start=5,duration=2""",
 )
 @click.option(
@@ -45,7 +45,7 @@ _CRTP = "udp://"
     show_default=True,
     help="Firmware to simulate.",
 )
-@click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; by default FastBridge's.")
+@options.vehicle("Built-in vehicle, or vehicle file (.toml); default: the quadrotor of FastBridge.")
 @click.option(
     "--boot-time",
     "boot_time_s",
@@ -124,7 +124,7 @@ _CRTP = "udp://"
 def command(
     link: str,
     autopilot: str,
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
     boot_time_s: float,
     parameters: tuple[str, ...],
     faults: tuple[str, ...],
@@ -161,7 +161,7 @@ def command(
                 "a simulated Crazyflie has no --fault, --signing-key, --console, --hand or --autopilot"
             )
         name, vehicle = _crazyflie(
-            vehicle_path,
+            vehicle_name,
             values,
             yaw_rad=-math.radians(heading_deg),
             poses=mocap_address is not None,
@@ -171,7 +171,7 @@ def command(
         link = f"udpin:{link.removeprefix(_CRTP)}"
     else:
         from alula.schemas.signing_key import read_key
-        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+        from alula.schemas.vehicles import vehicle_named
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand
@@ -179,7 +179,7 @@ def command(
 
         firmware = FIRMWARES[autopilot]
         copter = firmware.copter(
-            FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
+            vehicle_named(vehicle_name)[0],
             parameters=values,
             options=EstimatorOptions(boot_time_s=boot_time_s),
             heading_rad=math.radians(heading_deg),
@@ -216,7 +216,7 @@ def command(
 
 
 def _crazyflie(
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
     values: dict[str, float],
     *,
     yaw_rad: float,
@@ -224,12 +224,12 @@ def _crazyflie(
     start: tuple[float, float, float],
     seed: int,
 ) -> tuple[str, Vehicle]:
-    from alula.schemas.vehicle import read_vehicle
+    from alula.schemas.vehicles import vehicle_named
     from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
 
-    if vehicle_path is None:
-        raise UsageError("a simulated Crazyflie needs --vehicle, such as examples/vehicles/crazyflie21.toml")
-    vehicle = read_vehicle(vehicle_path)
+    if vehicle_name is None:
+        raise UsageError("a simulated Crazyflie needs --vehicle, such as crazyflie21")
+    vehicle, _ = vehicle_named(vehicle_name)
     has_app = any(name.startswith("alula.") for name in values)
     crazyflie = SimulatedCrazyflie(
         vehicle, CrazyflieOptions(start=start, yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)

@@ -55,7 +55,7 @@ class PlanFields(TypedDict, total=False):
     snap_m_s4: float | None
     tilt_rad: float | None
     body_rate_rad_s: float | None
-    interface: Literal["body-rates", "acceleration", "velocity"]
+    interface: Literal["body-rates", "acceleration", "velocity"] | None
     filter: str | None
     smooth: float
     straight: bool

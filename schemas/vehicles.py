@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from alula.schemas.artifact import read_manifest
+from alula.schemas.errors import InputError
 from alula.schemas.vehicle import (
     FASTBRIDGE,
     BodyTable,
@@ -15,6 +16,7 @@ from alula.schemas.vehicle import (
     ThrottleTable,
     TrackingTable,
     Vehicle,
+    read_vehicle,
 )
 
 DEFAULT_RADIUS_M = 0.1
@@ -71,6 +73,28 @@ VEHICLES: dict[str, Vehicle] = {
     for vehicle in (_CRAZYFLIE21, FASTBRIDGE, _RACER7, _SINGLE_INTEGRATOR, _DOUBLE_INTEGRATOR)
 }
 """By name."""
+
+DEFAULT_VEHICLE = FASTBRIDGE
+"""Vehicle of `plan`, `simulate`, `fly` and others where none is chosen, and no filter brings its own."""
+
+
+def vehicle_named(given: str | Path | None) -> tuple[Vehicle, dict[str, Path]]:
+    """A vehicle, and its file as an input with the role `vehicle`; no input if it is built in.
+
+    Args:
+        given: name of a built-in vehicle, or a file; None for `DEFAULT_VEHICLE`.
+
+    Raises:
+        InputError, VersionError, UsageError: the file cannot be read or is wrong.
+    """
+    if given is None:
+        return DEFAULT_VEHICLE, {}
+    if str(given) in VEHICLES:
+        return VEHICLES[str(given)], {}
+    path = Path(given)
+    if not path.suffix and not path.exists():
+        raise InputError(f"{given}: no such file, and no built-in vehicle; these are {', '.join(VEHICLES)}")
+    return read_vehicle(path), {"vehicle": path}
 
 
 def point_limits(

@@ -50,12 +50,12 @@ from alula.schemas import world_ranges
 from alula.schemas.decode import MalformedError, convert
 from alula.schemas.errors import InputError, UsageError, VersionError
 from alula.schemas.filter_options import FILTERS
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.manifest import parse_version
 from alula.schemas.scenario import SCENARIO_SCHEMA, FlyTable
 from alula.schemas.toml_file import read_tree
 from alula.schemas.world_presets import with_preset
 from alula.schemas.world_tables import (
-    NO_FILTER,
     EstimationTable,
     MissionTable,
     RulesTable,

@@ -7,10 +7,11 @@ from typing import Any
 
 from alula.schemas.encounters import ObstacleTable, interval
 from alula.schemas.filter_options import ConeBackupParameters, ConeEcbfParameters, ShieldParameters
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_defaults import completed
-from alula.schemas.world_tables import COMMANDS, NO_FILTER
+from alula.schemas.world_tables import COMMANDS
 
 FILTER_COMMANDS = {
     "polytope-cbf": "velocity",

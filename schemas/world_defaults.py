@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle, read_vehicle
-from alula.schemas.vehicles import VEHICLES
+from alula.schemas.vehicle import Vehicle, read_vehicle
+from alula.schemas.vehicles import DEFAULT_VEHICLE, VEHICLES
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_tables import Interface
 
@@ -29,7 +29,7 @@ def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
     table = scenario.vehicle
     if table.file is not None:
         return read_vehicle(folder / table.file)
-    return VEHICLES[table.type or FASTBRIDGE.name]
+    return VEHICLES[table.type or DEFAULT_VEHICLE.name]
 
 
 def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:

@@ -12,10 +12,10 @@ import msgspec
 from alula.schemas.encounters import LARGEST, check_moving, check_walls
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import GeofenceParameters
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.geofence import FARTHEST_M, MOST_LATENCY, check_faces
 from alula.schemas.toml_file import first_beyond
 from alula.schemas.world_tables import (
-    NO_FILTER,
     EstimationTable,
     MissionTable,
     RulesTable,

@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from alula.schemas.artifact import read_manifest
+from alula.schemas.flight_defaults import NO_FILTER, filter_in
 from alula.schemas.vehicles import VEHICLES, point_limits
 from alula.schemas.world_check import TRACKING
-from alula.schemas.world_tables import NO_FILTER
-
-IN_A_COVER, IN_A_SCENE = "polytope-cbf", "cone-backup"
-"""Filters where none is chosen."""
 
 _LOGGED = 1000  # first flights in the log, besides the worst ones
 
@@ -32,7 +29,7 @@ def source_tree(
     Args:
         files: `cover`, `scene`, `plan`; at least one of the first two.
         kind_of: kind of command of a filter, by its name.
-        filters: names; default: `IN_A_COVER`, or `IN_A_SCENE` where there is no cover.
+        filters: names; default: as `filter_in`.
         vehicle: name of a built-in vehicle, or a file; default: the one that the filters are made for, a
             point moved by velocities or accelerations, a racer or the quadrotor of FastBridge.
         speed_m_s: of the mission, or limit of the point.
@@ -41,7 +38,7 @@ def source_tree(
         InputError, ArtifactError: plan or cover cannot be read.
         UsageError: there is no such filter.
     """
-    names = list(filters or ()) if filters is not None else [IN_A_COVER if "cover" in files else IN_A_SCENE]
+    names = list(filters or ()) if filters is not None else [filter_in(files)]
     names = [name for name in names if name != NO_FILTER]
     mission: dict[str, Any] = {"kind": "plan" if "plan" in files else "pairs"}
     if "plan" in files:

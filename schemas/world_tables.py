@@ -28,7 +28,6 @@ from alula.schemas.filters.values import Options
 from alula.schemas.geofence import MOST_FACES, Box, Face
 from alula.schemas.geofence import PilotTable as SticksTable
 
-NO_FILTER = "none"
 # What commands there are, from the outer to the inner loop; body rates with a throttle are sticks.
 COMMANDS = ("velocity", "acceleration", "wrench", "sticks")
 

@@ -11,13 +11,14 @@ import msgspec
 from alula.schemas.encounters import Encounters, is_encounters, read_encounters
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS, MovingFilterParameters
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.geofence import FenceScenario, RacerTable, is_fence_scenario, read_fence_scenario
 from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_SCHEMA, Scenario, read_scenario
 from alula.schemas.toml_file import read_tree
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle, read_vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, point_limits
-from alula.schemas.world_tables import NO_FILTER, DisturbanceTable
+from alula.schemas.world_tables import DisturbanceTable
 
 _AMONG_ELLIPSOIDS = ("safer-splat", "cone-di", "cone-ecbf", "cone-backup", "shield")
 _MOVING = [name for name, kind in FILTERS.items() if kind is MovingFilterParameters]  # all have the same ones

@@ -47,12 +47,7 @@ Examples:
     type=options.input_path(),
     help="Seen space (.seen.npz) to stay in, beside a cover; unseen space counts like hulls.",
 )
-@click.option(
-    "--vehicle",
-    "vehicle_path",
-    type=options.input_path(),
-    help="Vehicle (.toml); default: the quadrotor of FastBridge.",
-)
+@options.vehicle("Built-in vehicle, or vehicle file (.toml); default: the quadrotor of FastBridge.")
 @click.option(
     "--link",
     "address",
@@ -96,7 +91,7 @@ def command(
     tiles_key: Path | None,
     scene_path: Path | None,
     within: Path | None,
-    vehicle_path: Path | None,
+    vehicle_name: str | None,
     address: str | None,
     route: Route,
     settings: tuple[str, ...],
@@ -125,13 +120,15 @@ def command(
     from alula.cli.runner import check_output, input_ref
     from alula.cli.sources import read_tiles_of
     from alula.schemas.extras import require
+    from alula.schemas.flight_defaults import filter_in
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.lineage import require_own_map
     from alula.schemas.parts_join import read_whole
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.start_time import start_time_ns
-    from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
+    from alula.schemas.vehicle import contents
+    from alula.schemas.vehicles import vehicle_named
     from alula.stages.flight.mission import make_mission
 
     if foxglove is not None:
@@ -140,18 +137,22 @@ def command(
         require("viser")
     start_ns = None if start_time is None else start_time_ns(start_time)
     check_log_name(common.output)
-    paths, scenario = inputs_of(source, map_path, scene_path, vehicle_path)
+    named, file = vehicle_named(vehicle_name)
+    paths, scenario = inputs_of(source, map_path, scene_path, file.get("vehicle"))
     paths |= {} if within is None else {"within": within}
     tiles = read_tiles_of(paths, tiles_key)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
+    is_chosen = options.is_given(context, "filter")
+    if not is_chosen and (scenario is None or "filter" not in scenario.fly_settings()):
+        config = dataclasses.replace(config, filter=filter_in(paths))
     if address is None:
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
         config, filter_parameters={**config.filter_parameters, **settings_of(settings)}
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
-    vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
+    vehicle = named if vehicle_name is not None else vehicle_named(paths.get("vehicle"))[0]
     link = route.link(address, vehicle, state_rate_hz=config.rate_hz, flies_rates=is_splat)
     check_output(common.output, paths)
     check_output(record_path(common.output), paths)

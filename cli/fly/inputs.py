@@ -67,9 +67,10 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     Raises:
         UsageError: there is no such filter, or its map is missing.
     """
+    from alula.schemas.flight_defaults import NO_FILTER
     from alula.schemas.world_check import TRACKING
     from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
-    from alula.stages.filtering.registry import FLIES_AMONG_HULLS, NO_FILTER, filter_kind
+    from alula.stages.filtering.registry import FLIES_AMONG_HULLS, filter_kind
 
     if name == NO_FILTER:
         return "cover" not in paths

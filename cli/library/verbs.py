@@ -392,7 +392,7 @@ def plan(
     Args:
         map: a cover or a scene.
         scene: beside a cover: the plan keeps away from both.
-        vehicle: file of the vehicle that will fly it; default: the quadrotor of FastBridge.
+        vehicle: that will fly it, a built-in one by its name, or a file; default: FastBridge's quadrotor.
         mission: file with waypoints, gates, laps and zones.
         within: seen space to stay in.
         jobs: threads; 0 is all processors.
@@ -402,10 +402,9 @@ def plan(
         InfeasibleError: there is no path; the message says which radius would pass.
         UsageError: start or goal is missing, or parameters contradict one another.
     """
-    from alula.cli.plan import check_filter, find_plan
+    from alula.cli.plan import check_filter, find_plan, resolved
     from alula.schemas.mission import read_mission
-    from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-    from alula.stages.planning.plan import resolve_plan
+    from alula.schemas.vehicles import vehicle_named
 
     _one_level(fields)
     config = configured("plan", PlanConfig, fields)
@@ -417,7 +416,7 @@ def plan(
     maps: dict[str, Result] = {"cover" if isinstance(found, Cover) else "scene": found}
     maps |= {} if scene is None else {"scene": Scene.of(scene)}
     maps |= {} if within is None else {"within": Seen.of(within)}
-    flown = FASTBRIDGE if vehicle is None else read_vehicle(Path(vehicle))
+    flown, file = vehicle_named(vehicle)
     course = None
     if mission is not None:
         if both := [name for name in ("via", "gate", "loops", "yaw") if name in fields]:
@@ -425,14 +424,12 @@ def plan(
         course = read_mission(Path(mission))
         start, goal = config.start or course.start_m, config.goal or course.goal_m
         config = dataclasses.replace(config, start=start, goal=goal)
-    config = resolve_plan(config, flown)
+    config = resolved(config, flown, maps)
     if config.start is None or config.goal is None:
         raise UsageError("`start` and `goal` are needed; free_points of a cover chooses free points")
     check_filter(config, maps)
-    further = {"vehicle": vehicle, "mission": mission}
-    inputs: Mapping[str, Result | File] = maps | {
-        role: File.at(Path(path)) for role, path in further.items() if path is not None
-    }
+    further = file if mission is None else file | {"mission": Path(mission)}
+    inputs: Mapping[str, Result | File] = maps | {role: File.at(path) for role, path in further.items()}
     with shown("plan") as progress:
         read_maps = {role: one.artifact for role, one in maps.items()}
         return Plan(find_plan(config, read_maps, flown, course, jobs=jobs, progress=progress), inputs)

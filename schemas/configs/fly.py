@@ -11,6 +11,7 @@ from alula.schemas.configs.plan import MARGIN_M, AlongPlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.schemas.filters.values import config_field, entries, limits
+from alula.schemas.flight_defaults import IN_A_COVER, IN_A_SCENE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +20,11 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
 
     name: str = field(default="flight", metadata={"group": "Log", "help": "Name of the flight, for reports."})
     filter: str = field(
-        default="polytope-cbf", metadata={"help": "Safety filter, or none.", "metavar": "NAME"}
+        default=IN_A_COVER,
+        metadata={
+            "help": f"Safety filter, or none; in a scene without a cover {IN_A_SCENE} is the default.",
+            "metavar": "NAME",
+        },
     )
     margin_m: float = field(
         default=MARGIN_M,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 from alula.schemas.errors import UsageError
+from alula.schemas.flight_defaults import PlannedInterface
 
 MARGIN_M = 0.1  # that filters keep beyond the vehicle's radius in flight, for errors of tracking and state
 BEYOND_MAP = "--beyond-map "  # before its value, in messages
@@ -132,19 +133,21 @@ class PlanConfig:
             "option": "--body-rate",
         },
     )
-    interface: Literal["body-rates", "acceleration", "velocity"] = field(
-        default="body-rates",
+    interface: PlannedInterface | None = field(
+        default=None,
         metadata={
             "group": "Limits of the motion",
-            "help": "What the vehicle will be commanded by. A plan for accelerations or velocities keeps to "
-            "the accelerations and the jerk with which the vehicle's own autopilot follows them.",
+            "help": "What the vehicle will be commanded by; default: as fly commands it behind --filter, or "
+            "without one behind its default filter in this map. A plan for accelerations or velocities keeps "
+            "to the accelerations and the jerk with which the vehicle's own autopilot follows them.",
         },
     )
     filter: str | None = field(
         default=None,
         metadata={
             "help": "Filters behind which the plan will be flown, as --filter of simulate: where they would "
-            "act it is slower.",
+            "act it is slower and keeps farther away; none: a plan for flights without one; default: for a "
+            "quadrotor the default filter of fly in this map, none with --straight or in an onboard map.",
             "metavar": "NAME,…",
         },
     )

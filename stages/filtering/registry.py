@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from alula.schemas.errors import UsageError
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
 from alula.schemas.world_check import FILTER_COMMANDS
 from alula.schemas.world_tables import default_shield_map
@@ -23,7 +24,6 @@ from alula.stages.filtering.moving_filters import MOVING_FILTERS
 from alula.stages.filtering.polytope_cbf import polytope_cbf
 from alula.stages.filtering.protocol import FilterFactory, FilterWorld, SafetyFilter
 
-NO_FILTER = "none"
 FLIES_AMONG_HULLS = (SHIELD, *STEERS_AMONG_HULLS)  # of the filters among ellipsoids, those that need none
 _BUILT_IN: dict[str, FilterFactory] = {"polytope-cbf": polytope_cbf}
 _BUILT_IN |= ELLIPSOID_FILTERS | MOVING_FILTERS | FENCE_FILTERS

@@ -102,7 +102,7 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle, *, turns: bool = False) 
     A heading that turns adds to rates and torques; it gets a part of their limits.
 
     Args:
-        config: limits of the user.
+        config: limits of the user; without an interface, those of body rates.
         vehicle: that will fly the plan; only that of a quadrotor bounds tilt, thrust and rates.
         turns: whether the heading is not constant.
 
@@ -124,7 +124,7 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle, *, turns: bool = False) 
             snap_m_s4=snap,
             **(_yaw(_yaw_rate(config), math.inf) if turns else {}),
         )
-    if config.interface == "body-rates":
+    if config.interface in (None, "body-rates"):
         return _quadrotor_limits(config, vehicle, acceleration, jerk, snap, turns=turns)
     followed = followed_limits(vehicle)
     acceleration = min(acceleration, followed.acceleration_m_s2)

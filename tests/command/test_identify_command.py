@@ -84,6 +84,7 @@ def test_nobody_answers(output, capsys, monkeypatch):
 def test_a_box_where_the_vehicle_is_not(output, capsys):
     line = refused(4, ("--link", "sim:?start=20,0,0", *BOX), output, capsys)
     assert "start: the plan starts 20.00 m away sideways" in line
+    assert "or say by --origin where the map's origin is in its frame" in line
     assert "the box's centre" in line
 
 

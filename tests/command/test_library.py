@@ -78,7 +78,7 @@ def test_results_say_what_they_are(flown):
         f"Cover: 12 hulls, {planes} half-planes, volume {growth:.3g} times the voxels'; "
         "contains all 858 voxels"
     )
-    assert repr(made.plan).startswith("Plan: 3 m in 3.82 s, at most 1 m/s, 1.3 m from")
+    assert repr(made.plan).startswith("Plan: 3 m in 4.62 s, at most 0.975 m/s, 1.3 m from")
     assert repr(made.proof).startswith("Proof: covered: ")
     assert repr(made.run) == "Run: 1 flights, 1 reached, 0 collided, minimum clearance 1.15 m"
     for one in vars(made).values():

@@ -11,6 +11,7 @@ from alula.cli.main import COMMANDS, run
 from alula.cli.plan import command
 from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
 from alula.schemas.kinds import COVER, PLAN
+from support.paths import VEHICLES
 
 
 @pytest.fixture
@@ -83,20 +84,37 @@ def test_a_straight_plan_through_an_obstacle_is_written_only_where_this_is_insis
 def test_a_plan_for_a_filter_is_slower_where_it_would_act(cover, tmp_path, capsys):
     output = tmp_path / "p.plan.npz"
     words = ["--start", "-1.5 0.5 0.5", "--goal", "-0.35 0.4 0.5", "-f"]
-    assert plan(cover, output, *words) == 0
+    assert plan(cover, output, *words, "--filter", "none") == 0  # in a cover, by velocities as well
     fastest = read_artifact(output, PLAN).manifest
-    assert plan(cover, output, *words, "--filter", "polytope-cbf") == 0
+    assert plan(cover, output, *words) == 0
     manifest = read_artifact(output, PLAN).manifest
-    assert manifest.parameters["filter"] == "polytope-cbf"
+    assert (manifest.parameters["filter"], manifest.parameters["interface"]) == ("polytope-cbf", "velocity")
     assert manifest.summary["duration_s"] > 1.2 * fastest.summary["duration_s"]
     assert manifest.limits == fastest.limits
     assert "notes" not in manifest.summary
     assert run(["verify", str(output), "--map", str(cover)]) == 0
-    assert plan(cover, output, *words, "--filter", "none") == 0
-    assert read_artifact(output, PLAN).manifest.summary == fastest.summary
+    assert plan(cover, output, *words, "--filter", "polytope-cbf") == 0
+    assert read_artifact(output, PLAN).manifest.summary == manifest.summary
     capsys.readouterr()
     assert plan(cover, tmp_path / "q.plan.npz", *words, "--filter", "nonsense") == 2
     assert "--filter nonsense: no filter is called 'nonsense'" in capsys.readouterr().err
+    assert not (tmp_path / "q.plan.npz").exists()
+
+
+def test_a_built_in_vehicle_is_named_and_an_unknown_one_is_told(cover, tmp_path, capsys):
+    words = ["--start", "-1.5 0.5 0.5", "--goal", "-1.5 2 0.5"]
+    named, file = tmp_path / "named.plan.npz", tmp_path / "file.plan.npz"
+    assert plan(cover, named, *words, "--vehicle", "crazyflie21") == 0
+    assert plan(cover, file, *words, "--vehicle", str(VEHICLES / "crazyflie21.toml")) == 0
+    one, other = read_artifact(named, PLAN), read_artifact(file, PLAN)
+    assert (one["coefficient"] == other["coefficient"]).all()
+    assert one.manifest.vehicle == "crazyflie21"
+    assert [ref.role for ref in one.manifest.inputs] == ["cover"]
+    capsys.readouterr()
+    assert plan(cover, tmp_path / "q.plan.npz", *words, "--vehicle", "crazyfly") == 3
+    assert (
+        "crazyfly: no such file, and no built-in vehicle; these are crazyflie21, " in capsys.readouterr().err
+    )
     assert not (tmp_path / "q.plan.npz").exists()
 
 

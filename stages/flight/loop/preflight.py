@@ -296,7 +296,8 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
     holds = sideways <= needs.near_m and _MIN_CLIMB_M <= away[2] <= HIGHEST_M
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
     allowed = f"at most {needs.near_m:g} m sideways, {_MIN_CLIMB_M:g} to {HIGHEST_M:g} m above"
-    return Verdict("start", holds, f"{words}; {allowed}")
+    advice = "" if holds else "; move the vehicle, or say by --origin where the map's origin is in its frame"
+    return Verdict("start", holds, f"{words}; {allowed}{advice}")
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:

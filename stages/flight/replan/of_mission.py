@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.flight_defaults import planned_interface
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.flight.mission import Mission
 from alula.stages.flight.replan.process import Planner, PlannerProcess
@@ -80,11 +81,9 @@ def _has_more(plan: Artifact) -> bool:
 
 
 def _interface(mission: Mission) -> dict[str, str]:
-    """What the vehicle is commanded by, as a parameter of `plan`; none of its own for body rates."""
-    if not mission.is_splat:
-        return {"interface": "velocity"}
-    kind = filter_kind(mission.config.filter)
-    return {"interface": "acceleration"} if kind == "acceleration" else {}
+    """What the vehicle is commanded by, as a parameter of `plan`."""
+    roles = ("scene",) if mission.is_splat else ("cover",)
+    return {"interface": planned_interface([mission.config.filter], filter_kind, roles)}
 
 
 def maps_of(mission: Mission) -> dict[str, Artifact]:

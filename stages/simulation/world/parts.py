@@ -13,6 +13,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS
+from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
@@ -20,7 +21,7 @@ from alula.schemas.world import WorldScenario, decoded
 from alula.schemas.world_check import refusal
 from alula.schemas.world_defaults import completed, vehicle_of
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.filtering.registry import NO_FILTER, filter_kind
+from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.simulation.pairs import Pairs
@@ -198,7 +199,7 @@ def behind_filters(
     names = [name.strip() for name in (config.filter or NO_FILTER).split(",")]
     maps = {"cover": cover, "scene": scene, "seen": within}
     level = {"sigma": config.sigma, "confidence": config.confidence, "inflation_m": config.inflation_m}
-    is_followed = vehicle.model == "quadrotor" and config.interface != "body-rates"
+    is_followed = vehicle.model == "quadrotor" and config.interface not in (None, "body-rates")
     followed = {"interface": config.interface} if is_followed else {}
     tree = {
         "vehicle": {"file": vehicle.name} | followed,
