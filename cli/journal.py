@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NoReturn, Protocol, TypeVar
 
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
@@ -55,24 +55,21 @@ class JournalFile(Generic[J]):
         self._is_quiet = common.quiet
         self._may_write = not common.dry_run
         self._wanted: Provenance | None = None
+        self._stopped: Callable[[KeyboardInterrupt], NoReturn] | None = None
 
     def begin(self, wanted: Provenance) -> None:
-        """Set the provenance of the output that is to be made; call this before `kept`.
+        """Set the provenance of the output; call this before `kept`, both within `until_written`.
 
         Args:
             wanted: the provenance.
         """
         self._wanted = wanted
 
-    @contextmanager
-    def kept(self, progress: Progress) -> Iterator[tuple[J, Progress]]:
-        """Context with the journal to use, and a progress callback that also writes the file when due.
+    def kept(self, progress: Progress) -> tuple[J, Progress]:
+        """The journal to use, and a progress callback that also writes the file when due.
 
         Args:
             progress: the callback to wrap.
-
-        Raises:
-            InterruptedWithAdvice: the command was interrupted, and the file allows it to continue.
         """
         assert self._wanted is not None
         wanted, journal = self._wanted, self._continued(self._wanted)
@@ -93,16 +90,31 @@ class JournalFile(Generic[J]):
             if time.monotonic() >= due:
                 write()
 
-        try:
-            yield journal, watched
-        except KeyboardInterrupt as interruption:
+        def stopped(interruption: KeyboardInterrupt) -> NoReturn:
             if time.monotonic() - start >= MIN_RUN_S:
                 write()
             if written == 0:
-                raise
+                raise interruption
             raise InterruptedWithAdvice(
                 f"the same command continues from {self._path.name}, {written:,} {self._kind.done}"
             ) from interruption
+
+        self._stopped = stopped
+        return journal, watched
+
+    @contextmanager
+    def until_written(self) -> Iterator[None]:
+        """Context of all work up to the written output; when it is interrupted, the file is written.
+
+        Raises:
+            InterruptedWithAdvice: the command was interrupted, and the file allows it to continue.
+        """
+        try:
+            yield
+        except KeyboardInterrupt as interruption:
+            if self._stopped is None:
+                raise
+            self._stopped(interruption)
 
     def remove(self) -> None:
         """Remove the file when it belongs to the output that now exists, or is damaged."""

@@ -67,8 +67,8 @@ def merge_to_file(
         found = read()
         plan = _plan(config, found, scheduler)
         if plan is None:
-            with journal.kept(progress) as (measured, watched):
-                return merge(config, _whole(found), jobs=common.jobs, progress=watched, journal=measured)
+            measured, watched = journal.kept(progress)
+            return merge(config, _whole(found), jobs=common.jobs, progress=watched, journal=measured)
         if len(plan.regions) > 1:
             raise UsageError(
                 f"{source}: its cover has {len(plan.regions)} parts that are not joined; give a folder,"
@@ -81,7 +81,8 @@ def merge_to_file(
             )
         return cover
 
-    run_stage(common, COVER, config, {"source": source}, build, begin=begin)
+    with journal.until_written():
+        run_stage(common, COVER, config, {"source": source}, build, begin=begin)
     journal.remove()
     for provenance in wanted:
         if not common.dry_run:

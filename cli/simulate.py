@@ -142,29 +142,30 @@ def _fly(
         note = mission.note_of_map(read["plan"].manifest, provenance.inputs) if "plan" in read else None
         kept.begin(provenance)
         start = time.monotonic()
-        with kept.kept(progress) as (journal, watched):
-            already = len(journal)
-            try:
-                flown = simulate_world(
-                    scenario,
-                    mission.vehicle,
-                    **read,
-                    tiles=tiles,
-                    pairs=mission.pairs,
-                    journal=journal,
-                    jobs=common.jobs,
-                    scheduler=scheduler,
-                    progress=watched,
-                )
-            except UsageError as error:
-                is_key = "`$." in str(error)
-                raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
+        journal, watched = kept.kept(progress)
+        already = len(journal)
+        try:
+            flown = simulate_world(
+                scenario,
+                mission.vehicle,
+                **read,
+                tiles=tiles,
+                pairs=mission.pairs,
+                journal=journal,
+                jobs=common.jobs,
+                scheduler=scheduler,
+                progress=watched,
+            )
+        except UsageError as error:
+            is_key = "`$." in str(error)
+            raise UsageError(f"{source}: {error}" if is_key else str(error)) from error
         timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
         flown.notes.extend([note] if note is not None else [])
         summary = mission.summary_of(flown, provenance, read.get("cover"))
         return lambda: write_flights(common.output, provenance, flown, summary, timing, read), summary
 
-    run(common, RUN_SCHEMA, RUN_VERSION, mission.parameters, mission.paths, make, seed=mission.seed)
+    with kept.until_written():
+        run(common, RUN_SCHEMA, RUN_VERSION, mission.parameters, mission.paths, make, seed=mission.seed)
     kept.remove()
     if not common.dry_run:
         from alula.schemas.run import read_run

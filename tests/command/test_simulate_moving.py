@@ -244,6 +244,24 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 640
 
 
+@pytest.mark.parametrize("where", ["simulate.write_flights", "missions.Mission.summary_of"])
+def test_an_interruption_after_the_last_flight_keeps_all_flights(here, where, monkeypatch, capsys):
+    monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
+    words = [*WORDS, "--trials", "20"]
+
+    def stopping(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(f"alula.cli.{where}", stopping)
+        assert run(words) == 130
+    assert "the same command continues from r.run.mcap.journal, 20 trials" in capsys.readouterr().err
+    assert not Path("r.run.mcap").exists()
+    assert run(words) == 0
+    assert record().timing["trials_flown"] == 0
+    assert not JOURNAL.exists()
+
+
 @pytest.mark.every(2)
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_run_that_is_killed_loses_little(here, name):
