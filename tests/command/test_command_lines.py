@@ -40,7 +40,7 @@ ELSEWHERE = (
     ),
     (r"^(cat|cd|eval|source|\.) ", "of the shell"),
     (r"^(\./waf|Tools/\S+|~/\S+) ", "builds or starts an autopilot"),
-    (r"^make px4_sitl ", "builds PX4"),
+    (r"^make px4_sitl_sih ", "builds PX4"),
     (r"^make CRAZYFLIE_BASE=", "builds the firmware of a Crazyflie, from its sources"),
     (r"^make upload ", "writes to a board"),
 )
