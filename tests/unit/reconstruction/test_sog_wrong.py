@@ -155,7 +155,7 @@ def test_only_what_is_sog_is_recognised(tmp_path):
         read_splats(folder(tmp_path / "a", {"meta.json": b'{"means": 3}'}))
     for raw in (b"{}", b"[]", b"{ broken", zipped([("x", b"y")])):
         (tmp_path / "x.json").write_bytes(raw)
-        with pytest.raises(ArtifactError, match="not a splat file"):
+        with pytest.raises(ArtifactError, match=r"not a splat file|a ZIP archive with x"):
             read_splats(tmp_path / "x.json")
 
 

@@ -184,7 +184,7 @@ def test_the_alignment_scales_the_loss_of_centres_and_adds_its_own_rounding(far)
     scene = a_scene(*gaussians(rng, 9), loss)
     similarity = scale_only(3.3)
     similarity.translation_m[0] = far + 1 / 3
-    again = scale_align(ScaleAlignConfig(), scene, similarity, 0)
+    again = scale_align(ScaleAlignConfig(rescale=True, map_origin=(0.0, 0.0, 0.0)), scene, similarity, 0)
     exact = 3.3 * scene["mean"].astype(float) + [far + 1 / 3, 0, 0]
     moved = np.linalg.norm(again["mean"] - exact, axis=1)
     least = 3.3 * loss.bound[:, 0].astype(float) + moved
