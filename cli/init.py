@@ -75,5 +75,5 @@ def command(
     for name, sentence in chosen.assumed.items():
         echo(f"  {name:<11} {sentence}")
     if chosen.is_scale_assumed:
-        echo(f"note: 1 unit is ASSUMED to be 1 m: {LEARN_SCALE}", err=True)
+        echo(f"note: 1 unit is ASSUMED to be {chosen.scale:g} m: {LEARN_SCALE}", err=True)
     echo(f"next: make -C {folder}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -15,8 +14,6 @@ from alula.cli.project_files import MAKEFILE, README, SCENARIO
 from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from alula.cli.library.results import Cover, Scene
     from alula.stages.reconstruction.look import Up
 
@@ -25,10 +22,8 @@ MOST_VOXELS = 100_000  # of the chosen size: minutes of `merge`
 FINEST_M = 0.05  # a third of the radius of the default vehicle [m]
 _EDGES = 100  # voxels along the diagonal of a small thing, which may then be finer
 _SIZES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # times a power of ten
-_BEYOND_M = 1.0  # around a place that was not cropped, in which flights may go around it [m]
-_CANDIDATES = 12  # free points
-_TRIES = 8  # pairs of them
-_RISE_M = (1.0, 0.7, 0.5, 0.3, 0.0)  # from where the rehearsed vehicle stands to the start of the plan [m]
+_BEYOND_M = 1.5  # around a thing without free space in its box, where flights go around it [m]
+_WIDE, _HIGH = 4.0, 1.5  # extents of a scene of unknown scale in which the default vehicle has room [m]
 
 _LEAST = 20  # Gaussians of a scene
 _KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
@@ -49,10 +44,11 @@ class Choices:
         aligning: options of `scale-align`.
         voxelizing: options of `voxelize` besides the size.
         size_m: of a voxel [m].
-        bounds_m: box that flights stay in [m].
+        beyond_m: distance around the mapped box that is assumed to be free [m].
         start_m, goal_m: of the plan [m].
         stand_m: where the rehearsed vehicle stands before it takes off [m].
         assumed: sentences by subject.
+        scale: metres per unit.
         is_scale_assumed: nobody gave the scale.
     """
 
@@ -60,12 +56,23 @@ class Choices:
     aligning: str
     voxelizing: str
     size_m: float
-    bounds_m: tuple[float, ...]
+    beyond_m: float
     start_m: tuple[float, ...]
     goal_m: tuple[float, ...]
     stand_m: tuple[float, ...]
     assumed: dict[str, str]
+    scale: float
     is_scale_assumed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """Start and goal of a plan, where the vehicle stands before it, and what is assumed to be free [m]."""
+
+    start_m: tuple[float, ...]
+    goal_m: tuple[float, ...]
+    stand_m: tuple[float, ...]
+    beyond_m: float
 
 
 def folder_of(splat: Path, output: Path | None) -> Path:
@@ -140,22 +147,25 @@ def look(
             f"1 unit is {scale:g} m, as given; all that is shown is {height * scale:.3g} m high"
         )
     else:
-        scale = 1.0
+        scale = _roomy(scene, height)
         assumed["scale"] = (
-            f"ASSUMED, not known: 1 unit is 1 m, so that all that is shown is {height:.3g} m high"
+            f"ASSUMED, not known: 1 unit is {scale:g} m, so that all that is shown is {height * scale:.3g} m "
+            "high"
         )
+        if scale != 1:
+            assumed["scale"] += (
+                f"; at 1 m a unit it would be {height:.3g} m high, too small for the vehicle to fly in"
+            )
     metric, aligning = _aligned(scene, upward, scale, assumed)
     box = crop_of(metric.mean)
     voxelizing = ""
     fields: dict[str, Any] = {}
-    low, high = metric.mean.min(axis=0) - _BEYOND_M, metric.mean.max(axis=0) + _BEYOND_M
     if box is not None and (box[1] - box[0]).min() >= 6 * _KEEP_M:
         crop = _rounded((*box[0], *box[1]))
-        low, high = box[0] + _KEEP_M, box[1] - _KEEP_M
         voxelizing, fields["crop"] = "--crop " + " ".join(map(repr, crop)), crop
         assumed["crop"] = (
             f"nothing beyond the box {_words(crop)} m counts as an obstacle; {1 - box[2]:.1%} of the "
-            f"Gaussians are outside. Flights stay {_KEEP_M:g} m inside of it"
+            f"Gaussians are outside"
         )
     else:
         assumed["crop"] = "none; the Gaussians lie close enough together"
@@ -167,15 +177,19 @@ def look(
         f"longer (make VOXEL=...)"
     )
     cover = merge(voxels, hulls=HULLS, jobs=jobs)
-    bounds = _rounded((*low, *high))
-    start, goal, stand = _ends(cover, bounds, jobs)
-    assumed["start, goal"] = (
-        f"{_words(start)} and {_words(goal)} m, two free points far apart with a way between them"
+    grown = cover.artifact.manifest.conservativeness  # type: ignore[attr-defined]
+    assumed["hulls"] = (
+        f"{HULLS}, with {grown:.3g} times the volume of the voxels; more of them are tighter (make HULLS=...)"
     )
-    assumed["vehicle"] = "a quadrotor of radius 0.15 m with a margin of 0.1 m, at most 1 m/s"
+    is_known = metres_per_unit is not None or height_m is not None
+    way = _ends(cover, scale, assumed, is_scale_known=is_known, jobs=jobs)
+    assumed["vehicle"] = (
+        "of the plan and its rehearsal a quadrotor of radius 0.15 m with a margin of 0.1 m, at most 1 m/s; "
+        "the simulated flights move a point of the same radius by velocities, which polytope-cbf filters"
+    )
     return Choices(
-        importing, aligning, voxelizing, size, bounds, start, goal, stand, assumed,
-        metres_per_unit is None and height_m is None,
+        importing, aligning, voxelizing, size, way.beyond_m, way.start_m, way.goal_m, way.stand_m, assumed,
+        scale, not is_known,
     )  # fmt: skip
 
 
@@ -209,8 +223,7 @@ def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> No
         "SIZE": f"{chosen.size_m:g}",
         "HULLS": str(HULLS),
         "TRIALS": str(trials),
-        "BOUNDS": " ".join(map(repr, chosen.bounds_m)),
-        "BOX": ", ".join(map(repr, chosen.bounds_m)),
+        "BEYOND": f"{chosen.beyond_m:g}",
         "START": " ".join(map(repr, chosen.start_m)),
         "GOAL": " ".join(map(repr, chosen.goal_m)),
         "STAND": ",".join(map(repr, chosen.stand_m)),
@@ -308,6 +321,16 @@ def _aligned(scene: Scene, up: Up, scale: float, assumed: dict[str, str]) -> tup
     return found, f"{words} --floor"
 
 
+def _roomy(scene: Scene, height: float) -> float:
+    """Metres per unit of a scene of unknown scale: 1, or the next round number at which the vehicle fits."""
+    import numpy as np
+
+    width = float(np.sort(np.ptp(np.percentile(scene.mean, (1, 99), axis=0), axis=0))[-1])
+    least = max(_WIDE / max(width, 1e-6), _HIGH / max(height, 1e-6))
+    rounds = (digit * 10.0**power for power in range(7) for digit in (1, 2, 5))
+    return next((each for each in rounds if each >= least), 1.0)
+
+
 def _size(scene: Scene, finest_m: float, fields: dict[str, Any], jobs: int) -> float:
     """Smallest size of voxels, at least `finest_m`, of which there are at most `MOST_VOXELS`."""
     from alula.cli.library.verbs import voxelize
@@ -340,64 +363,41 @@ def _at(step: int) -> float:
     return float(f"{_SIZES[digit] * 10.0**power:.2g}")
 
 
-def _ends(
-    cover: Cover, bounds: tuple[float, ...], jobs: int
-) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Start and goal of a plan that exists, and where the vehicle can stand below the start."""
-    import numpy as np
+def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known: bool, jobs: int) -> _Way:
+    """Start, goal and place to stand of a plan that exists; around the map where there is no way in it."""
+    import dataclasses
 
-    from alula.cli.library.verbs import plan
     from alula.schemas.configs.plan import PlanConfig
+    from alula.stages.planning.ends import ends_of
     from alula.stages.planning.plan import resolve_plan
     from alula.stages.planning.space import plan_space
 
-    space = plan_space(resolve_plan(PlanConfig()), cover=cover.artifact, jobs=jobs)
-    points = None
-    for count in (_CANDIDATES, 4, 2):
-        try:
-            points = cover.free_points(count, bounds=bounds, jobs=jobs)
-            break
-        except InfeasibleError:
-            continue
-    if points is None:
-        raise InfeasibleError(
-            f"no free space was found for a ball of {space.keep_m:g} m; is the scale right "
-            "(--metres-per-unit)?"
-        )
-    rises = [_rise(space, point, bounds) for point in points]
-    pairs = sorted(
-        itertools.permutations(range(len(points)), 2),
-        key=lambda pair: (
-            rises[pair[0]] == 0.0,
-            -float(np.linalg.norm((points[pair[0]] - points[pair[1]])[:2])),
-        ),
-    )
+    config = resolve_plan(PlanConfig(interface="velocity"))
+    space = plan_space(config, cover=cover.artifact, jobs=jobs)
     failure: InfeasibleError | None = None
-    for a, b in pairs[:_TRIES]:
-        start, goal = _rounded(points[a]), _rounded(points[b])
+    for beyond in (0.0, _BEYOND_M):
         try:
-            plan(cover, start=start, goal=goal, bounds=bounds, jobs=jobs)
+            own = dataclasses.replace(config, beyond_map_m=beyond)
+            found = ends_of(own, space, cover.artifact, jobs=jobs)
         except InfeasibleError as error:
             failure = error
             continue
-        return start, goal, _rounded((start[0], start[1], start[2] - rises[a]))
-    raise InfeasibleError(f"no way between free points was found: {failure}")
-
-
-def _rise(space: Any, point: np.ndarray[Any, Any], bounds: tuple[float, ...]) -> float:
-    """Largest of the heights by which a vehicle can rise to a point and stay clear [m]."""
-    import numpy as np
-
-    for rise in _RISE_M:
-        below = point - [0.0, 0.0, rise]
-        if (
-            below[2] >= bounds[2]
-            and space.map.is_clear(
-                np.ascontiguousarray(below[None]), np.ascontiguousarray(point[None]), space.keep_m
-            ).all()
-        ):
-            return rise
-    return 0.0
+        words = "two free points far apart with a way between them"
+        if beyond:
+            words += (
+                f", around what was captured: ASSUMED, not known, is that nothing is within {beyond:g} m of "
+                "the box around it"
+            )
+        if not found.is_plain:
+            words += "; not both are 0.5 to 2 m above the ground with room above them"
+        assumed["start, goal"] = f"{_words(found.start)} and {_words(found.goal)} m, {words}"
+        return _Way(found.start, found.goal, found.stand, beyond)
+    low, high = space.box() or (0.0, 0.0)
+    extent = " x ".join(f"{x:.3g}" for x in high - low)
+    raise InfeasibleError(
+        f"{failure}; the map is {extent} m at {scale:g} m a unit, and the vehicle with its margin "
+        f"{2 * _KEEP_M:g} m wide{'' if is_scale_known else ': is the scale right (--metres-per-unit)?'}"
+    )
 
 
 def _rounded(values: Any) -> tuple[float, ...]:

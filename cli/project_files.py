@@ -10,7 +10,8 @@ VOXEL ?= @SIZE@
 HULLS ?= @HULLS@
 TRIALS ?= @TRIALS@
 SEED ?= 0
-BOUNDS := @BOUNDS@
+# Distance around the map in which space is assumed to be free [m].
+BEYOND := @BEYOND@
 OUT := out
 
 .PHONY: all verify plan simulate fly-rehearsal clean FORCE
@@ -46,7 +47,8 @@ $(OUT)/map.certificate.json: $(OUT)/map.cover.npz $(OUT)/map.voxels.npz $(OUT)/m
 	$(ALULA) verify -f $< --voxels $(OUT)/map.voxels.npz --scene $(OUT)/metric.scene.npz -o $@
 
 $(OUT)/path.plan.npz: $(OUT)/map.cover.npz
-	$(ALULA) plan -f $< -o $@ --start @START@ --goal @GOAL@ --bounds $(BOUNDS)
+	$(ALULA) plan -f $< -o $@ --start @START@ --goal @GOAL@ --beyond-map $(BEYOND) \\
+		--interface velocity
 
 # The plan, flown behind a safety filter.
 $(OUT)/path.run.mcap: $(OUT)/path.plan.npz $(OUT)/map.cover.npz $(OUT)/metric.scene.npz
@@ -85,7 +87,7 @@ scene = "out/metric.scene.npz"
 
 [mission]
 kind = "pairs"
-bounds_m = [@BOX@]
+beyond_map_m = @BEYOND@
 
 [safety]
 filters = ["polytope-cbf"]
