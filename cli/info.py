@@ -43,7 +43,7 @@ def command(file: Path | Address, limits: Limits, json: bool, quiet: bool, verbo
     with _local(file, limits.most_bytes, sha256) as path:
         facts, error = _explain(path)
         name = file.name if isinstance(file, Path) else str(file)
-        facts = {"file": printable(name), "bytes": size_of(path), "whole": error is None, **facts}
+        facts = {"file": printable(name), "bytes": size_of(path), "undamaged": error is None, **facts}
         if "damage" in facts:
             facts["damage"] = facts["damage"].replace(str(path), str(file))
         if json:

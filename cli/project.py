@@ -23,6 +23,7 @@ FINEST_M = 0.05  # a third of the radius of the default vehicle [m]
 _EDGES = 100  # voxels along the diagonal of a small thing, which may then be finer
 _SIZES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # times a power of ten
 _BEYOND_M = 1.5  # around a thing without free space in its box, where flights go around it [m]
+_ROOMY = 2.0  # extent of a map below which it is hardly larger than the vehicle [m]
 _WIDE, _HIGH = 4.0, 1.5  # extents of a scene of unknown scale in which the default vehicle has room [m]
 
 _LEAST = 20  # Gaussians of a scene
@@ -388,6 +389,9 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
                 f", around what was captured: ASSUMED, not known, is that nothing is within {beyond:g} m of "
                 "the box around it"
             )
+            low, high = space.box() or (0.0, 0.0)
+            if float((high - low).max()) < _ROOMY:
+                words += "; it is hardly larger than the vehicle: is the scale right?"
         if not found.is_plain:
             words += "; not both are 0.5 to 2 m above the ground with room above them"
         assumed["start, goal"] = f"{_words(found.start)} and {_words(found.goal)} m, {words}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container, Iterable
 from contextlib import suppress
 from typing import Any
@@ -31,7 +32,15 @@ def settings_of(words: Iterable[str], texts: Container[str] = ()) -> dict[str, A
 
 
 def _value_of(path: str, text: str) -> Any:
-    """An integer, a number, a list with commas, true or false, else the text."""
+    """An integer, a number, a list with commas, in brackets or not, true or false, else the text."""
+    if text.startswith("[") and text.endswith("]"):
+        inner = text[1:-1].strip()
+        if "[" not in inner:
+            return [_value_of(path, part.strip()) for part in inner.split(",")] if inner else []
+        rows = re.fullmatch(r"\[[^\[\]]*\](\s*,\s*\[[^\[\]]*\])*", inner)
+        if rows is None:
+            raise UsageError(f"--set {path}: {text!r} is neither a list nor a list of lists")
+        return [_value_of(path, row) for row in re.findall(r"\[[^\[\]]*\]", inner)]
     if "," in text:
         return [_value_of(path, part) for part in text.split(",")]
     if text in ("true", "false"):

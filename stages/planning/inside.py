@@ -181,14 +181,13 @@ def _enclosed_on(blocked: NDArray[np.bool_]) -> FloatArray:
         axis = int(np.flatnonzero(way)[0])
         turned, rest = np.moveaxis(blocked, axis, 0), np.delete(way, axis)
         layers = range(len(turned)) if way[axis] < 0 else range(len(turned) - 1, -1, -1)
-        met = np.zeros_like(turned)
+        ends = np.zeros_like(turned)  # where a way, without its first point, comes to a blocked one
         before: NDArray[np.bool_] | None = None
         for layer in layers:
-            met[layer] = turned[layer]
             if before is not None:
-                met[layer] |= _moved(before, *rest)
-            before = met[layer]
-        count += np.moveaxis(met, 0, axis)
+                ends[layer] = _moved(before, *rest)
+            before = turned[layer] | ends[layer]
+        count += np.moveaxis(ends, 0, axis)
     share: FloatArray = count / len(_WAYS)
     return share
 

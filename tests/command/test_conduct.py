@@ -100,7 +100,7 @@ def test_json_is_one_object_whatever_happens(here, capsys):
     raw = (here / "a.scene.npz").read_bytes()
     (here / "a.scene.npz").write_bytes(raw[:-90])
     assert run(["info", "a.scene.npz", "--json"]) == 3
-    assert json.loads(capsys.readouterr().out)["whole"] is False
+    assert json.loads(capsys.readouterr().out)["undamaged"] is False
     assert run(["info", "--", "--json"]) == 3
     assert capsys.readouterr().out == ""
 

@@ -48,7 +48,7 @@ def plain(path: Path, capsys, code=0) -> str:
 
 def test_every_kind_of_artifact_is_explained(folder, capsys):
     facts, _ = info(folder / "a.cover.npz", capsys)
-    assert (facts["kind"], facts["version"], facts["whole"]) == ("alula/cover", "1.1", True)
+    assert (facts["kind"], facts["version"], facts["undamaged"]) == ("alula/cover", "1.1", True)
     assert facts["measured"]["hulls"] == 1
     assert facts["measured"]["half-planes"] == 6
     assert facts["measured"]["upper"] == pytest.approx([0.45, 0.2, 0.1])
@@ -154,7 +154,7 @@ def test_a_truncated_artifact_is_explained_as_far_as_it_goes(folder, capsys):
         facts, error = info(path, capsys, code=3)
         assert len(error.strip().splitlines()) == 1
         assert path.name in error
-        assert facts.get("exit_code") == 3 or facts["whole"] is False
+        assert facts.get("exit_code") == 3 or facts["undamaged"] is False
         if size >= end_of_manifest:
             assert facts["kind"] == "alula/cover"
             assert facts["arrays"]["vertex"]["shape"] == [8, 3]

@@ -12,8 +12,10 @@ import pytest
 import alula
 from alula.cli.main import run
 from alula.cli.project import LEARN_SCALE
+from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InputError
 from alula.schemas.world import read_world
+from alula.stages.planning.space import plan_space
 from support.doc_files import write_garden
 from support.pipeline import COLUMNS
 
@@ -171,9 +173,39 @@ def test_the_library_names_the_file_of_which_nothing_is_left(tmp_path):
         alula.import_splat(tmp_path / "dot.ply", min_opacity=0.5)
 
 
+def test_start_and_goal_are_at_a_comfortable_height_with_room_above(project):
+    """The garden's lawn is the floor; nothing is above either end within half a metre."""
+    made = re.search(r"--start ([-\d. ]+?) --goal ([-\d. ]+?) --", (project / "Makefile").read_text())
+    ends = np.array([[float(x) for x in words.split()] for words in made.groups()])
+    assert ((ends[:, 2] >= 0.5) & (ends[:, 2] <= 2.5)).all()
+    cover = alula.read(project / "out/map.cover.npz")
+    space = plan_space(PlanConfig(radius_m=0.25), cover.artifact)
+    assert space.map.is_clear(ends, ends + np.array((0, 0, 0.5)), 0.25).all()
+    assert not (project / "scenario.toml").read_text().count("bounds_m")
+
+
+def test_a_scene_too_small_for_the_vehicle_is_assumed_to_be_larger_and_this_is_said(tmp_path, capsys):
+    write_garden(tmp_path / "garden.ply")
+    assert run(["init", str(tmp_path / "garden.ply"), "-o", str(tmp_path / "a"), "--height", "0.05"]) == 0
+    assert "it is hardly larger than the vehicle: is the scale right?" in capsys.readouterr().out
+    rows = (tmp_path / "garden.ply").read_bytes().split(b"end_header\n")
+    small = np.frombuffer(rows[1], [(name, "<f4") for name in COLUMNS]).copy()
+    for axis in range(3):
+        small["xyz"[axis]] *= 0.05
+        small[f"scale_{axis}"] += np.log(0.05).astype(np.float32)
+    (tmp_path / "small.ply").write_bytes(rows[0] + b"end_header\n" + small.tobytes())
+    assert run(["init", str(tmp_path / "small.ply"), "-o", str(tmp_path / "b")]) == 0
+    printed = capsys.readouterr()
+    found = re.search(
+        r"1 unit is (\d+) m, .*; at 1 m a unit it would be [\d.]+ m high, too small", printed.out
+    )
+    assert found is not None
+    assert f"1 unit is ASSUMED to be {found[1]} m" in printed.err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("splat", REAL)
-def test_a_real_splat_becomes_a_report_without_a_question(splat, data, tmp_path, capsys):
+def test_a_real_splat_becomes_a_report_and_a_rehearsal_without_a_question(splat, data, tmp_path, capsys):
     folder = tmp_path / "project"
     assert run(["init", str(data / splat), "-o", str(folder), "--trials", "5"]) == 0, capsys.readouterr().err
     done = make(folder)
@@ -184,3 +216,6 @@ def test_a_real_splat_becomes_a_report_without_a_question(splat, data, tmp_path,
         found = alula.read(folder / f"out/{name}.run.mcap")
         assert found.summary["static_collisions"] == 0
     assert found.summary["trials"] == 5
+    done = make(folder, "fly-rehearsal")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert alula.read(folder / "out/rehearsal.run.mcap").summary["collisions"] == 0

@@ -101,7 +101,7 @@ def test_info_explains_parts_and_finds_damage(tmp_path, parted, capsys):
     assert facts["in parts"]["elements"] == 800
     scale = np.concatenate([part["scale"] for part in open_parts(parted / "tiny.scene")])
     assert facts["in parts"]["longest semi-axis"] == pytest.approx(scale.max(), rel=1e-6)
-    assert facts["whole"] is True
+    assert facts["undamaged"] is True
     assert facts["bytes"] == sum(file.stat().st_size for file in (parted / "tiny.scene").iterdir())
     path = write_parts(tmp_path / "a.voxels", pieces(read_artifact_of(parted / "tiny.voxels"), 2))
     raw = bytearray((path / "part-00001.voxels.npz").read_bytes())
