@@ -163,7 +163,8 @@ def test_pairs_distances_and_transforms_work(demo, tmp_path):
     )
     assert align(demo, tmp_path, "--transform", str(tmp_path / "t.json"), output="t.scene.npz") == 0
     again = ["scale-align", str(tmp_path / "t.scene.npz"), "-o", str(tmp_path / "u.scene.npz"), "-q"]
-    assert run([*again, "--scale", "2"]) == 0
+    assert run([*again, "--scale", "2"]) == 4
+    assert run([*again, "--scale", "2", "--rescale"]) == 0
     assert read_artifact(tmp_path / "u.scene.npz").manifest.world_from_scene.scale == pytest.approx(6)
 
 
