@@ -279,6 +279,7 @@ def test_a_plan_that_jumps_is_refused(cover, tmp_path, capsys):
     arrays = {"time": np.array([0.0, 4.0, 8.0]), "coefficient": coefficient, "waypoint": np.zeros((2, 4))}
     common = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}}
     write_artifact(path, make_artifact(PLAN, arrays, radius_m=0.1, speed_m_s=1.0, certificate={}, **common))
-    assert run(["simulate", str(path), "--map", str(cover), "-o", str(out)]) == 3
+    insist = ["--set", "mission.allow_other_map=true"]
+    assert run(["simulate", str(path), "--map", str(cover), "-o", str(out), *insist]) == 3
     assert "the plan is no motion: at 4 s the position jumps by 0.5 after piece 0" in capsys.readouterr().err
     assert not out.exists()
