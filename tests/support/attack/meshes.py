@@ -18,7 +18,8 @@ from support.attack.outcome import Outcome
 from support.mesh_files import WRITERS, Written
 
 CLAIM = "`import-voxels` marks every voxel that a triangle or point of its file touches, and no others"
-SIZES = ("0.25", "0.2", "0.5")
+SIZES = ("0.2", "0.25", "0.5", "1", "2.5", "10", "50")
+ACROSS = 20  # voxels along the longest axis of the shapes at most, for the judge's sake
 SLACK = Fraction(1, 10**4)  # of a voxel that is marked: far above the rounding, far below a feature
 Point = list[Fraction]
 Cell = tuple[int, ...]
@@ -150,11 +151,15 @@ def compared(written: Written, index: NDArray[np.int32], level: Level) -> tuple[
 
 
 def meets(voxel: Cell, level: Level, grown: Fraction) -> bool:
-    """Whether a closed cube meets the crop."""
+    """Whether a cube shares more than its surface with the crop, grown on all sides.
+
+    Whether faces that agree in decimals touch is decided by the size as a double, and loses no point of the
+    crop: the voxel on the other side of the face is marked.
+    """
     assert level.crop is not None
     low, high = map(Fraction, level.crop[:3]), map(Fraction, level.crop[3:])
     ends = zip(voxel, low, high, strict=True)
-    return all(i * level.size <= b + grown and (i + 1) * level.size >= a - grown for i, a, b in ends)
+    return all(i * level.size < b + grown and (i + 1) * level.size > a - grown for i, a, b in ends)
 
 
 def is_tetrahedra(triangles: list[list[Point]]) -> bool:
