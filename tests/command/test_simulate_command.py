@@ -12,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from alula.cli.main import run
+from alula.cli.runner import input_ref
 from alula.schemas.artifact import make_artifact, write_artifact
 from alula.schemas.kinds import COVER, PLAN, VOXELS
 from alula.schemas.manifest import Guarantee
@@ -41,12 +42,13 @@ def write_cover(path, blocks=BLOCKS):
     return path
 
 
-def write_plan(path, start, end):
-    """Straight at constant speed for four seconds."""
+def write_plan(path, start, end, made_in):
+    """Straight at constant speed for four seconds, made in a cover."""
     coefficient = np.zeros((1, 4, 8))
     coefficient[0, :3, 0], coefficient[0, :3, 1] = start, np.subtract(end, start) / 4
     arrays = {"time": np.array([0.0, 4.0]), "coefficient": coefficient, "waypoint": np.zeros((2, 4))}
     common = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}}
+    common["inputs"] = [input_ref("cover", made_in)]
     write_artifact(path, make_artifact(PLAN, arrays, radius_m=0.1, speed_m_s=1.0, certificate={}, **common))
     return path
 
@@ -187,9 +189,10 @@ def test_a_scenario_flies_and_options_replace_its_values(cover, tmp_path, capsys
 
 
 def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsys):
-    plan = write_plan(tmp_path / "close.plan.npz", [0.95, 2.0, 1.0], [0.2, 2.0, 1.0])
+    plan = write_plan(tmp_path / "close.plan.npz", [0.95, 2.0, 1.0], [0.2, 2.0, 1.0], cover)
     out = tmp_path / "r.run.mcap"
     command = ["simulate", str(plan), "--map", str(cover), "-o", str(out)]
+    command += ["--set", "mission.beyond_map_m=1"]
     assert run(command) == 2
     assert "mission.allow_tight" in capsys.readouterr().err
     command += ["--set", "mission.allow_tight=true"]
@@ -200,8 +203,9 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
         assert "trial 0 from (0.950 2.000 1.000), 0.05 m" in error
     assert read_run(out).summary["collisions"] == 1
     # a collision without a filter is only reported
-    through = write_plan(tmp_path / "through.plan.npz", [0.2, 2.0, 1.0], [3.8, 2.0, 1.0])
+    through = write_plan(tmp_path / "through.plan.npz", [0.2, 2.0, 1.0], [3.8, 2.0, 1.0], cover)
     none = ["simulate", str(through), "--map", str(cover), "--filter", "none"]
+    none += ["--set", "mission.beyond_map_m=2"]
     assert run([*none, "-o", str(tmp_path / "n.run.mcap")]) == 0
     assert read_run(tmp_path / "n.run.mcap").trials[0].map_clearance_m == pytest.approx(-0.3, abs=1e-3)
 
@@ -240,7 +244,7 @@ def test_errors_are_one_line_and_leave_nothing(
     tmp_path, capsys, monkeypatch, cover, arguments, code, message
 ):
     monkeypatch.chdir(tmp_path)
-    plan = write_plan(tmp_path / "p.plan.npz", [0.2, 2, 1], [0.9, 2, 1])
+    plan = write_plan(tmp_path / "p.plan.npz", [0.2, 2, 1], [0.9, 2, 1], cover)
     voxels = tmp_path / "v.voxels.npz"
     arrays = {"index": np.zeros((1, 3)), "overlap": np.ones(1)}
     fields = {"voxel_size_m": 0.1, "sigma": 1.0, "min_overlap": 1, "parameters": {}, "summary": {}}

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
+from alula.cli.runner import input_ref
 from alula.schemas.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.flights import read_flights
 from alula.schemas.kinds import SCENE
@@ -35,8 +36,10 @@ def scene(tmp_path_factory):
     return path
 
 
-def write_plan(path, start=(0, 0.5, 1), goal=(3, 0.5, 1), speed=1.5, frame="world"):
-    write_artifact(path, rest_plan(start, goal, speed, frame))
+def write_plan(path, made_in, start=(0, 0.5, 1), goal=(3, 0.5, 1), speed=1.5, frame="world"):
+    plan = rest_plan(start, goal, speed, frame)
+    manifest = msgspec.structs.replace(plan.manifest, inputs=[input_ref("scene", made_in)])
+    write_artifact(path, Artifact(manifest, plan.arrays))
     return path
 
 
@@ -127,7 +130,7 @@ def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
 def test_a_map_of_many_ellipsoids_shows_those_near_the_paths(tmp_path):
     path, out = tmp_path / "many.scene.npz", tmp_path / "r.run.mcap"
     write_artifact(path, make_scene(5000, low=(-20, -20, 5), high=(20, 20, 30)))
-    plan = write_plan(tmp_path / "p.plan.npz", (0, 0, 0), (2, 0, 0))
+    plan = write_plan(tmp_path / "p.plan.npz", path, (0, 0, 0), (2, 0, 0))
     words = ["simulate", str(plan), "--map", str(path), "--filter", "none", "-o", str(out), "-q"]
     assert run(words) == 0
     (entity,) = messages(out, "/map")[0][1]["entities"]
@@ -138,7 +141,7 @@ def test_a_map_of_many_ellipsoids_shows_those_near_the_paths(tmp_path):
 
 
 def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
-    plan, out = write_plan(tmp_path / "p.plan.npz"), tmp_path / "r.run.mcap"
+    plan, out = write_plan(tmp_path / "p.plan.npz", scene), tmp_path / "r.run.mcap"
     words = [
         "simulate",
         str(plan),
@@ -283,7 +286,7 @@ def test_a_scenario_names_guide_pairs_and_solver(scene, tmp_path):
 def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
     path, out = tmp_path / "s.scene.npz", tmp_path / "r.run.mcap"
     write_artifact(path, make_scene(400, low=(1, 0, 0), high=(2, 1, 2)))
-    plan = write_plan(tmp_path / "p.plan.npz", (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
+    plan = write_plan(tmp_path / "p.plan.npz", path, (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
     words = ["simulate", str(plan), "--map", str(path), "-o", str(out)]
     assert run([*words, "--filter", "cone-di", "-q", "--set", "mission.allow_tight=true"]) == 4
     assert "1 of 1 filtered flights touched a static obstacle" in capsys.readouterr().err
@@ -391,8 +394,8 @@ def test_errors_are_one_line_and_leave_nothing(
         "SCENE": str(scene),
         "COVER": "c.cover.npz",
         "UNALIGNED": "u.scene.npz",
-        "PLAN": str(write_plan(tmp_path / "p.plan.npz")),
-        "ELSEWHERE": str(write_plan(tmp_path / "e.plan.npz", frame="other")),
+        "PLAN": str(write_plan(tmp_path / "p.plan.npz", scene)),
+        "ELSEWHERE": str(write_plan(tmp_path / "e.plan.npz", scene, frame="other")),
         "VEHICLE": str(VEHICLES / "fastbridge.toml"),
         "BAD": "bad.toml",
         "POINT": str(VEHICLES / "double-integrator.toml"),
