@@ -165,7 +165,9 @@ def _thrust(seen: Observed, needs: Needs) -> Verdict:
 
 def _position(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
-        return Verdict("state", False, "no complete and finite state was received", of_link=True)
+        lacks = seen.status.without_position
+        words = "no complete and finite state was received"
+        return Verdict("state", False, f"{words}: {lacks}" if lacks else words, of_link=True)
     state, age = seen.state, seen.state.age_s(seen.now_s)
     if not all(np.isfinite(part).all() for part in (state.position, state.velocity, state.omega)):
         return Verdict("state", False, "position, velocity or rates are not finite", of_link=True)
@@ -210,7 +212,8 @@ def _estimator(seen: Observed, needs: Needs) -> Verdict:
     ready = seen.status.is_estimator_ready
     if ready is None:
         return _unknown("estimator", "the state of its position estimate")
-    return Verdict("estimator", ready, "ready" if ready else "not ready")
+    why = seen.status.estimator
+    return Verdict("estimator", ready, "ready" if ready else f"not ready: {why}" if why else "not ready")
 
 
 def _battery(seen: Observed, needs: Needs) -> Verdict:

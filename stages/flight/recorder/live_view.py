@@ -19,6 +19,7 @@ from alula.schemas.errors import AlulaError
 from alula.schemas.text import html_text, one_line
 from alula.stages.drawing.content import Body, Content, Lines, Part, segments_of
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.flight.loop.supervisor_table import Event
 from alula.stages.flight.recorder.channels import LineSample, PlanSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
@@ -36,6 +37,7 @@ _PATH_S = 0.5  # between updates of the path
 _PATH_POINTS = 3000
 _LINES = 8  # number of messages shown
 _SILENT_S = 1.0  # without a message, after which the view says so
+_REPORTED_DISARMED = (Event.DISARMED.value, Event.LANDED_AWAY.value)  # events that need a disarmed vehicle
 _LAST_S = 0.5  # for the last words to reach the browsers
 _GAUSSIANS = 60_000
 _NOT_SHOWN = "not shown: "
@@ -130,6 +132,7 @@ class _View:
         self.pose_s = self.text_s = self.path_s = -np.inf
         self.heard_s = time.monotonic()
         self.state, self.ending = "idle", ""
+        self.is_armed = False  # as last reported
         self.plans = 0
         self.sample: TickSample | None = None
         server.gui.configure_theme(show_share_button=False, show_logo=False)
@@ -148,11 +151,15 @@ class _View:
         with self.lock:
             self.heard_s = time.monotonic()
             if kind == b"t":
-                self._tick(msgspec.msgpack.decode(body, type=TickSample))
+                sample = msgspec.msgpack.decode(body, type=TickSample)
+                self.is_armed = sample.armed
+                self._tick(sample)
             elif kind == b"s":
                 step = msgspec.msgpack.decode(body, type=StepSample)
                 self.state = step.state
                 self.ending = step.words or step.event
+                if step.event in _REPORTED_DISARMED:  # which ends the flight: no tick follows
+                    self.is_armed = False
                 self._say()
             elif kind == b"p":
                 self._plan(msgspec.msgpack.decode(body, type=PlanSample))
@@ -174,8 +181,9 @@ class _View:
             if sample is not None and sample.position is not None and sample.attitude_wxyz is not None:
                 self.vehicle.move(np.array(sample.position), np.array(sample.attitude_wxyz))
             self._path(np.inf)
-            is_armed = sample is not None and sample.armed
-            last = "the vehicle last reported that it is armed" if is_armed else "the vehicle is disarmed"
+            last = (
+                "the vehicle last reported that it is armed" if self.is_armed else "the vehicle is disarmed"
+            )
             where = self.ending or self.state
             self.text.content = self._page(f"The flight has ended: {where}; {last}. This view is closed.")
 

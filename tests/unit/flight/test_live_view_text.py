@@ -7,6 +7,7 @@ from unittest.mock import MagicMock
 import msgspec
 import pytest
 
+from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.recorder.live_view import ViewHead, _View
 from alula.stages.flight.recorder.log import LineSample, PlanSample, StepSample
 from support.flight_logs import sample
@@ -101,6 +102,19 @@ def test_the_last_words_say_how_the_flight_ended_however_lately_it_was_told():
     view.take(tick(armed=True))
     view.end()
     assert "last reported that it is armed" in Page(view.text.content).text
+
+
+@pytest.mark.parametrize("event", [Event.DISARMED, Event.LANDED_AWAY])
+def test_a_flight_that_ends_disarmed_is_not_said_to_be_armed(event):
+    view, _ = view_of()
+    view.take(tick(mode="LAND", armed=True))
+    view.take(
+        b"s" + msgspec.msgpack.encode(StepSample(9.0, "done", event.value, "a", "disarmed: it is over"))
+    )
+    view.end()
+    text = Page(view.text.content).text
+    assert "The flight has ended: disarmed: it is over; the vehicle is disarmed." in text
+    assert "last reported that it is armed" not in text
 
 
 def test_stale_positions_and_silence_are_called_so(monkeypatch):

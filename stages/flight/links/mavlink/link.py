@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -52,6 +53,8 @@ _HOVER_TAU_S = 3.0
 _OFF_GROUND_M = 0.2  # from here on its weight rests on its rotors
 _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
+_EXTERNAL = 6.0  # value of ArduPilot's parameter of the source of its position
+_NO_MESSAGE = re.compile(r"No ap_message for mavlink id \((\d+)\)")
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
 _LINK_OF_WATCHDOG = 1  # its packets are a stream of their own, whose time stamps cannot make others look old
@@ -99,6 +102,8 @@ class MavlinkLink:
         self._origin: Any = None
         self._origin_s = self._requested_s = self._streamed_s = self._sync_s = -math.inf
         self._reasons_s = -math.inf
+        self._source: float | None = None  # of its position, by its parameter
+        self._unknown: set[int] = set()  # numbers of messages that it does not have
         self._requests: dict[int, float] = {}  # time requests by their number [ns]: when they were sent [s]
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
@@ -236,6 +241,7 @@ class MavlinkLink:
         if self._hover is not None and self._state is not None and self._state is not before:
             self._learn(self._hover, self._state)
         newest_s = -math.inf if self._state is None else self._state.received_s
+        status.without_position = "" if now_s - newest_s <= _STATE_S else self._without_position(now_s)
         if now_s - newest_s > _STATE_S and now_s - self._requested_s > _REQUEST_AGAIN_S:
             self._request_intervals(now_s)
 
@@ -378,7 +384,8 @@ class MavlinkLink:
                 break
         if self._autopilot.position_source is not None:
             name, satellites = self._autopilot.position_source
-            self._telemetry.satellites.is_watched = parameters.read(name, _OPTIONAL_S) in (satellites, None)
+            self._source = parameters.read(name, _OPTIONAL_S)
+            self._telemetry.satellites.is_watched = self._source in (satellites, None)
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
         if self._autopilot.settling is not None:
@@ -428,6 +435,8 @@ class MavlinkLink:
         else:
             self._estimate.take(message, now_s)
             for text in self._telemetry.take(message, now_s):
+                if (unknown := _NO_MESSAGE.fullmatch(text)) is not None:
+                    self._unknown.add(int(unknown[1]))
                 if self._orders is not None:
                     self._orders.take_text(text, now_s)
 
@@ -488,4 +497,26 @@ class MavlinkLink:
         throttles = options.flies_rates or options.watches_throttle
         intervals = self._autopilot.intervals(options.state_rate_hz, flies_rates=throttles)
         for number, rate_hz in intervals.items():
-            self._session.send(self._interval(number, rate_hz))
+            if number not in self._unknown:
+                self._session.send(self._interval(number, rate_hz))
+        if self._origin is None and self._autopilot.position_source is not None:
+            number = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+            self._session.send(self._session.command(dialect.MAV_CMD_REQUEST_MESSAGE, (float(number),)))
+
+    def _without_position(self, now_s: float) -> str:
+        """What its position needs and lacks, in words; empty where this is not known."""
+        if self._autopilot.position_source is None:
+            return ""
+        name, satellites = self._autopilot.position_source
+        words = []
+        if self._source == _EXTERNAL and self._mocap is None:
+            words.append(f"{name} is 6, external navigation, which this command sends only with --mocap")
+        elif self._source == _EXTERNAL and not self._is_mocap_fresh(now_s):
+            words.append(f"{name} is 6, external navigation, but no poses arrive by --mocap")
+        elif self._source == 0:
+            words.append(f"{name} is 0: it has no source of positions")
+        elif self._source == satellites and not self._telemetry.satellites.has_fix:
+            words.append("its receivers of satellites report no fix")
+        if self._origin is None:
+            words.append("it has no origin of its frame (GPS_GLOBAL_ORIGIN); --mocap sets one, or a fix")
+        return "; ".join(words)

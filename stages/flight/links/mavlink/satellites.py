@@ -65,6 +65,11 @@ class Satellites:
         else:
             self._differs[kind] = self._differs.get(kind, (now_s, 0.0))[0], away
 
+    @property
+    def has_fix(self) -> bool:
+        """Whether a receiver reports a fix in three dimensions now."""
+        return any(fix >= _FIX_3D for fix in self._fixes.values())
+
     def trouble(self, now_s: float) -> str:
         """Say what is wrong; empty while fixes arrive, before the first one, and if they are not watched.
 

@@ -106,6 +106,27 @@ def test_arming_before_the_estimator_has_settled_is_refused_with_its_words():
         assert link.status.is_estimator_ready is False
 
 
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (6, "EK3_SRC1_POSXY is 6, external navigation, which this command sends only with --mocap"),
+        (0, "EK3_SRC1_POSXY is 0: it has no source of positions"),
+    ],
+)
+def test_a_vehicle_without_a_position_is_told_what_it_lacks_and_asked_once_for_what_it_does_not_have(
+    source, words
+):
+    names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+    parameters = {f"EK3_SRC1_{name}": float(source) for name in names} | {"GPS1_TYPE": 0.0}
+    with flight(served=Served(parameters=parameters)) as (_, time, link):
+        time.run(link, 12.0)
+        assert link.state is None
+        assert link.status.without_position.startswith(words)
+        assert "it has no origin of its frame (GPS_GLOBAL_ORIGIN)" in link.status.without_position
+        said = [text for text in link.status.texts if text.startswith("No ap_message")]
+        assert said == ["No ap_message for mavlink id (124)"]
+
+
 def test_when_we_are_gone_it_lands_and_a_pilots_mode_is_seen():
     with flight() as (served, time, link):
         take_off(time, link)
