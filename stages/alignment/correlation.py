@@ -8,12 +8,19 @@ Source: Patterson and Thompson 1971 (REML); Conley 1999 (covariance of least squ
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.alignment.uncertainty import Uncertainty
+from alula.stages.alignment.similarity import is_collinear, transform_points, umeyama
+from alula.stages.alignment.uncertainty import Uncertainty, uncertainty_of_points
+from alula.stages.quantiles import fisher_quantile
 
+CORRELATED = 1 / 3  # probability up to which errors count as independent
 _MIN_POINTS = 5
+_MOST_PARTS, _MIN_PART = 4, 12  # of a path whose scales are compared, and points of each
+_DISAGREE = 0.99  # probability below which parts of one similarity agree
 _MIN_FREEDOM = 4.0
 _MAX_POINTS = 150  # evenly spaced along the path; they determine the correlation
 _LENGTHS = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)  # of the extent of the path, and of the points
@@ -75,12 +82,85 @@ def with_correlation(
     odds = float(weight.mean()), float(np.exp(-top))
     probability = odds[0] / (odds[0] + odds[1])
     mean = np.einsum("k,kij->ij", weight / weight.sum(), np.array(found_covariances))
-    added = max(0.0, 1.5 * probability - 0.5) * _positive(mean - base.covariance, base.covariance)
+    added = max(0.0, (probability - CORRELATED) / (1 - CORRELATED)) * _positive(
+        mean - base.covariance, base.covariance
+    )
     covariance = base.covariance + added
     # Correlated errors are as good as fewer independent ones.
     fewer = float((np.diag(base.covariance) / np.diag(covariance)).mean())
     freedom = max(base.freedom * fewer, min(base.freedom, _MIN_FREEDOM))
     return Uncertainty(base.centre, covariance, freedom), probability
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """Scales of the parts of a path that differ by more than their errors allow.
+
+    Attributes:
+        factor: by which a covariance that assumes one similarity is too small, above 1.
+        scales: scale of each part over that of the whole.
+        sigmas: standard deviation of each.
+    """
+
+    factor: float
+    scales: tuple[float, ...]
+    sigmas: tuple[float, ...]
+
+    def warning(self) -> str:
+        """The disagreement in one sentence."""
+        parts = ", ".join(f"{s:.5g} +- {e:.2g}" for s, e in zip(self.scales, self.sigmas, strict=True))
+        return (
+            f"the parts of the path have different scales ({parts} times that of the whole): the evidence "
+            "drifts, which no single similarity describes; intervals and the position error grew by a factor "
+            f"of {self.factor**0.5:.2g}, but a place may be off by more"
+        )
+
+
+def disagreement(mapped: FloatArray, target: FloatArray, sigma: float) -> Disagreement | None:
+    """Compare the scales of consecutive parts of a path, each with its correlated errors.
+
+    Q = sum (log s_b - mean)^2 / v_b over B parts, with the mean weighted by 1 / v_b, follows (B - 1) F for
+    one similarity, and the square of the trend along the path over its variance follows F with one degree of
+    freedom. Where one exceeds its 99 % quantile, the parts disagree; covariances then grow by the larger of
+    Q / (B - 1) and the trend's square.
+    Source: Birge 1932 (consistency of measurements).
+
+    Args:
+        mapped: the source points in the target frame, in the order of their rows, shape (m, 3).
+        target: the same points as measured, shape (m, 3).
+        sigma: standard deviation of one coordinate of the target's errors.
+
+    Returns:
+        None where the parts agree, or are too few.
+    """
+    count = min(_MOST_PARTS, len(mapped) // _MIN_PART)
+    if count < 2 or not sigma > 0:
+        return None
+    logs, variances, freedoms = [], [], []
+    for rows in np.array_split(np.arange(len(mapped)), count):
+        x, y = mapped[rows], target[rows]
+        if is_collinear(x):
+            return None
+        own = umeyama(x, y)
+        moved = transform_points(own, x)
+        freedom = 3.0 * len(x) - 7.0
+        base = uncertainty_of_points(moved, sigma, freedom)
+        found, _ = with_correlation(base, moved, moved - y, sigma)
+        logs.append(np.log(own.scale))
+        variances.append(found.covariance[3, 3])
+        freedoms.append(found.freedom)
+    log, variance = np.array(logs), np.array(variances)
+    weight = 1 / variance
+    off = log - float(weight @ log) / weight.sum()
+    along = np.arange(count) - float(weight @ np.arange(count)) / weight.sum()
+    q = float(weight @ off**2) / (count - 1)
+    trend = float(weight @ (along * off)) ** 2 / float(weight @ along**2)
+    freedom = float(np.mean(freedoms))
+    if q <= fisher_quantile((count - 1, freedom), _DISAGREE) and trend <= fisher_quantile(
+        (1, freedom), _DISAGREE
+    ):
+        return None
+    return Disagreement(max(q, trend, 1.0), tuple(np.exp(log).tolist()), tuple(np.sqrt(variance).tolist()))
 
 
 def _jacobian(d: FloatArray) -> FloatArray:

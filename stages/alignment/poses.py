@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from math import comb, degrees, log, pi, radians
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.correlation import with_correlation
+from alula.stages.alignment.correlation import CORRELATED, disagreement, with_correlation
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
 from alula.stages.alignment.similarity import is_collinear, transform_points
 from alula.stages.alignment.uncertainty import (
@@ -273,6 +274,10 @@ def _evaluate(
         mapped, spread.fit, spread.freedom, information, positions_turn=turning
     )
     uncertainty, correlated = with_correlation(independent, mapped, mapped - y, spread.fit)
+    parts = disagreement(mapped, y, spread.fit) if correlated > CORRELATED else None
+    if parts is not None:
+        uncertainty = replace(uncertainty, covariance=parts.factor * uncertainty.covariance)
+        warnings.append(parts.warning())
     return Fit(
         similarity=similarity,
         inlier=inlier,

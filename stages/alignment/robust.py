@@ -7,7 +7,7 @@ Source: Fischler and Bolles 1981 (RANSAC); Torr and Zisserman 2000 (MSAC).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb, log
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.correlation import with_correlation
+from alula.stages.alignment.correlation import CORRELATED, disagreement, with_correlation
 from alula.stages.alignment.similarity import COLLINEAR, from_moments, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import (
     Uncertainty,
@@ -237,6 +237,9 @@ def _evaluate(source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_],
     mapped = transform_points(similarity, x)
     independent = uncertainty_of_points(mapped, spread.fit, spread.freedom)
     uncertainty, correlated = with_correlation(independent, mapped, mapped - y, spread.fit)
+    parts = disagreement(mapped, y, spread.fit) if correlated > CORRELATED else None
+    if parts is not None:
+        uncertainty = replace(uncertainty, covariance=parts.factor * uncertainty.covariance)
     return Fit(
         similarity=similarity,
         inlier=inlier,
@@ -250,6 +253,7 @@ def _evaluate(source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_],
             *shape_warnings(singular_values),
             *threshold_warnings(spread.error, threshold),
             *correlation_warnings(x, mapped - y),
+            *(() if parts is None else (parts.warning(),)),
         ),
     )
 

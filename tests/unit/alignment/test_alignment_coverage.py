@@ -198,3 +198,43 @@ def test_ten_thousand_correspondences_of_which_most_are_wrong(cameras):
     fit = fit_similarity(points, measured, 0.1, 0)
     assert fit.similarity.scale == pytest.approx(truth.scale, rel=1e-3)
     assert 4000 <= fit.inlier.sum() <= 4020  # gross errors may land near the truth
+
+
+def drifting(seed, growth):
+    """A path whose estimate grows along it, as one with a drifting scale: no similarity describes it."""
+    rng = np.random.default_rng([seed, 61])
+    source = on_a_path(60, rng)
+    steps = np.diff(source, axis=0) * np.linspace(1, 1 + growth, 59)[:, None]
+    target = np.concatenate([source[:1], source[0] + np.cumsum(steps, axis=0)])
+    return source, target + 0.002 * rng.normal(size=target.shape)
+
+
+def test_parts_of_a_path_that_disagree_about_the_scale_are_named():
+    source, target = drifting(19, 0.06)
+    fit = fit_similarity(source, target, 0.3, 0)
+    (said,) = (
+        warning for warning in fit.warnings if "the parts of the path have different scales" in warning
+    )
+    assert "which no single similarity describes" in said
+    low, high = fit.uncertainty.record(fit.similarity)["scale_interval"]
+    assert low < 1.0 < 1.06 < high  # the scales of its ends
+    source, target = drifting(19, 0.0)
+    fit = fit_similarity(source, target, 0.3, 0)
+    assert not any("parts of the path" in warning for warning in fit.warnings)
+
+
+def test_halves_of_euroc_estimates_do_not_contradict_each_other():
+    root = os.environ.get("ALULA_DATA")
+    if not root:
+        pytest.skip("ALULA_DATA is not set")
+    folder = Path(root) / "euroc-mav-V1_02"
+    truth = np.loadtxt(folder / "stamped_groundtruth.txt")
+    for name in ("stamped_ba_estimate0.txt", "stamped_ba_estimate1.txt"):
+        estimate = np.loadtxt(folder / name)
+        at = np.abs(truth[:, 0] - estimate[:, :1]).argmin(axis=1)
+        fits = [
+            fit_similarity(estimate[part, 1:4], truth[at[part], 1:4], 0.1, 0)
+            for part in np.array_split(np.arange(len(estimate)), 2)
+        ]
+        one, two = (fit.uncertainty.record(fit.similarity)["scale_interval"] for fit in fits)
+        assert max(one[0], two[0]) <= min(one[1], two[1])

@@ -104,6 +104,22 @@ def test_intervals_hold_the_truth_also_when_neighbours_err_alike(trials):
     assert naive < 6
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2, 9])
+def test_the_first_guess_hardly_matters_and_intervals_hold_whatever_it_is(seed):
+    truth, source, survey, _ = case(seed, lumps=0.01 if seed == 9 else 0.0)
+    found = []
+    for k in range(5):
+        first = guess(np.random.default_rng(100 + k), truth, (1, 1, 1.5, 2, 2.5)[k])
+        fit = fit_cloud(source, survey, first, 0.1, 0.3)
+        off = fit.similarity.scale / truth.scale - 1
+        sigma = float(np.sqrt(fit.uncertainty.covariance[3, 3]))
+        assert abs(off) < 2.2 * sigma
+        found.append((off, sigma))
+    off, sigma = np.array(found).T
+    assert np.ptp(off) < sigma.min()
+
+
 def test_the_overlap_is_reported():
     _, source, survey, first = case(0)
     fit = fit_cloud(source, survey, first, 0.1, 0.3)
