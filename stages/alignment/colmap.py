@@ -56,9 +56,9 @@ def read_model(folder: Path) -> Positions:
     try:
         pycolmap.logging.minloglevel = 3
         model = pycolmap.Reconstruction(str(folder))
-        names = image_names(folder, model)
+        name_of = image_names(folder, model)
         found = {
-            names[number]: (
+            name_of[number]: (
                 np.asarray(image.projection_center(), np.float64),
                 np.asarray(image.cam_from_world().rotation.matrix(), np.float64).T,
             )

@@ -103,7 +103,7 @@ def model_frame(landmarks: Landmarks, visible: Callable[[], FloatArray], min_nea
         return ModelFrame(warnings=(UNCHECKED.format(why=f"{len(centres)} Gaussians are visible"),))
     judge = _Judge(points, landmarks.cameras, centres)
     near, inside = judge.fractions(points)
-    facts = {"points": len(points), "near": near, "inside": inside, "within": NEAR}
+    facts: dict[str, Any] = {"points": len(points), "near": near, "inside": inside, "within": NEAR}
     figure = f"{near:.0%} of the 3D points have a Gaussian near"
     if inside < _INSIDE:
         figure = f"{inside:.0%} of the 3D points are in the convex hull of the splat"
