@@ -152,7 +152,7 @@ class _View:
             self.heard_s = time.monotonic()
             if kind == b"t":
                 sample = msgspec.msgpack.decode(body, type=TickSample)
-                self.is_armed = sample.armed
+                self.is_armed = bool(sample.armed)
                 self._tick(sample)
             elif kind == b"s":
                 step = msgspec.msgpack.decode(body, type=StepSample)
