@@ -32,6 +32,9 @@ Examples:
 @click.option("--metres-per-unit", type=options.FINITE_FLOAT, help="Length of a unit of the splat [m].")
 @click.option("--height", "height_m", type=options.FINITE_FLOAT, help="Height of all that is shown [m].")
 @click.option(
+    "--lod", type=options.Whole(0), help="Level of detail of a streamed splat; default: 0, the finest."
+)
+@click.option(
     "--trials", type=options.Whole(1, 100_000), default=20, show_default=True, help="Random flights."
 )
 @click.option("-o", "--output", type=options.PATH, help="Folder to write; default: the name of the splat.")
@@ -45,6 +48,7 @@ def command(
     up: str | None,
     metres_per_unit: float | None,
     height_m: float | None,
+    lod: int | None,
     trials: int,
     output: Path | None,
     jobs: int,
@@ -63,7 +67,13 @@ def command(
 
     folder = folder_of(splat, output)
     chosen: Choices = look(
-        splat, colmap=colmap, up=up, metres_per_unit=metres_per_unit, height_m=height_m, jobs=jobs
+        splat,
+        colmap=colmap,
+        up=up,
+        metres_per_unit=metres_per_unit,
+        height_m=height_m,
+        lod=lod,
+        jobs=jobs,
     )
     write_project(folder, splat, chosen, trials)
     if json:

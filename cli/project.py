@@ -15,10 +15,12 @@ from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputE
 
 if TYPE_CHECKING:
     from alula.cli.library.results import Cover, Scene
+    from alula.stages.planning.space import PlanSpace
     from alula.stages.reconstruction.look import Up
 
 HULLS = 300
 MOST_VOXELS = 100_000  # of the chosen size: minutes of `merge`
+NEEDED_M, _MOST_NEEDED = 0.1, 400_000  # a size at which doors stay open for the default vehicle [m]
 FINEST_M = 0.05  # a third of the radius of the default vehicle [m]
 _EDGES = 100  # voxels along the diagonal of a small thing, which may then be finer
 _SIZES = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # times a power of ten
@@ -106,6 +108,7 @@ def look(
     up: str | None = None,
     metres_per_unit: float | None = None,
     height_m: float | None = None,
+    lod: int | None = None,
     jobs: int = 0,
 ) -> Choices:
     """Look at a splat and choose; the map is made in memory, so that start and goal are free in it.
@@ -116,6 +119,7 @@ def look(
         up: axis that points up, such as "+z".
         metres_per_unit: scale.
         height_m: height of all that is shown, instead of the scale [m].
+        lod: level of detail of a streamed splat; the finest if None.
         jobs: threads; 0 is all processors.
 
     Raises:
@@ -134,7 +138,7 @@ def look(
         if value is not None and not (1e-6 <= value <= 1e6):
             raise UsageError(f"{name} must be between 1e-06 and 1e+06, not {value:g}")
     assumed: dict[str, str] = {}
-    scene, importing = _imported(splat, assumed)
+    scene, importing = _imported(splat, lod, assumed)
     upward = _up(scene, colmap, up, assumed)
     height = height_of(scene.mean, upward.direction)
     scale = metres_per_unit
@@ -235,34 +239,37 @@ def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> No
         write_text(folder / name, re.sub(r"@(\w+)@", lambda match: values[match[1]], text))
 
 
-def _imported(splat: Path, assumed: dict[str, str]) -> tuple[Scene, str]:
+def _imported(splat: Path, lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
-    from alula.cli.library.verbs import import_splat
+    from alula.cli.library.verbs import splats_of
+    from alula.schemas.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
-    fields: dict[str, Any] = {}
+    read = splats_of(splat, lod=lod)
+    fields: dict[str, Any] = {} if lod is None else {"lod": lod}
     try:
-        whole = import_splat(splat)
+        whole = read(ImportSplatConfig(**fields))
     except InputError as error:
         if "--drop-nan" not in str(error):
             raise
         fields["drop_nan"] = True
-        whole = import_splat(splat, drop_nan=True)
+        whole = read(ImportSplatConfig(**fields))
         if len(whole.mean) < _KEPT * whole.summary["rows"]:
             raise
     if len(whole.mean) < _LEAST:
         raise InputError(
             f"{splat}: {len(whole.mean)} Gaussians are no scene to fly in; alula info says what the file has"
         )
-    words = ["--drop-nan"] if fields else []
-    total = whole.summary["rows"] if fields else len(whole.mean)
-    removed = [f"{total - len(whole.mean):,} by --drop-nan and the minimum opacity"] if fields else []
+    is_cut = "drop_nan" in fields
+    words = ([] if lod is None else [f"--lod {lod}"]) + (["--drop-nan"] if is_cut else [])
+    total = whole.summary["rows"] if is_cut else len(whole.mean)
+    removed = [f"{total - len(whole.mean):,} by --drop-nan and the minimum opacity"] if is_cut else []
     for option, more in (
         (f"--min-opacity {FAINT:g}", {"min_opacity": FAINT}),
         ("--drop-floaters", {"drop_floaters": True}),
     ):
         try:
-            tried = import_splat(splat, **fields, **more)
+            tried = read(ImportSplatConfig(**fields, **more))
         except AlulaError:
             continue
         if len(tried.mean) >= _KEPT * total:
@@ -333,16 +340,18 @@ def _roomy(scene: Scene, height: float) -> float:
 
 
 def _size(scene: Scene, finest_m: float, fields: dict[str, Any], jobs: int) -> float:
-    """Smallest size of voxels, at least `finest_m`, of which there are at most `MOST_VOXELS`."""
+    """Smallest size of voxels, at least `finest_m`, of which there are not too many.
+
+    There are at most `MOST_VOXELS`; of the size that the vehicle needs to pass through a door, four times as
+    many.
+    """
     from alula.cli.library.verbs import voxelize
 
     step = _step_of(max(finest_m, 1e-4))
     for size in map(_at, range(step, step + 40)):
+        most = _MOST_NEEDED if size == NEEDED_M else MOST_VOXELS
         try:
-            if (
-                len(voxelize(scene, size_m=size, jobs=jobs, max_voxels=MOST_VOXELS, **fields).index)
-                <= MOST_VOXELS
-            ):
+            if len(voxelize(scene, size_m=size, jobs=jobs, max_voxels=most, **fields).index) <= most:
                 return size
         except (InputError, InfeasibleError):  # too many; refused before the work where they are far too many
             continue
@@ -389,19 +398,23 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
                 f", around what was captured: ASSUMED, not known, is that nothing is within {beyond:g} m of "
                 "the box around it"
             )
-            low, high = space.box() or (0.0, 0.0)
-            if float((high - low).max()) < _ROOMY:
+            if max(_extent(space)) < _ROOMY:
                 words += "; it is hardly larger than the vehicle: is the scale right?"
         if not found.is_plain:
             words += "; not both are 0.5 to 2 m above the ground with room above them"
         assumed["start, goal"] = f"{_words(found.start)} and {_words(found.goal)} m, {words}"
         return _Way(found.start, found.goal, found.stand, beyond)
-    low, high = space.box() or (0.0, 0.0)
-    extent = " x ".join(f"{x:.3g}" for x in high - low)
+    extent = " x ".join(f"{x:.3g}" for x in _extent(space))
     raise InfeasibleError(
         f"{failure}; the map is {extent} m at {scale:g} m a unit, and the vehicle with its margin "
         f"{2 * _KEEP_M:g} m wide{'' if is_scale_known else ': is the scale right (--metres-per-unit)?'}"
     )
+
+
+def _extent(space: PlanSpace) -> list[float]:
+    """Edges of the mapped box [m]."""
+    box = space.box()
+    return [0.0, 0.0, 0.0] if box is None else (box[1] - box[0]).tolist()
 
 
 def _rounded(values: Any) -> tuple[float, ...]:

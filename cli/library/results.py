@@ -180,7 +180,8 @@ class Result:
 
     def origins(self) -> list[InputRef]:
         """References to this result and to what it was made from in memory, in its frame in metres."""
-        found, waiting = [], [(self.KIND.name.removeprefix("alula/"), cast("Result", self))]
+        found: list[InputRef] = []
+        waiting: list[tuple[str, Result]] = [(self.KIND.name.removeprefix("alula/"), self)]
         while waiting:
             role, one = waiting.pop()
             found.append(one.ref(role))

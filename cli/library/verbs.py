@@ -79,6 +79,25 @@ def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> Sc
     Raises:
         InputError: a file cannot be read, or no Gaussian is left.
     """
+    if not splats:
+        raise UsageError("import_splat needs a splat file")
+    config = configured("import_splat", ImportSplatConfig, fields)
+    return splats_of(*splats, format=config.format, lod=config.lod)(config)
+
+
+def splats_of(
+    *splats: str | Path, format: str = "auto", lod: int | None = None
+) -> Callable[[ImportSplatConfig], Scene]:
+    """Read Gaussian splat files once, to make scenes of them with several configurations.
+
+    Args:
+        *splats: as of `import_splat`.
+        format: of the files.
+        lod: level of detail of a streamed splat.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
     from alula.cli.import_parts import inputs_of
     from alula.schemas.files import printable
     from alula.stages.progress import share
@@ -86,17 +105,19 @@ def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> Sc
     from alula.stages.reconstruction.import_splat import import_splat as stage
     from alula.stages.reconstruction.pieces import find_splats
 
-    if not splats:
-        raise UsageError("import_splat needs a splat file")
-    config = configured("import_splat", ImportSplatConfig, fields)
-    found = find_splats([Path(path).expanduser() for path in splats], config.format, config.lod)
+    found = find_splats([Path(path).expanduser() for path in splats], format, lod)
     inputs = {role: File.at(path) for files in inputs_of(found) for role, path in files.items()}
     with shown("import_splat") as progress:
-        parts = [
-            (printable(one.path.name), one.decode(share(progress, k / len(found), (k + 1) / len(found))))
-            for k, one in enumerate(found)
-        ]
-        return Scene(_named(splats[0], lambda: stage(config, joined(parts))), inputs)
+        whole = joined(
+            [
+                (
+                    printable(one.path.name),
+                    one.decode(share(progress, k / len(found), (k + 1) / len(found))),
+                )
+                for k, one in enumerate(found)
+            ]
+        )
+    return lambda config: Scene(_named(splats[0], lambda: stage(config, whole)), inputs)
 
 
 @keywords(ScaleAlignConfig, without=("distances",))

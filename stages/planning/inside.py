@@ -69,7 +69,7 @@ class Inside:
         Args:
             points: shape (N, 3) [m].
         """
-        found: NDArray[np.bool_] = ((points >= self.lower) & (points <= self.upper)).all(axis=1)
+        found: NDArray[np.bool_] = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         if self.is_closed and found.any():
             found[found] = enclosed(self.map, points[found], self.lower, self.upper) >= ENCLOSED
         return found

@@ -7,7 +7,9 @@ import pytest
 
 from alula.cli import journal as file
 from alula.cli.main import run
+from alula.cli.set_values import settings_of
 from alula.schemas.artifact import write_artifact
+from alula.schemas.errors import UsageError
 from alula.schemas.flights import read_flights
 from alula.schemas.run import RunRecord, read_run
 from alula.stages.simulation.world import simulate as stage
@@ -144,6 +146,19 @@ def test_set_reaches_nested_keys_and_options_their_own(here):
     assert given["safety"]["cone-backup"]["horizon_s"] == 0.5
     assert (found.name, len(found.trials), found.provenance.seed) == ("other", 2, 7)
     assert all(len(trial.filters) == 1 for trial in found.trials)
+
+
+def test_lists_of_set_may_be_written_as_in_toml():
+    for text, value in (
+        ("a.b=[0, -1.5,2]", [0, -1.5, 2]),
+        ("a.b=0,-1.5,2", [0, -1.5, 2]),
+        ("a.b=[[1,0,0,4],[0,1,0,3]]", [[1, 0, 0, 4], [0, 1, 0, 3]]),
+        ("a.b=[true]", [True]),
+        ("a.b=[]", []),
+    ):
+        assert settings_of([text]) == {"a.b": value}
+    with pytest.raises(UsageError, match="neither a list nor a list of lists"):
+        settings_of(["a.b=[[1],2]"])
 
 
 def test_exit_code_4_says_that_a_filtered_flight_hit_something_or_a_plan_was_not_flown(here, capsys):
