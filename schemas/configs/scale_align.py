@@ -8,7 +8,7 @@ from alula.schemas.errors import UsageError
 
 Point = tuple[float, float, float]
 Distance = tuple[Point, Point, float]
-MIN_NEAR = 0.75
+MIN_NEAR = 0.6
 NEAR_HELP = (
     "Minimum fraction of the 3D points of --colmap that have a Gaussian near; below it, cameras are mapped "
     "to the splat's frame if that is found, else refused."

@@ -26,7 +26,7 @@ from alula.stages.alignment.uncertainty import mapped_corners
 NEAR = 0.02  # of a point's distance from the nearest camera: as near as a Gaussian must be
 _SPARSE = 5.0  # times as much, where the Gaussians themselves lie that far apart
 _INSIDE = 0.1  # fraction of the points that must lie in the convex hull of the Gaussians
-_FOUND_NEAR, _FOUND_INSIDE = MIN_NEAR, 0.3  # what a frame that was found must have
+_FOUND_NEAR, _FOUND_INSIDE = 0.75, 0.3  # what a frame that was found must have
 _RIVAL = 0.9  # times the fraction of the best: another frame that is as good
 _AS_GOOD = 0.95  # times the fraction of the best: a recipe is preferred to what ICP made of it
 _APART = 5.0  # times `NEAR`: mean distance of frames that are different

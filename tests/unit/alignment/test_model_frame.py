@@ -12,7 +12,7 @@ from alula.stages.reconstruction.demo_cameras import demo_cameras
 from alula.stages.reconstruction.demo_scene import demo_scene
 from alula.stages.rotation import matrix_from_quat_wxyz
 
-MIN_NEAR = 0.75
+MIN_NEAR = 0.6
 
 
 def unit(v):
