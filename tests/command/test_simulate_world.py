@@ -35,6 +35,7 @@ azimuth_rad = [-1.0, 1.0]
 speed_m_s = [4.0, 6.0]
 [mission]
 bounds_m = [0, -2, 0.5, 4, 2, 2]
+beyond_map_m = 10.0
 [estimation]
 position_noise_m = 0.002
 [safety]
@@ -56,6 +57,7 @@ cover = "room.cover.npz"
 kind = "goal"
 start_m = [0, 0.5, 1]
 goal_m = [2, 0.5, 1]
+beyond_map_m = 10.0
 """
 PLAN = """
 schema = "alula/scenario"
