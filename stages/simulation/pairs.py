@@ -68,7 +68,8 @@ def check_clear(pairs: Pairs, is_clear: Callable[[FloatArray], NDArray[np.bool_]
             where = " ".join(f"{value:.3f}" for value in points[i])
             raise UsageError(
                 f"`$.mission.pairs_from`: trial {i} {what} at ({where}), closer to an obstacle than this run "
-                "allows; take the pairs of a run in the same map with at least this clearance"
+                "allows, or outside of the mapped box; take the pairs of a run in the same map with at "
+                "least this clearance"
             )
 
 

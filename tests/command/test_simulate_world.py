@@ -70,6 +70,7 @@ cover = "room.cover.npz"
 [mission]
 kind = "plan"
 plan = "way.plan.npz"
+allow_other_map = true
 """
 WORDS = ["simulate", "room.toml", "-o", "r.run.mcap"]
 

@@ -133,7 +133,7 @@ def flights(field, starts, goals, tiles=None, **world):
         {
             "vehicle": {"type": "single-integrator", "radius_m": 0.15, "max_speed_m_s": 1.5},
             "world": named,
-            "mission": {"pairs_from": "x", "speed_m_s": 1.5},
+            "mission": {"pairs_from": "x", "speed_m_s": 1.5, "beyond_map_m": 20.0},
             "safety": {"filters": ["polytope-cbf"]},
             "rules": {"max_time_s": 12.0, "dt_s": 0.02},
         }
