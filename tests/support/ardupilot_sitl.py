@@ -154,7 +154,8 @@ class Fly:
         command = [
             *(sys.executable, "-P", "-m", "alula.cli", "fly", str(folder / "plan.npz")),
             *("--map", str(folder / "cover.npz"), "--origin", f"{-x} {-y} 0"),
-            *("--link", f"udpin:127.0.0.1:{sim.port}", "-o", str(folder / "f.run.mcap"), *LOOSE, *more),
+            *("--link", f"udpin:127.0.0.1:{sim.port}", "-o", str(folder / "f.run.mcap"), *LOOSE),
+            *("--allow-other-map", *more),  # the plan is not made by `alula plan` in the cover
         ]
         self.lines = []
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
