@@ -21,7 +21,6 @@ ENCLOSED = 0.9  # of the ways from a point, along the axes and diagonals, that e
 _ROOM = 10.0  # of a closed space: its horizontal diagonal, in radii
 _SHARE = 0.01  # of a closed space: its part of the free points above the floor
 _MOST_POINTS = 60_000  # of the lattice on which a closed space is looked for
-_TOUCHES_M = 1e-3
 _GRAIN_M = 1e-3
 
 
@@ -53,6 +52,7 @@ class Inside:
     Attributes:
         map: obstacles.
         lower, upper: corners of the box, whose lower face is not below the floor, shape (3,) [m].
+        radius_m: distance that flights keep [m].
         is_closed: there is a closed space: points of which nearly all ways lead to an obstacle.
         diagonal_m: of the box around the free points inside [m].
     """
@@ -60,6 +60,7 @@ class Inside:
     map: _core.ObstacleMap
     lower: FloatArray
     upper: FloatArray
+    radius_m: float
     is_closed: bool
     diagonal_m: float
 
@@ -71,7 +72,9 @@ class Inside:
         """
         found: NDArray[np.bool_] = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         if self.is_closed and found.any():
-            found[found] = enclosed(self.map, points[found], self.lower, self.upper) >= ENCLOSED
+            found[found] = (
+                enclosed(self.map, points[found], self.lower, self.upper, self.radius_m) >= ENCLOSED
+            )
         return found
 
 
@@ -113,7 +116,7 @@ def inside_of(
         is_closed = wide >= _ROOM * radius_m and len(part) >= _SHARE * len(found.point)
         points = found.point[part] if is_closed else points
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
-    return Inside(map_, low, upper, is_closed, diagonal)
+    return Inside(map_, low, upper, radius_m, is_closed, diagonal)
 
 
 def lattice_of(
@@ -157,19 +160,24 @@ def lattice_of(
     return Lattice(grid[free], index, distance[free], shape, float(spacing), share)
 
 
-def enclosed(map_: _core.ObstacleMap, points: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Fraction of 26 ways, along axes and diagonals, on which a point meets an obstacle within a box, (N,).
+def enclosed(
+    map_: _core.ObstacleMap, points: FloatArray, lower: FloatArray, upper: FloatArray, radius_m: float
+) -> FloatArray:
+    """Fraction of 26 ways, along axes and diagonals, on which a ball meets an obstacle within a box, (N,).
 
     Args:
         map_: obstacles.
         points: shape (N, 3) [m].
         lower: corner of the box that holds all obstacles, less a radius, shape (3,) [m].
         upper: the other corner [m].
+        radius_m: of the ball: gaps between Gaussians that it does not pass are none [m].
     """
     way = _WAYS / np.linalg.norm(_WAYS, axis=1)[:, None] * 1.5 * float(np.linalg.norm(upper - lower))
     start = np.repeat(points, len(way), axis=0)
     end = start + np.tile(way, (len(points), 1))
-    clear = map_.is_clear(np.ascontiguousarray(start), np.ascontiguousarray(end), _TOUCHES_M)
+    clear = map_.is_clear(
+        np.ascontiguousarray(start), np.ascontiguousarray(end), max(radius_m - _GRAIN_M, 0.0)
+    )
     ends: FloatArray = 1 - np.asarray(clear).reshape(len(points), len(way)).mean(axis=1)
     return ends
 

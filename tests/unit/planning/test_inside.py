@@ -89,7 +89,7 @@ def test_the_enclosure_of_a_point_is_that_of_rays_in_numpy(seed):
     points = rng.uniform((-9, -9, 0.1), (9, 9, 2.7), (40, 3))
     space = plan_space(CONFIG, GARDEN)
     mapped = mapped_box(space)
-    found = enclosed(space.map, points, mapped.lower, mapped.upper)
+    found = enclosed(space.map, points, mapped.lower, mapped.upper, 0.002)
     ways = np.array([w for w in np.ndindex(3, 3, 3) if w != (1, 1, 1)]) - 1.0
     boxes = 0.1 * np.array([GROUND, HEDGE, SPOT, *HOUSE], float)
     hits = np.zeros((len(points), len(ways)), bool)
@@ -101,6 +101,19 @@ def test_the_enclosure_of_a_point_is_that_of_rays_in_numpy(seed):
         hits |= (near.max(axis=-1) <= far.min(axis=-1)) & (far.min(axis=-1) >= 0)
     np.testing.assert_allclose(found, hits.mean(axis=1), atol=1 / 26)
     assert isinstance(space.map, _core.ObstacleMap)
+
+
+def test_walls_with_gaps_that_a_vehicle_does_not_pass_are_walls():
+    side = np.arange(0, 64, 3)
+    faces = [
+        np.stack(np.meshgrid(side, side, [level], indexing="ij"), axis=-1).reshape(-1, 3) for level in (0, 63)
+    ]
+    cubes = np.unique(np.concatenate([np.roll(face, k, axis=1) for face in faces for k in range(3)]), axis=0)
+    space = plan_space(CONFIG, box_cover([(tuple(cube), tuple(cube + 1)) for cube in cubes]))
+    room = mapped_box(space).room(0.2)
+    inside = inside_of(space.map, *room, 0.2, None)
+    assert inside.is_closed
+    assert inside.holds(np.random.default_rng(0).uniform(1, 5.4, (200, 3))).all()
 
 
 def test_a_hedge_and_ground_alone_are_no_closed_space():
