@@ -345,7 +345,14 @@ def test_a_flight_that_was_stopped_says_so_and_ends_with_a_code_of_4(tmp_path, m
     write_artifact(tmp_path / "plan.npz", line_plan((0.0, 0.0, 0.6), (5.0, 0.0, 0.6), 12.0))
     write_artifact(tmp_path / "cover.npz", box_cover([((0, 30, 0), (50, 34, 30))]))
     served = Flown()
-    words = ["fly", str(tmp_path / "plan.npz"), "--map", str(tmp_path / "cover.npz"), *LOOSE]
+    words = [
+        "fly",
+        str(tmp_path / "plan.npz"),
+        "--map",
+        str(tmp_path / "cover.npz"),
+        "--allow-other-map",
+        *LOOSE,
+    ]
     words += ["--link", f"udpout:127.0.0.1:{served.port}", "-o", str(tmp_path / "f.run.mcap")]
     with subprocess.Popen(
         [sys.executable, "-P", "-m", "alula.cli", *words],
