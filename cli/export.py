@@ -79,7 +79,7 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
     from alula.stages.compression.onboard.layout import map_facts
-    from alula.stages.reporting.export import export
+    from alula.stages.reporting.export import export, located
     from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses
 
     if config.foxglove_layout:
@@ -126,7 +126,7 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
             with atomic_outputs(*targets) as files:
                 files[0].writelines(parts)
                 if len(files) > 1:
-                    files[1].write(_header_of(b"".join(parts), provenance))
+                    files[1].write(_header_of(b"".join(parts), located(provenance, found)))
 
         what = {"hulls": "plane_start", "gaussians": "mean", "voxels": "index"}
         counts: dict[str, Any] = {
@@ -143,7 +143,8 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:
                 counts["notes"] = ["this file does not record the loss of the scene's own source"]
-        return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
+        origin = located(provenance, found).summary
+        return write, {"format": name, **counts, **origin, "bytes": sum(map(len, parts))}
 
     run(common, "alula/export", "1.0", parameters, {"input": artifact}, make)
     if config.target != "none" and not common.dry_run:

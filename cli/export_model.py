@@ -33,13 +33,15 @@ def export_model(source: Path, name: str, parameters: dict[str, Any], common: Co
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.kinds import COVER
+    from alula.stages.reporting.export import located
     from alula.stages.reporting.export_bodies import gazebo, urdf
 
     encode = {"urdf": urdf, "gazebo": gazebo}[name]
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         cover = read_artifact(source, COVER)
-        files = list(encode(cover, provenance))
+        placed = located(provenance, cover)
+        files = list(encode(cover, placed))
 
         def write() -> None:
             with atomic_folder(common.output) as folder:
@@ -48,6 +50,7 @@ def export_model(source: Path, name: str, parameters: dict[str, Any], common: Co
                     (folder / path).write_bytes(text)
 
         hulls = len(cover["plane_start"]) - 1
-        return write, {"format": name, "hulls": hulls, "bytes": sum(len(text) for _, text in files)}
+        size = sum(len(text) for _, text in files)
+        return write, {"format": name, "hulls": hulls, **placed.summary, "bytes": size}
 
     run(common, "alula/export", "1.0", parameters, {"input": source}, make, mark=MAIN[name], members=MEMBERS)

@@ -40,6 +40,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.errors import AlulaError
     from alula.schemas.kinds import COVER
+    from alula.schemas.manifest import map_origin
     from alula.schemas.parts import open_parts
     from alula.schemas.parts_join import write_joined_cover
     from alula.schemas.signing_key import read_key
@@ -87,6 +88,8 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
                 raise error.reworded(f"{path}: {error}") from error
             index = sealed(cut, key_id=key_id(key), provenance=provenance)
             facts = {"format": "tiles", **tiles_facts(index), "notes": []}
+            if (origin := map_origin(cover.manifest)) is not None:
+                facts["map_origin_m"] = origin
             if cover.is_folder:
                 facts["cover_sha256"] = sha256
             images.seek(0)

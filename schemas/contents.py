@@ -141,6 +141,7 @@ class SceneAlignment(msgspec.Struct, frozen=True):
     """Alignment of a scene."""
 
     position_error_m: _NotNegative | None = None
+    map_origin_m: Annotated[list[_Number], Meta(min_length=3, max_length=3)] | None = None
 
 
 class Curve(msgspec.Struct, frozen=True):

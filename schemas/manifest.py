@@ -223,6 +223,8 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
         ignore_loss: the ellipsoids were not grown by the loss of the splat file's format.
         imported: the obstacles, where they are no ellipsoids of Gaussians; null where they are.
         floor_m: height of the floor that the scene was levelled to; null where it was not [m].
+        map_origin_m: position, in the world that the scene was aligned to, that became the origin of the map;
+            null where that is the world's own, and where `imported` has it [m].
     """
 
     unit: Literal["m"]
@@ -235,6 +237,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     ignore_loss: bool = False
     imported: ImportedMap | None = None
     floor_m: Coordinate | None = None
+    map_origin_m: Vector | None = None
 
     def __post_init__(self) -> None:
         """Refuse an empty crop, and obstacles that older readers would take for ellipsoids."""
@@ -246,7 +249,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
 LEVEL = tuple(
     name
     for name in LevelManifest.__struct_fields__
-    if name not in Manifest.__struct_fields__ and name != "floor_m"
+    if name not in Manifest.__struct_fields__ and name not in ("floor_m", "map_origin_m")
 )
 """Fields that define an obstacle."""
 
@@ -260,7 +263,25 @@ def level_fields(manifest: LevelManifest) -> dict[str, Any]:
     requires = [need for need in manifest.requires if need == IMPORTED_MAP]
     origin = manifest.made_from if isinstance(manifest, CoverManifest) else manifest.inputs
     further = {"requires": requires, "made_from": origin, "floor_m": manifest.floor_m}
+    further["map_origin_m"] = manifest.map_origin_m
     return {name: getattr(manifest, name) for name in LEVEL} | further
+
+
+def map_origin(manifest: Manifest) -> Vector | None:
+    """Position in the world that became the origin of a map [m]; None where it is the world's own origin.
+
+    The world is what a scene was aligned to, or the file of an imported map in metres with z up. Adding the
+    position to coordinates of the map gives those of the world.
+
+    Args:
+        manifest: of a scene, or of what was made from a scene or an imported map.
+    """
+    found = None
+    if isinstance(manifest, SceneManifest):
+        found = (manifest.alignment or {}).get("map_origin_m")
+    elif isinstance(manifest, LevelManifest):
+        found = manifest.map_origin_m if manifest.imported is None else manifest.imported.map_origin_m
+    return list(found) if found is not None and any(found) else None
 
 
 class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):

@@ -88,7 +88,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         Args:
             summary: figures of the output to record too.
         """
-        record = msgspec.structs.replace(self, summary=summary or {})
+        record = msgspec.structs.replace(self, summary=self.summary | (summary or {}))
         return MARK + msgspec.json.encode(record, order="sorted").decode()
 
 

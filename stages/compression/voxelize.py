@@ -14,7 +14,7 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
+from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest, map_origin
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, lacks_of, retained, rows_of
@@ -229,6 +229,7 @@ def voxels_fields(config: VoxelizeConfig, scene: SceneManifest, left_out: dict[s
         "min_opacity": config.min_opacity,
         "ignore_loss": config.ignore_loss,
         "floor_m": scene.floor_m,
+        "map_origin_m": map_origin(scene),
     }
 
 

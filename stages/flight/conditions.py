@@ -56,6 +56,7 @@ def needs_of(
     fence: Fence,
     plan: tuple[bool, str],
     speed_m_s: float,
+    map_origin_m: Sequence[float] | None = None,
     map_words: str = "",
 ) -> Needs:
     """Requirements of a flight for the pre-flight checks.
@@ -71,6 +72,7 @@ def needs_of(
         fence: volume to fly in, world frame.
         plan: whether the flight is proven clear of the map, and how, in words.
         speed_m_s: limit of the speed [m/s].
+        map_origin_m: position in the world that became the map's origin [m]; None where it is its own.
         map_words: the obstacles with their level.
     """
     law = vehicle.following.horizontal_lag
@@ -81,6 +83,7 @@ def needs_of(
         goal=ends[1],
         departures=departures,
         obstacles=obstacles,
+        map_origin_m=map_origin_m,
         map_words=map_words,
         radius_m=vehicle.body.radius_m,
         margin_m=margin_m,

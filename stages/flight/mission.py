@@ -16,6 +16,7 @@ from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.configs.plan import BEYOND_MAP
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
+from alula.schemas.manifest import map_origin
 from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, scene_obstacles
@@ -559,6 +560,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         ends=(mission.start, mission.goal),
         departures=departures_of(mission.plan, config.speed_m_s, mission.vehicle.following.horizontal_lag),
         obstacles=mission.obstacles,
+        map_origin_m=map_origin(mission.map.manifest),
         map_words=mission.map_words,
         margin_m=config.margin_m,
         fence=mission.fence,

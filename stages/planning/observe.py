@@ -17,7 +17,7 @@ from alula.schemas.configs.observe import LONGEST_RADIUS_VOXELS, ObserveConfig
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import SEEN
-from alula.schemas.manifest import Guarantee, SceneManifest
+from alula.schemas.manifest import Guarantee, SceneManifest, map_origin
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.alignment.estimates import VISIBLE
@@ -409,6 +409,7 @@ def _artifact(
         min_opacity=config.min_opacity,
         ignore_loss=config.ignore_loss,
         floor_m=scene.floor_m,
+        map_origin_m=map_origin(scene),
         method="cameras" if space.figures else "reach",
         radius_m=config.radius_m,
         lower=space.lower.tolist(),

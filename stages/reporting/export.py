@@ -10,6 +10,7 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError, WrongKindError
+from alula.schemas.manifest import map_origin
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import map_binary, map_c_header
@@ -29,6 +30,8 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
     outward, so its hulls contain the cover. All other formats hold rounded numbers, and a note says so where
     the format has room for one. Except in onboard maps, hulls keep their order and are named hull-00000,
     hull-00001, ... where the format has names.
+
+    Coordinates are those of the map; `located` records where its origin is.
 
     Args:
         artifact: an `alula/cover`, `alula/voxels` or `alula/scene`.
@@ -50,7 +53,20 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
         what = artifact.manifest.schema.removeprefix("alula/")
         subject = "voxels are" if what == "voxels" else f"a {what} is"
         raise UsageError(f"{subject} exported as {', '.join(encoders)}, not as {format_name}")
-    return encoders[format_name](artifact, provenance)
+    return encoders[format_name](artifact, located(provenance, artifact))
+
+
+def located(provenance: Provenance, artifact: Artifact) -> Provenance:
+    """Provenance whose summary has `map_origin_m`, if the map has an origin of its own in the world.
+
+    Args:
+        provenance: of an export.
+        artifact: that is exported.
+    """
+    origin = map_origin(artifact.manifest)
+    if origin is None:
+        return provenance
+    return msgspec.structs.replace(provenance, summary={**provenance.summary, "map_origin_m": origin})
 
 
 def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
+from alula.schemas.provenance import read_provenance
 from alula.stages.alignment.colmap import read_model
 from alula.stages.alignment.similarity import inverse, transform_points
 from alula.stages.reconstruction.demo_scene import world_from_scene
@@ -382,3 +383,31 @@ def test_a_scene_in_coordinates_of_the_earth_gets_an_origin_of_its_own(demo, ali
     assert align("--transform", path, "--map-origin", "0 0 0", output="far.scene.npz", quiet=False) == 0
     assert "put the map's origin nearer to the scene (--map-origin)" in capsys.readouterr().err
     assert align("--transform", path, "--map-origin", "nan 0 0") == 2
+
+
+def test_the_origin_of_a_map_goes_with_all_that_is_made_of_it(demo, align, tmp_path, capsys):
+    origin = ["--map-origin", "12 -7.5 0"]
+    assert align("--scale", 2, *origin) == 0
+    scene, voxels, cover = (str(tmp_path / f"m.{kind}.npz") for kind in ("scene", "voxels", "cover"))
+    assert run(["voxelize", scene, "-o", voxels, "--size", "0.4", "-q"]) == 0
+    assert run(["merge", voxels, "-o", cover, "--hulls", "20", "-q"]) == 0
+    capsys.readouterr()
+    exports = [
+        (cover, "json obj stl glb xml usda npz geojson bin h"),
+        (voxels, "bt ply pcd"),
+        (scene, "obj spz"),
+    ]
+    for source, suffixes in exports:
+        for suffix in suffixes.split():
+            out = tmp_path / f"out.{suffix}"
+            place = ["--origin", "47", "8", "400"] if suffix == "geojson" else []
+            assert run(["export", source, "-o", str(out), *place, "--json", "-f"]) == 0
+            assert json.loads(capsys.readouterr().out)["summary"]["map_origin_m"] == [12, -7.5, 0], suffix
+            if suffix == "npz":
+                assert b'"map_origin_m":[12.0,-7.5,0.0]' in np.load(out)["provenance"].tobytes()
+            else:
+                assert read_provenance(out).summary["map_origin_m"] == [12, -7.5, 0], suffix
+    model = tmp_path / "model"
+    assert run(["export", cover, "-o", str(model), "--format", "gazebo", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["summary"]["map_origin_m"] == [12, -7.5, 0]
+    assert read_provenance(model / "model.sdf").summary["map_origin_m"] == [12, -7.5, 0]

@@ -385,6 +385,8 @@ def test_a_map_of_the_earth_gets_an_origin_of_its_own_and_stays_proven(tmp_path,
     assert run(["verify", str(cover), "--voxels", str(voxels), "--source", str(tmp_path / "far.obj")]) == 0
     assert run(["verify", str(cover), "--voxels", str(voxels), "--source", str(tmp_path / "near.obj")]) == 4
     capsys.readouterr()
+    assert run(["export", str(cover), "-o", str(tmp_path / "out.obj"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["summary"]["map_origin_m"] == [450_000, 4_500_000, 0]
     given = imported(tmp_path / "far.obj", "--map-origin", "450001 4500000 100")
     assert cells(given["index"]) == cells(near["index"] - [4, 0, 0])
     words = ["--crop", "449999 4499999 99 450001 4500001 101"]

@@ -39,6 +39,7 @@ class Needs:
         stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
         map_words: the obstacles with their level.
+        map_origin_m: position in the world that became the map's origin [m]; None where it is its own.
         radius_m: radius of the vehicle [m].
         margin_m: additional clearance of the climb path [m].
         fence: volume to fly in, world frame.
@@ -65,6 +66,7 @@ class Needs:
     fence: Fence
     plan: tuple[bool, str]
     map_words: str = ""
+    map_origin_m: Sequence[float] | None = None
     speed_m_s: float = math.nan
     stop_m: float = math.nan
     max_thrust_m_s2: float = math.inf
@@ -300,7 +302,15 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
     allowed = f"at most {needs.near_m:g} m sideways, {_MIN_CLIMB_M:g} to {HIGHEST_M:g} m above"
     advice = "" if holds else "; move the vehicle, or say by --origin where the map's origin is in its frame"
-    return Verdict("start", holds, f"{words}; {allowed}{advice}")
+    return Verdict("start", holds, f"{words}; {allowed}{advice}{_origin_words(needs)}")
+
+
+def _origin_words(needs: Needs) -> str:
+    """Which point of the world `--origin` is the place of; empty where it is the world's own origin."""
+    if needs.map_origin_m is None:
+        return ""
+    place = " ".join(f"{c:.12g}" for c in needs.map_origin_m)
+    return f"; the map's origin, which --origin places, is ({place}) m of the world"
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:

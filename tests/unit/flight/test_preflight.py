@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -53,6 +54,20 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
     found = verdicts(observed(), NEEDS)
     assert [v.name for v in found if not v.holds] == []
     assert len({v.name for v in found}) == len(CHECKS) == 20
+
+
+def test_the_start_says_which_point_of_the_world_is_placed_by_origin():
+    cover = MADE.cover
+    moved = msgspec.structs.replace(cover.manifest, map_origin_m=[450_000.0, 4_500_000.0, 0.0])
+    made = mission(cover=dataclasses.replace(cover, manifest=moved))
+    needs = make_needs(made, wanted_setpoints(made, make_safety(made)))
+
+    def said(needs):
+        return {v.name: v.words for v in verdicts(observed(), needs)}["start"]
+
+    assert said(needs) == (
+        f"{said(NEEDS)}; the map's origin, which --origin places, is (450000 4500000 0) m of the world"
+    )
 
 
 @pytest.mark.parametrize(
