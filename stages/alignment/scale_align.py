@@ -17,7 +17,7 @@ from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.kinds import SCENE
-from alula.schemas.manifest import Guarantee, SceneManifest, Similarity
+from alula.schemas.manifest import Guarantee, SceneManifest, Similarity, map_origin
 from alula.schemas.provenance import parameters_of
 from alula.stages.alignment.cloud import Cloud
 from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
@@ -128,6 +128,13 @@ def solved(
     if config.levels:
         known = manifest.frame == "world" or isinstance(evidence, Similarity)
         found = _levelled(config, found, means, box, frame_is_known=known)
+    if (former := map_origin(manifest)) is not None:
+        words = " ".join(f"{c:.12g}" for c in former)
+        found.record["warnings"] = [
+            *found.record["warnings"],
+            f"the map's origin of the former alignment, ({words}) m, is not kept: the new alignment moves "
+            "the map; align once, with all options",
+        ]
     return _from_map_origin(config, found, means, box)
 
 

@@ -407,6 +407,8 @@ def test_the_origin_of_a_map_goes_with_all_that_is_made_of_it(demo, align, tmp_p
                 assert b'"map_origin_m":[12.0,-7.5,0.0]' in np.load(out)["provenance"].tobytes()
             else:
                 assert read_provenance(out).summary["map_origin_m"] == [12, -7.5, 0], suffix
+    assert align("--up", "0 0 1", scene=tmp_path / "m.scene.npz", output="up.scene.npz", quiet=False) == 0
+    assert "origin of the former alignment, (12 -7.5 0) m, is not kept" in capsys.readouterr().err
     model = tmp_path / "model"
     assert run(["export", cover, "-o", str(model), "--format", "gazebo", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["summary"]["map_origin_m"] == [12, -7.5, 0]
