@@ -59,7 +59,7 @@ def _rows(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for number, row in enumerate(found["matrix"]):
         yield "" if number else "matrix", _numbers(row, "14.8g")
     if "map_origin_m" in found:
-        yield "map origin", f"{_numbers(found['map_origin_m'], 'g')} m of the world"
+        yield "map origin", f"{_numbers(found['map_origin_m'], '.12g')} m of the world"
     yield "det R", f"{found['determinant']:+.9f}"
     yield from _evidence(found)
     for name in ("georeference", "nerfstudio", "initial", "level"):

@@ -15,8 +15,8 @@ from alula.schemas.text import one_line
 LONGEST = 12  # longer sequences of numbers are summarised
 _HASH_DIGITS = 12
 _STATED = frozenset(
-    {"guarantee", "properties", "parameters"}
-)  # sections with numbers that guarantees rest on
+    {"guarantee", "properties", "parameters", "map_origin_m"}
+)  # sections and facts with numbers that guarantees rest on, or that are calculated with
 
 
 def echo(text: str, *, err: bool = False) -> None:
@@ -122,13 +122,15 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def _pairs(title: str, facts: Mapping[str, Any]) -> None:
-    digits = None if title in _STATED else 6
+    words = {
+        key: _words(value, None if title in _STATED or key in _STATED else 6) for key, value in facts.items()
+    }
     if sys.stdout.isatty() or title:
-        print_table(title, ("", ""), [(key, _words(value, digits)) for key, value in facts.items()])
+        print_table(title, ("", ""), list(words.items()))
         return
     width = max((len(key) for key in facts), default=0)
-    for key, value in facts.items():
-        echo(f"{key:<{width}}  {_words(value)}")
+    for key, value in words.items():
+        echo(f"{key:<{width}}  {value}")
 
 
 def _words(value: Any, digits: int | None = 6) -> str:

@@ -154,6 +154,8 @@ def test_long_sequences_are_printed_in_brief(capsys):
     out = capsys.readouterr().out
     assert "  curve.excess  999 numbers from 0.5 to 0.5, within 0.5 and 0.5\n  n             1\n" in out
     assert "none" not in out
+    print_sections({"map_origin_m": [4512345.25, 0.0], "size_m": 4512345.25})
+    assert capsys.readouterr().out == "map_origin_m  4512345.25 0\nsize_m        4.51235e+06\n"
 
 
 def test_an_interruption_is_one_word_however_other_code_words_it(here, monkeypatch, capsys):
