@@ -66,6 +66,11 @@ def plain(value: Any, *, digits: int | None = 6) -> str:
     return str(value)
 
 
+def digits_of(name: str) -> int | None:
+    """Digits of floats in a section or fact, for `plain`; None (all) where others are computed from them."""
+    return None if name in _STATED else 6
+
+
 def print_sections(facts: Mapping[str, Any]) -> None:
     """Print plain facts first, then a section per nested fact; deeper values are named by their path."""
     simple = {key: value for key, value in facts.items() if not _nested(value) and not _blank(value)}
@@ -122,9 +127,8 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def _pairs(title: str, facts: Mapping[str, Any]) -> None:
-    words = {
-        key: _words(value, None if title in _STATED or key in _STATED else 6) for key, value in facts.items()
-    }
+    stated = digits_of(title)
+    words = {key: _words(value, stated and digits_of(key)) for key, value in facts.items()}
     if sys.stdout.isatty() or title:
         print_table(title, ("", ""), list(words.items()))
         return

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import msgspec
 
 from alula.cli.options import Common
-from alula.cli.present import echo, plain, print_json
+from alula.cli.present import digits_of, echo, plain, print_json
 from alula.cli.progress import shown_progress
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
@@ -371,7 +371,9 @@ def facts(summary: Mapping[str, Any]) -> dict[str, str]:
         summary: figures by name; its notes are no figures.
     """
     return {
-        key: plain(value) for key, value in _flat(summary) if key != "notes" and not _says_nothing(key, value)
+        key: plain(value, digits=digits_of(key))
+        for key, value in _flat(summary)
+        if key != "notes" and not _says_nothing(key, value)
     }
 
 

@@ -409,6 +409,8 @@ def test_the_origin_of_a_map_goes_with_all_that_is_made_of_it(demo, align, tmp_p
                 assert read_provenance(out).summary["map_origin_m"] == [12, -7.5, 0], suffix
     assert align("--up", "0 0 1", scene=tmp_path / "m.scene.npz", output="up.scene.npz", quiet=False) == 0
     assert "origin of the former alignment, (12 -7.5 0) m, is not kept" in capsys.readouterr().err
+    assert align("--scale", 2, "--map-origin", "4512345.25 0 0", output="far.scene.npz", quiet=False) == 0
+    assert re.search(r"map_origin_m +4512345\.25 0 0\n", capsys.readouterr().out)
     model = tmp_path / "model"
     assert run(["export", cover, "-o", str(model), "--format", "gazebo", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["summary"]["map_origin_m"] == [12, -7.5, 0]
