@@ -16,6 +16,7 @@ from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.stages.sim_vehicle.common.endpoint import Vehicle
+    from alula.stages.vehicles.ground import Ground
 
 _CRTP = "udp://"
 
@@ -82,13 +83,19 @@ _CRTP = "udp://"
     cls=options.NumbersOption,
     default="0 0 0",
     show_default=True,
-    help="Initial position in the frame of motion capture, east north up [m].",
+    help="Initial position in the map, and in the frame of motion capture, east north up [m].",
 )
 @grouped.option(
     "--hand",
     group="Motion capture",
     is_flag=True,
     help="Simulate a hand that moves the vehicle, for fly --frame-check hand.",
+)
+@click.option(
+    "--ground",
+    "ground_path",
+    type=options.input_path(),
+    help="Cover whose height below the vehicle is the ground, with --mocap-start; default: a flat floor.",
 )
 @click.option(
     "--heading",
@@ -131,6 +138,7 @@ def command(
     mocap_address: str | None,
     mocap_start: tuple[float, float, float],
     hand: bool,
+    ground_path: Path | None,
     heading_deg: float,
     signing_key: Path | None,
     console: bool,
@@ -145,15 +153,19 @@ def command(
     import json as json_module
     import time
 
+    from alula.schemas.kinds import COVER
+    from alula.schemas.parts_join import read_whole
     from alula.stages.sim_vehicle.common.endpoint import open_endpoint, open_mocap, serve
+    from alula.stages.vehicles.ground import ground_of
 
     if not 0 < boot_time_s <= 3600:
         raise UsageError("--boot-time must be in 0..3600 s")
     if duration_s is not None and duration_s <= 0:
         raise UsageError("--duration must be positive")
-    if mocap_address is None and any(mocap_start):
-        raise UsageError("--mocap-start needs --mocap")
+    if mocap_address is None and ground_path is None and any(mocap_start):
+        raise UsageError("--mocap-start needs --mocap or --ground")
     values = dict(_parameter(text) for text in parameters)
+    ground = None if ground_path is None else ground_of(read_whole(ground_path, COVER))
     vehicle: Vehicle
     if link.startswith(_CRTP):
         if faults or signing_key is not None or console or hand or autopilot != "ardupilot":
@@ -166,6 +178,7 @@ def command(
             yaw_rad=-math.radians(heading_deg),
             poses=mocap_address is not None,
             start=mocap_start,
+            ground=ground,
             seed=seed,
         )
         link = f"udpin:{link.removeprefix(_CRTP)}"
@@ -173,6 +186,7 @@ def command(
         from alula.schemas.signing_key import read_key
         from alula.schemas.vehicles import vehicle_named
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+        from alula.stages.sim_vehicle.common.airframe import Terrain
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand
         from alula.stages.sim_vehicle.simulator import FIRMWARES, SimulatedVehicle
@@ -185,6 +199,7 @@ def command(
             heading_rad=math.radians(heading_deg),
             seed=seed,
             hand=Hand() if hand else None,
+            terrain=None if ground is None else Terrain(ground, mocap_start),
         )
         name, vehicle = (
             copter.name,
@@ -222,6 +237,7 @@ def _crazyflie(
     yaw_rad: float,
     poses: bool,
     start: tuple[float, float, float],
+    ground: Ground | None,
     seed: int,
 ) -> tuple[str, Vehicle]:
     from alula.schemas.vehicles import vehicle_named
@@ -234,6 +250,8 @@ def _crazyflie(
     crazyflie = SimulatedCrazyflie(
         vehicle, CrazyflieOptions(start=start, yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
     )
+    if ground is not None:
+        crazyflie.body.stand_on(ground)
     crazyflie.set_parameters(values)
     return f"{vehicle.name}, a simulated Crazyflie,", crazyflie
 

@@ -129,7 +129,8 @@ def command(
     from alula.schemas.start_time import start_time_ns
     from alula.schemas.vehicle import contents
     from alula.schemas.vehicles import vehicle_named
-    from alula.stages.flight.mission import make_mission
+    from alula.stages.flight.mission import Mission, make_mission
+    from alula.stages.vehicles.ground import ground_of
 
     if foxglove is not None:
         require("foxglove")
@@ -153,7 +154,14 @@ def command(
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
     vehicle = named if vehicle_name is not None else vehicle_named(paths.get("vehicle"))[0]
-    link = route.link(address, vehicle, state_rate_hz=config.rate_hz, flies_rates=is_splat)
+    mission: Mission  # made below; the link asks for its ground when it is opened
+    link = route.link(
+        address,
+        vehicle,
+        state_rate_hz=config.rate_hz,
+        flies_rates=is_splat,
+        ground=lambda: ground_of(mission.cover, mission.scene, mission.config.sigma),
+    )
     check_output(common.output, paths)
     check_output(record_path(common.output), paths)
     for old in (common.output, record_path(common.output)):

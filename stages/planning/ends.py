@@ -14,7 +14,6 @@ from alula.schemas.configs.plan import PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
 from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.plan import plan
-from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.space import PlanSpace
 
 _CANDIDATES = (240, 60, 12, 4, 2)  # free points; fewer where there are no more
@@ -23,7 +22,6 @@ _DROPS_M = (3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.85, 0.7, 0.5, 0.3)  # from a po
 _ABOVE_M = (0.5, 2.0)  # comfortable heights above where it stands
 _HEADROOM_M = 0.5  # that is free above a point which is not under a table
 _LEVEL_M = 0.3  # by which two places to stand may differ in height and count as one ground
-_STEP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +31,7 @@ class Ends:
     Attributes:
         start, goal: of the plan [m].
         stand: below the start, where a vehicle stands before it takes off [m].
-        is_plain: both are at a comfortable height with room above, and the plan leads over one ground.
+        is_plain: both are at a comfortable height with room above.
     """
 
     start: Point
@@ -46,8 +44,7 @@ def ends_of(config: PlanConfig, space: PlanSpace, cover: Artifact, *, jobs: int 
     """Choose two free points far apart with a plan between them.
 
     Points come from `free_points`. Preferred are those 0.5 to 2 m above the ground that have 0.5 m of room
-    above them, pairs whose places to stand are equally high, and then those that are far apart. The vehicle
-    of a rehearsal has one flat ground, where it stands, so a plan that leads below this is the last choice.
+    above them, pairs whose places to stand are equally high, and then those that are far apart.
 
     Args:
         config: of the plan, with its radius.
@@ -73,23 +70,15 @@ def ends_of(config: PlanConfig, space: PlanSpace, cover: Artifact, *, jobs: int 
 
     pairs = sorted(itertools.permutations(range(len(points)), 2), key=rank)
     failure: InfeasibleError | None = None
-    second: Ends | None = None
     for a, b in pairs[:_TRIES]:
         start, goal = _point(points[a]), _point(points[b])
         try:
-            made = plan(dataclasses.replace(config, start=start, goal=goal), cover, space=space, jobs=jobs)
+            plan(dataclasses.replace(config, start=start, goal=goal), cover, space=space, jobs=jobs)
         except InfeasibleError as error:
             failure = error
             continue
-        lowest = float(sample_plan(made, _STEP_S).position_world[:, 2].min())
         stand = _point(points[a] - (0.0, 0.0, drop[a]))
-        is_over = lowest > stand[2] or (drop[a] == 0 and lowest >= stand[2] - 1e-3)
-        found = Ends(start, goal, stand, bool(is_good[a] and is_good[b] and is_over))
-        if is_over:
-            return found
-        second = second or found
-    if second is not None:
-        return second
+        return Ends(start, goal, stand, bool(is_good[a] and is_good[b]))
     raise InfeasibleError(f"no way between free points was found: {failure}")
 
 

@@ -9,8 +9,10 @@ import time
 import pytest
 
 from alula.cli.main import run
+from alula.schemas.artifact import write_artifact
 from alula.schemas.cut_run import read_logged
 from alula.schemas.run import read_run
+from support.small_scenes import box_cover, rest_plan
 
 SIM = "sim:?start=0.5,1.5,0"
 
@@ -59,6 +61,20 @@ def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path):
     assert run(words(pipeline, log)) == 2  # a flight is not continued
     log.unlink()
     assert run(words(pipeline, log)) == 2  # the record still belongs to another flight
+
+
+def test_the_ground_of_a_simulated_vehicle_is_that_of_the_map(tmp_path):
+    slabs = [((-10, 0, -2), (20, 40, 0)), ((20, 0, -12), (50, 40, -10))]  # down by 1 m at x = 2
+    write_artifact(tmp_path / "step.cover.npz", box_cover(slabs))
+    write_artifact(tmp_path / "step.plan.npz", rest_plan((0.8, 2.0, 1.0), (3.2, 2.0, -0.4), 0.9))
+    log = tmp_path / "f.run.mcap"
+    names = (str(tmp_path / "step.plan.npz"), "--map", str(tmp_path / "step.cover.npz"))
+    link = ("--link", "sim:?start=0.8,2,0", "-o", str(log))
+    run(
+        ["fly", *names, *link, "--allow-other-map", "--allow-tight", "-q"]
+    )  # this vehicle lags behind its plan
+    summary = read_run(log).summary
+    assert (summary["ended_by"], summary["collisions"]) == ("plan finished", 0)
 
 
 def test_a_dry_run_writes_nothing_and_prints_the_checks(pipeline, tmp_path, capsys):

@@ -12,8 +12,10 @@ from contextlib import suppress
 import pytest
 
 from alula.cli.main import run
+from alula.schemas.artifact import write_artifact
 from support.paths import ROOT
 from support.sim_vehicle_process import free_port, until, vehicle
+from support.small_scenes import box_cover
 
 GUIDED, LAND = 4, 9
 
@@ -208,6 +210,21 @@ def test_a_point_is_no_vehicle_and_a_key_is_64_digits(tmp_path, capsys):
         options = ["--link", "udpin:127.0.0.1:0", "--signing-key", str(tmp_path / "key")]
         assert run(["sim-vehicle", *options]) == 3
         assert "64 hexadecimal digits" in capsys.readouterr().err
+
+
+def test_it_stands_on_the_ground_of_a_cover_or_says_that_there_is_none(tmp_path, capsys):
+    cover = tmp_path / "step.cover.npz"
+    write_artifact(cover, box_cover([((-10, 0, -2), (20, 40, 0))]))
+    ground = ("--ground", str(cover), "--mocap-start", "0.5 2 0", "--duration", "0.2")
+    with vehicle("udpin:127.0.0.1:0", *ground) as (process, _):
+        assert process.wait(20) == 0
+    crazyflie = ("--vehicle", "crazyflie21", "--duration", "0.2", "-q")
+    assert run(["sim-vehicle", "--link", "udp://127.0.0.1:0", *ground[:4], *crazyflie]) == 0
+    cover.write_bytes(b"no cover")
+    assert run(["sim-vehicle", "--link", "udpin:127.0.0.1:0", *ground]) == 3
+    assert "step.cover.npz" in capsys.readouterr().err
+    assert run(["sim-vehicle", "--link", "udpin:127.0.0.1:0", *ground[2:]]) == 2
+    assert "--mocap-start needs --mocap or --ground" in capsys.readouterr().err
 
 
 def test_a_vehicle_with_a_key_answers_who_signs(tmp_path):

@@ -68,9 +68,10 @@ class Flight(Served):
     watched: bool = False  # by the program of the watchdog process, on this clock
     noise: Any = EXACT  # of its estimate
     seed: int = 3
+    terrain: Any = None
 
     def __post_init__(self):
-        Served.__init__(self, self.noise, _BRISK | self.parameters, seed=self.seed)
+        Served.__init__(self, self.noise, _BRISK | self.parameters, seed=self.seed, terrain=self.terrain)
         x, y, _ = self.made.start
         self.frame = LocalFrame(origin_enu_m=(-x, -y, 0.0))  # it boots below the plan's start
         self.interrupts = 0

@@ -34,13 +34,13 @@ class Served:
 
     kind, fast = Copter, FAST
 
-    def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, seed=3, **channel):
+    def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, seed=3, terrain=None, **channel):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setblocking(False)
         self.port = self.socket.getsockname()[1]
         given = self.fast | (parameters or {})
-        copter = self.kind(FASTBRIDGE, parameters=given, options=options, seed=seed)
+        copter = self.kind(FASTBRIDGE, parameters=given, options=options, seed=seed, terrain=terrain)
         self.vehicle = SimulatedVehicle(copter, seed=seed, epoch_s=epoch_s, **channel)
         self.copter = copter
         self.begin = self.peer = None

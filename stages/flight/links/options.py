@@ -9,6 +9,7 @@ from pathlib import Path
 
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.vehicles.frames import LocalFrame
+from alula.stages.vehicles.ground import Ground
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +47,7 @@ class LinkOptions:
         mocap: `udp:HOST:PORT` to receive motion capture on, which is forwarded to the vehicle.
         origin: latitude, longitude [deg] and height [m] sent as the origin to a vehicle without satellites.
         allow_remote: allow addresses of other machines.
+        ground: makes the ground of `sim:` in the world frame, when the link is opened; None for a flat floor.
         clock: monotonic clock [s].
         wall_clock: time since 1970 [s].
         sleep: function that waits for a time [s].
@@ -62,6 +64,7 @@ class LinkOptions:
     mocap: str | None = None
     origin: tuple[float, float, float] = (47.3977, 8.5456, 488.0)
     allow_remote: bool = False
+    ground: Callable[[], Ground] | None = None
     clock: Callable[[], float] = time.monotonic
     wall_clock: Callable[[], float] = time.time
     sleep: Callable[[float], None] = time.sleep

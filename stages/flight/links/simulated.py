@@ -125,7 +125,9 @@ class SimulatedLink:
         return self._status
 
     def open(self, timeout_s: float) -> str:
-        """Start the simulation; returns a description of the vehicle."""
+        """Make the ground and start the simulation; returns a description of the vehicle."""
+        if self._options.ground is not None:
+            self.body.stand_on(self._options.ground())
         self._flown_s = self._begin_s = self._options.clock()
         self._status.is_estimator_ready = True
         self.poll(self._flown_s)
@@ -221,7 +223,7 @@ class SimulatedLink:
         self.body.step(self._flown_setpoint(now_s))
         if self.body.is_resting and not was_resting:
             if self.body.impact_m_s > _HARD_M_S:
-                status.texts.append(f"hit the floor at {self.body.impact_m_s:.1f} m/s")
+                status.texts.append(f"hit the ground at {self.body.impact_m_s:.1f} m/s")
             if status.mode == "LAND" or self.body.impact_m_s > _HARD_M_S:
                 status.armed = False
             self._goal = self.body.position

@@ -1,4 +1,4 @@
-"""The body simulated by `sim:`: a rigid body with a rate loop, or a point, above a flat floor."""
+"""The body simulated by `sim:`: a rigid body with a rate loop, or a point, above the ground."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 from alula.stages.vehicles.bodies import plant, quadrotor, tracking_gains
+from alula.stages.vehicles.ground import Footing, Ground
 
 STEP_S = 0.0025
 _VELOCITY_GAIN_PER_S = 4.0  # from a velocity error to an acceleration
@@ -42,18 +43,20 @@ class Body:
 
     Args:
         vehicle: the vehicle file.
-        start: initial position, shape (3,), world frame [m]; its height is that of the floor.
+        start: initial position, shape (3,), world frame [m]; it rests there, on a flat floor.
         yaw_rad: initial heading [rad].
         seed: seed of the vehicle's noise.
 
     Attributes:
-        is_resting: whether it is on the floor.
+        floor_m: height of the ground below it [m].
+        is_resting: whether it is on the ground.
         impact_m_s: speed of the last touch-down [m/s].
     """
 
     def __init__(self, vehicle: Vehicle, start: FloatArray, yaw_rad: float, seed: int) -> None:
         self._vehicle = vehicle
         self.floor_m = float(start[2])
+        self._footing: Footing | None = None
         self.is_resting, self.impact_m_s = True, 0.0
         self._x = np.zeros(12)
         self._x[:3] = start
@@ -91,6 +94,10 @@ class Body:
         """Age of the measured state [s]."""
         return 0.0 if self._plant is None else self._vehicle.disturbance.delay_s
 
+    def stand_on(self, ground: Ground) -> None:
+        """From now on have a ground in place of the flat floor; it stays at rest where it is."""
+        self._footing = Footing(ground, self._x[:3])
+
     def measured(self) -> Measured:
         """State with the noise and delay of the vehicle file; the true state at rest."""
         x = self._x if self._plant is None or self.is_resting else np.asarray(self._plant.measured)
@@ -101,7 +108,9 @@ class Body:
         return Measured(x[:3].copy(), x[6:9].copy(), attitude, np.zeros(3))
 
     def step(self, setpoint: Setpoint) -> None:
-        """Follow a set-point for `STEP_S`; a vehicle at rest leaves the floor only with enough thrust."""
+        """Follow a set-point for `STEP_S`; a vehicle at rest leaves the ground only with enough thrust."""
+        if self._footing is not None and not self.is_resting:
+            self.floor_m = self._footing.height(self._x[:3])
         if self._has_rotors:
             self._step_quadrotor(setpoint)
         else:

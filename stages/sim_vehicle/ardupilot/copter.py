@@ -17,7 +17,7 @@ from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode, refusal
 from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
-from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
+from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe, Terrain
 from alula.stages.sim_vehicle.common.hand import Hand
 from alula.stages.sim_vehicle.common.quaternions import rotate
 
@@ -52,6 +52,7 @@ class Copter:
         heading_rad: initial heading, clockwise from north [rad].
         seed: seed of all random numbers.
         hand: hand that moves the vehicle while it is disarmed; None for none.
+        terrain: what it can stand on; None for a flat floor.
 
     Attributes:
         airframe, attitude, pilot, battery, estimator, flying, parameters: its parts.
@@ -86,9 +87,10 @@ class Copter:
         heading_rad: float = 0.0,
         seed: int = 0,
         hand: Hand | None = None,
+        terrain: Terrain | None = None,
     ) -> None:
         self.name = vehicle.name
-        self.airframe = Airframe(self._plant(vehicle), seed=seed, heading_rad=heading_rad)
+        self.airframe = Airframe(self._plant(vehicle), seed=seed, heading_rad=heading_rad, terrain=terrain)
         self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
         initial = {self.HOVER: round(self.hover_throttle, 6)}
         self.parameters = self._parameters(initial | dict(parameters or {}))

@@ -1,4 +1,4 @@
-"""Body of the simulated vehicle: the native plant above a floor, in north-east-down."""
+"""Body of the simulated vehicle: the native plant above the ground, in north-east-down."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from alula.stages.sim_vehicle.common.quaternions import (
 )
 from alula.stages.vehicles.bodies import plant, quadrotor
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
+from alula.stages.vehicles.ground import Footing, Ground
 
 TICK_S = 1 / 400  # period of the autopilot, that of ArduPilot's main loop
 _STEPS = 3  # steps of the plant in a tick: 1200 Hz
@@ -46,12 +47,31 @@ class Motion(NamedTuple):
     acceleration: Vector = (0.0, 0.0, 0.0)
 
 
+class Terrain:
+    """Ground of a map in the north-east-down frame of a start.
+
+    Args:
+        ground: of the map.
+        start: where the vehicle stands at first, in the map, east-north-up [m].
+    """
+
+    def __init__(self, ground: Ground, start: Vector) -> None:
+        x, y, z = start
+        self._frame = LocalFrame(0.0, (-x, -y, -z))
+        self._start_m = z
+        self._footing = Footing(ground, np.array(start))
+
+    def down(self, position: Vector) -> float:
+        """Height of the ground below a position, both NED: positive below the start [m]."""
+        return self._start_m - self._footing.height(self._frame.position_from_ned(np.array(position)))
+
+
 class Airframe:
-    """A quadrotor on or above a flat floor at height 0.
+    """A quadrotor on or above the ground: a flat floor at height 0, or that of a map.
 
     The plant's own world is north-west-up. Both of its frames then turn into the autopilot's by the same half
     turn about x, which changes the signs of y and z of every vector of the state, Rodrigues parameters
-    included. On the floor the vehicle stays at rest while its thrust is below its weight. After a touch-down
+    included. On the ground the vehicle stays at rest while its thrust is below its weight. After a touch-down
     it stands level and still, unless it was tilted by more than 60 degrees: then it lies there, whatever its
     rotors do.
 
@@ -59,11 +79,12 @@ class Airframe:
         vehicle: a quadrotor; its disturbances act.
         seed: seed of noise and gusts.
         heading_rad: initial heading, clockwise from north [rad].
+        terrain: what it can stand on and where it stands at first; None for a flat floor.
 
     Attributes:
         truth: true motion.
         sensed: motion with the sensor noise and delay of the vehicle file.
-        on_ground: whether it stands on the floor.
+        on_ground: whether it stands on the ground.
         touchdown_m_s: largest speed of a touch-down [m/s].
         is_lying: whether it lies on its side or back.
         are_rotors_dead: fault: the rotors give no thrust.
@@ -72,7 +93,14 @@ class Airframe:
         UsageError: the vehicle is no quadrotor.
     """
 
-    def __init__(self, vehicle: Vehicle, *, seed: int = 0, heading_rad: float = 0.0) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        seed: int = 0,
+        heading_rad: float = 0.0,
+        terrain: Terrain | None = None,
+    ) -> None:
         self.body = quadrotor(vehicle)
         self._vehicle, self._seed = vehicle, seed
         flown = plant(_turned(vehicle), seed=seed)
@@ -89,6 +117,8 @@ class Airframe:
             or vehicle.disturbance.rate_noise_rad_s
         )
         self.on_ground = True
+        self._terrain = terrain
+        self._ground_m = 0.0  # down
         self._stood: Vector | None = None  # position before a hand lifted it
         self.touchdown_m_s = 0.0
         self.is_lying = self.are_rotors_dead = False
@@ -152,6 +182,8 @@ class Airframe:
             if self.is_lying or limited[0, 0] <= self.weight_n:
                 return
             self.on_ground = False
+        if self._terrain is not None:
+            self._ground_m = self._terrain.down(self.truth.position)
         self._commands[:] = limited
         flown = self._plant
         flown.fly(TICK_S / _STEPS, self._commands)
@@ -159,7 +191,7 @@ class Airframe:
         acceleration = flown.acceleration
         self.truth = _motion(flown.state, acceleration)
         self.sensed = _motion(flown.measured, acceleration) if self._noisy else self.truth
-        if self.truth.position[2] > 0 and self.truth.velocity[2] > 0:
+        if self.truth.position[2] > self._ground_m and self.truth.velocity[2] > 0:
             self.touchdown_m_s = max(self.touchdown_m_s, self.truth.velocity[2])
             self._park()
 
@@ -169,7 +201,7 @@ class Airframe:
         self.is_lying = _up(attitude) < _LYING_UP
         if not self.is_lying:
             attitude = from_euler(0, 0, to_euler(attitude)[2])
-        state = np.concatenate([[x, y, 0.0], to_mrp(attitude), np.zeros(6)])
+        state = np.concatenate([[x, y, self._ground_m], to_mrp(attitude), np.zeros(6)])
         self._plant.reset(state * _FLIP)
         self.truth = self.sensed = _motion(self._plant.state, [0.0, 0.0, 0.0])
         self.on_ground = True
