@@ -18,11 +18,12 @@ Examples:
   alula init garden.ply --metres-per-unit 1.8
   alula init garden.ply -o yard --height 2.6
   alula init garden.ply --colmap sparse/0
+  alula init tile_*.splat -o city
 """
 
 
 @grouped.command("init", epilog=EXAMPLES)
-@click.argument("splat", type=options.input_path())
+@click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.input_path())
 @click.option("--colmap", type=options.PATH, help="COLMAP model (folder) of the splat: its cameras tell up.")
 @click.option(
     "--up",
@@ -37,13 +38,15 @@ Examples:
 @click.option(
     "--trials", type=options.Whole(1, 100_000), default=20, show_default=True, help="Random flights."
 )
-@click.option("-o", "--output", type=options.PATH, help="Folder to write; default: the name of the splat.")
+@click.option(
+    "-o", "--output", type=options.PATH, help="Folder to write; default: the name of the first splat."
+)
 @options.common(
     "--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True
 )
 @options.reporting
 def command(
-    splat: Path,
+    splats: tuple[Path, ...],
     colmap: Path | None,
     up: str | None,
     metres_per_unit: float | None,
@@ -59,15 +62,16 @@ def command(
     """Write a first project for a splat of your own, ready for make.
 
     It looks at SPLAT and chooses up, scale, crop, voxel size, and a start and a goal in free space, and says
-    what it assumed. The folder gets a Makefile, a scenario and a README.md. `make` there takes the splat to a
+    what it assumed. Several files that share one frame, such as tiles, become one scene, as with
+    import-splat. The folder gets a Makefile, a scenario and a README.md. `make` there takes the splat to a
     report; make verify, plan, simulate and fly-rehearsal stop at their step.
     """
     from alula.cli.present import echo, print_json
     from alula.cli.project import LEARN_SCALE, folder_of, look, write_project
 
-    folder = folder_of(splat, output)
+    folder = folder_of(splats[0], output)
     chosen: Choices = look(
-        splat,
+        splats,
         colmap=colmap,
         up=up,
         metres_per_unit=metres_per_unit,
@@ -75,7 +79,7 @@ def command(
         lod=lod,
         jobs=jobs,
     )
-    write_project(folder, splat, chosen, trials)
+    write_project(folder, splats, chosen, trials)
     if json:
         print_json({"output": str(folder), "status": "written", "assumed": chosen.assumed})
         return

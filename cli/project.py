@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,7 +83,7 @@ def folder_of(splat: Path, output: Path | None) -> Path:
     """The folder to write, which must be new or empty.
 
     Args:
-        splat: file or folder of the splat.
+        splat: file or folder of the first splat.
         output: given by the user.
 
     Raises:
@@ -102,7 +103,7 @@ def folder_of(splat: Path, output: Path | None) -> Path:
 
 
 def look(
-    splat: Path,
+    splats: Sequence[Path],
     *,
     colmap: Path | None = None,
     up: str | None = None,
@@ -114,7 +115,7 @@ def look(
     """Look at a splat and choose; the map is made in memory, so that start and goal are free in it.
 
     Args:
-        splat: file or folder of the splat.
+        splats: its files and folders, in one frame.
         colmap: COLMAP model with cameras in its frame.
         up: axis that points up, such as "+z".
         metres_per_unit: scale.
@@ -138,13 +139,13 @@ def look(
         if value is not None and not (1e-6 <= value <= 1e6):
             raise UsageError(f"{name} must be between 1e-06 and 1e+06, not {value:g}")
     assumed: dict[str, str] = {}
-    scene, importing = _imported(splat, lod, assumed)
+    scene, importing = _imported(splats, lod, assumed)
     upward = _up(scene, colmap, up, assumed)
     height = height_of(scene.mean, upward.direction)
     scale = metres_per_unit
     if height_m is not None:
         if not height > 0:
-            raise InputError(f"{splat}: is flat, so that --height gives no scale")
+            raise InputError(f"{splats[0]}: is flat, so that --height gives no scale")
         scale = float(f"{height_m / height:.6g}")
         assumed["scale"] = f"1 unit is {scale:g} m, because all that is shown is {height_m:g} m high"
     elif scale is not None:
@@ -198,12 +199,12 @@ def look(
     )  # fmt: skip
 
 
-def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> None:
+def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials: int) -> None:
     """Write the files of a project.
 
     Args:
         folder: new or empty.
-        splat: file or folder of the splat.
+        splats: files and folders.
         chosen: see `look`.
         trials: number of random flights.
 
@@ -217,11 +218,11 @@ def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> No
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
-    relative = Path(os.path.relpath(splat.absolute(), folder.absolute()))
+    relative = [Path(os.path.relpath(each.absolute(), folder.absolute())) for each in splats]
     values = {
         "NAME": folder.resolve().name,
-        "SPLAT": make_escape(relative),
-        "WORD": shlex.quote(str(relative)).replace("$", "$$"),
+        "SPLATS": " ".join(map(make_escape, relative)),
+        "WORDS": shlex.join(map(str, relative)).replace("$", "$$"),
         "IMPORT": chosen.importing,
         "ALIGN": chosen.aligning,
         "VOXELIZE": chosen.voxelizing,
@@ -239,13 +240,13 @@ def write_project(folder: Path, splat: Path, chosen: Choices, trials: int) -> No
         write_text(folder / name, re.sub(r"@(\w+)@", lambda match: values[match[1]], text))
 
 
-def _imported(splat: Path, lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
+def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
     from alula.cli.library.verbs import splats_of
     from alula.schemas.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
-    read = splats_of(splat, lod=lod)
+    read = splats_of(*splats, lod=lod)
     fields: dict[str, Any] = {} if lod is None else {"lod": lod}
     try:
         whole = read(ImportSplatConfig(**fields))
@@ -258,7 +259,8 @@ def _imported(splat: Path, lod: int | None, assumed: dict[str, str]) -> tuple[Sc
             raise
     if len(whole.mean) < _LEAST:
         raise InputError(
-            f"{splat}: {len(whole.mean)} Gaussians are no scene to fly in; alula info says what the file has"
+            f"{splats[0]}: {len(whole.mean)} Gaussians are no scene to fly in; alula info says what the file "
+            "has"
         )
     is_cut = "drop_nan" in fields
     words = ([] if lod is None else [f"--lod {lod}"]) + (["--drop-nan"] if is_cut else [])

@@ -31,8 +31,8 @@ $(OUT)/.values/%: FORCE
 	@mkdir -p $(@D)
 	@cmp -s $@ <<< '$($*)' || cat > $@ <<< '$($*)'
 
-$(OUT)/splat.scene.npz: @SPLAT@ | $(OUT)
-	$(ALULA) import-splat -f @WORD@ -o $@ @IMPORT@
+$(OUT)/splat.scene.npz: @SPLATS@ | $(OUT)
+	$(ALULA) import-splat -f @WORDS@ -o $@ @IMPORT@
 
 $(OUT)/metric.scene.npz: $(OUT)/splat.scene.npz
 	$(ALULA) scale-align -f $< -o $@ @ALIGN@

@@ -101,6 +101,29 @@ def test_the_folder_has_the_name_of_the_splat_and_the_scale_is_loud(project, tmp
     assert (tmp_path / "garden/scenario.toml").read_text() == same
 
 
+def test_tiles_of_one_frame_become_one_project_equal_to_that_of_the_whole(project, tmp_path, capsys):
+    whole = project.parent / "my garden.ply"
+    header, rows = whole.read_bytes().split(b"end_header\n", 1)
+    splats = np.frombuffer(rows, [(name, "<f4") for name in COLUMNS])
+    (tmp_path / "tiles").mkdir()
+    for k, part in enumerate(np.split(splats, [len(splats) // 3])):
+        text = re.sub(rb"element vertex \d+", b"element vertex %d" % len(part), header)
+        (tmp_path / f"tiles/tile $ {k}.ply").write_bytes(text + b"end_header\n" + part.tobytes())
+    tiles = sorted(map(str, (tmp_path / "tiles").iterdir()))
+    for name, inputs in (("named", tiles), ("folder", [str(tmp_path / "tiles")])):
+        assert run(["init", *inputs, "-o", str(tmp_path / name), "-q"]) == 0
+        made = [(each / "Makefile").read_text() for each in (tmp_path / name, project)]
+        ends = [re.search(r"--start .*--goal [-. \d]+", text) for text in made]
+        assert ends[0][0] == ends[1][0]
+    done = make(tmp_path / "named", "out/splat.scene.npz")
+    assert done.returncode == 0, done.stderr
+    scene = alula.read(tmp_path / "named/out/splat.scene.npz")
+    assert 0.9 * len(splats) <= len(scene.mean) <= len(splats)
+    assert [each.name for each in scene.artifact.manifest.inputs] == [Path(tile).name for tile in tiles]
+    assert run(["init", tiles[0], tiles[0], "-o", str(tmp_path / "twice")]) == 2
+    assert "is named twice" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "code", "text"),
     [
