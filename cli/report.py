@@ -269,7 +269,9 @@ def read_material(
     return Material(
         title=title,
         runs=tuple(flown),
-        **artifacts,
+        cover=artifacts.get("cover"),
+        scene=artifacts.get("scene"),
+        plan=artifacts.get("plan"),
         certificate=certificate,
         certified_cover=None if made is None else cover_hash(made.inputs),
         inputs=tuple(provenance.inputs),

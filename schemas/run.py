@@ -211,7 +211,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
             none is commanded [m/s^2].
         min_margin: minimum of the filter's barrier.
         min_gamma: minimum of r' A r - 1 over all ellipsoids as the filter grew them, at the rate of the
-            filter; below 0 inside one.
+            filter; below 0 inside one; None where no filter reads them.
         backup_steps: the backup policy flew.
         certified_steps: a safe backup manoeuvre was proven to remain.
         capped_steps: the limit on the number of ellipsoids left some out.

@@ -67,6 +67,22 @@ def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
     )
 
 
+def kept_obstacles(scene: Artifact, sigma: float, trees: dict[float, EllipsoidSet]) -> EllipsoidSet:
+    """The search tree of `scene_obstacles`, made once for each level.
+
+    Args:
+        scene: an `alula/scene`.
+        sigma: level, in standard deviations.
+        trees: those of this scene by level; the one that is made is added.
+
+    Raises:
+        InputError: as `scene_obstacles`.
+    """
+    if sigma not in trees:
+        trees[sigma] = scene_obstacles(scene, sigma)
+    return trees[sigma]
+
+
 def path_clearance(
     points: ArrayLike, obstacles: PolytopeSet | EllipsoidSet, *, jobs: int = 0, cap_m: float = math.inf
 ) -> FloatArray:

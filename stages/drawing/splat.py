@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 _GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
 _LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
 THINNED_FROM = "thinned_from"  # entry of the summary of a thinned scene: number of Gaussians of the whole
+_CHUNK = 1 << 18  # rows that are in memory at once in double precision
 _MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left out
 
 
@@ -27,8 +29,10 @@ def contribution(scene: Artifact) -> NDArray[np.float64]:
     Args:
         scene: an `alula/scene`.
     """
-    axes = np.sort(np.asarray(scene["scale"], np.float64), axis=1)
-    area: NDArray[np.float64] = np.asarray(scene["opacity"], np.float64) * axes[:, 1] * axes[:, 2]
+    area = np.empty(len(scene["opacity"]))
+    for rows in _chunks(len(area)):
+        axes = np.sort(np.asarray(scene["scale"][rows], np.float64), axis=1)
+        area[rows] = np.asarray(scene["opacity"][rows], np.float64) * axes[:, 1] * axes[:, 2]
     return area
 
 
@@ -67,6 +71,11 @@ def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> Choice:
     return Choice(order[kept], grown)
 
 
+def _chunks(count: int) -> Iterator[slice]:
+    """Parts of so many rows."""
+    return (slice(first, first + _CHUNK) for first in range(0, count, _CHUNK))
+
+
 def _shares(weight: NDArray[np.float64], total: int) -> NDArray[np.float64]:
     """Probabilities min(1, c w) that add up to `total`, which is below their number."""
     share = np.zeros(len(weight))
@@ -86,11 +95,12 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
     if not len(points):
         return np.empty(0, np.uint64)
     low, high = np.quantile(points, (0.005, 0.995), axis=0)
-    cell = np.clip((points - low) / np.maximum(high - low, 1e-9) * 1023, 0, 1023).astype(np.uint64)
     code = np.zeros(len(points), np.uint64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    for rows in _chunks(len(points)):
+        cell = np.clip((points[rows] - low) / np.maximum(high - low, 1e-9) * 1023, 0, 1023).astype(np.uint64)
+        for bit in range(10):
+            for axis in range(3):
+                code[rows] |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return code
 
 

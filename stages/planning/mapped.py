@@ -17,6 +17,7 @@ ROUNDING_M = 1e-6  # of stored coefficients and printed points
 _UNITS = (("feet", 0.3048), ("centimetres", 0.01), ("millimetres", 0.001))  # the largest that fits is named
 _PROJECTED_M = 1e5  # from which both horizontal coordinates look like a map projection's
 _FAR = 1.0  # of the largest edge of the box: points that are farther outside may be in another unit
+_CHUNK = 1 << 18  # Gaussians in memory at once in double precision
 _PARTS = 8  # of a piece, by whose control points its extent is bounded
 
 
@@ -135,8 +136,11 @@ def ellipsoid_box(scene: Artifact, sigma: float) -> list[FloatArray]:
         scene: an `alula/scene`.
         sigma: level of the ellipsoids, in standard deviations.
     """
-    mean = np.asarray(scene["mean"], np.float64)
-    if len(mean) == 0:
-        return []
-    reach = sigma * np.asarray(scene["scale"], np.float64).max(axis=1)[:, None]
-    return [(mean - reach).min(axis=0)[None], (mean + reach).max(axis=0)[None]]
+    corners: list[FloatArray] = []
+    for first in range(0, len(scene["mean"]), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        mean = np.asarray(scene["mean"][rows], np.float64)
+        reach = sigma * np.asarray(scene["scale"][rows].max(axis=1), np.float64)[:, None]
+        corners += [(mean - reach).min(axis=0), (mean + reach).max(axis=0)]
+    every = np.array(corners)
+    return [every.min(axis=0)[None], every.max(axis=0)[None]] if corners else []

@@ -11,7 +11,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
-from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
+from alula.stages.clearance import hull_obstacles, kept_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.curves import Spell, encounter_clearance, spells
 from alula.stages.reporting.fenced import fence_distance, is_fenced
@@ -189,7 +189,7 @@ def _clearances(material: Material, run: Run, flight: Flight) -> tuple[Curve, ..
         # the path of a flight is in metres, and so is only a scene that was aligned
         is_metric = material.scene is not None and material.scene.manifest.unit == "m"
         if material.scene is not None and is_metric and _is_same(run, material.inputs, "scene"):
-            ellipsoids = scene_obstacles(material.scene, sigma_of(run))
+            ellipsoids = kept_obstacles(material.scene, sigma_of(run), material.trees)
             distance = path_clearance(path, ellipsoids, cap_m=_CAP_M)
             found.append(Curve("splats", to_end, distance - radius))
         if (moving := flight.moving) is not None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from alula._core import EllipsoidSet
 from alula.schemas.artifact import Artifact
 from alula.schemas.flights import Course, Flight
 from alula.schemas.manifest import InputRef
@@ -54,7 +55,8 @@ class Material:
     """All inputs of a report; every number in the report comes from here.
 
     `inputs` describes the files that were read; `file_bytes` maps their roles to their sizes;
-    `certified_cover` is the hash of the cover that `certificate` proves.
+    `certified_cover` is the hash of the cover that `certificate` proves; `trees` has those that
+    `ellipsoids` made, by their level.
     """
 
     title: str
@@ -66,6 +68,7 @@ class Material:
     certified_cover: str | None = None
     inputs: tuple[InputRef, ...] = ()
     file_bytes: Mapping[str, int] = field(default_factory=dict)
+    trees: dict[float, EllipsoidSet] = field(default_factory=dict)
 
 
 def is_composed(trial: TrialResult) -> bool:

@@ -111,8 +111,8 @@ def still(material: Material) -> Figure | None:
 def _world(material: Material) -> FloatArray:
     """Points that stand for the world's extent, shape (n, 3) [m]."""
     if material.scene is not None:
-        found = np.asarray(material.scene["mean"], np.float64)
-        return found[:: max(1, len(found) // 20_000)]
+        mean = material.scene["mean"]
+        return np.asarray(mean[:: max(1, len(mean) // 20_000)], np.float64)
     if material.cover is not None:
         edge = float(material.cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
         return np.asarray(material.cover["vertex"], np.float64) * edge
@@ -168,9 +168,9 @@ def _world_parts(sight: _Sight, material: Material, top: float) -> tuple[list[Pa
 
 def _gaussians(sight: _Sight, scene: Artifact, top: float) -> tuple[list[Part], str]:
     choice = chosen(scene, _MOST_GAUSSIANS)
-    mean = np.asarray(scene["mean"], np.float64)
-    inside = int(_is_inside(sight, mean, top).sum())
-    shown = choice.of(_is_inside(sight, mean, top)[choice.row])
+    is_inside = _is_inside(sight, np.asarray(scene["mean"], np.float64), top)
+    inside = int(is_inside.sum())
+    shown = choice.of(is_inside[choice.row])
     words = f"{len(shown.row):,} Gaussians" + (f" of {inside:,}" if inside > len(shown.row) else "")
     return [gaussians("splat", scene, shown)], words
 

@@ -161,13 +161,12 @@ def _cover_hulls(cover: Artifact) -> dict[str, Any]:
 
 def _ellipsoids(scene: Artifact, sigma: float, paths: list[FloatArray]) -> dict[str, Any]:
     """Ellipsoids at the level as spheres, those nearest to the paths when there are too many."""
-    mean = np.asarray(scene["mean"], np.float64)
-    reach = sigma * np.asarray(scene["scale"], np.float64)
-    shown = nearest(mean, reach.max(axis=1), paths, SHOWN_ELLIPSOIDS)
+    shown = nearest(scene, sigma, paths, SHOWN_ELLIPSOIDS)
     spheres = []
     for i in shown:
+        reach = sigma * np.asarray(scene["scale"][i], np.float64)
         red, green, blue = (round(int(value) / 255, 3) for value in scene["color"][i])
         attitude = quaternion(scene["quat_wxyz"][i].astype(np.float64))
         color = {"r": red, "g": green, "b": blue, "a": 0.6}
-        spheres.append(sphere(xyz(mean[i]), attitude, xyz(2 * reach[i]), color))
-    return {"metadata": facts(ellipsoids=len(mean), shown=len(shown)), "spheres": spheres}
+        spheres.append(sphere(xyz(scene["mean"][i].astype(np.float64)), attitude, xyz(2 * reach), color))
+    return {"metadata": facts(ellipsoids=len(scene["mean"]), shown=len(shown)), "spheres": spheres}

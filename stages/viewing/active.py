@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +32,18 @@ class Numbered:
     Attributes:
         solids: the hulls; None where they are not known.
         centers: of the ellipsoids, shape (n, 3) [m].
-        semi_axes: shape (n, 3) [m].
+        semi_axes: at level 1, shape (n, 3) [m].
         quat_wxyz: of the semi-axes, shape (n, 4).
         ellipsoids: their number in the map; None where it is not known.
+        level: of the ellipsoids.
     """
 
     solids: Solids | None
-    centers: FloatArray
-    semi_axes: FloatArray
-    quat_wxyz: FloatArray
+    centers: NDArray[np.floating[Any]]
+    semi_axes: NDArray[np.floating[Any]]
+    quat_wxyz: NDArray[np.floating[Any]]
     ellipsoids: int | None
+    level: float = 1.0
 
     def mesh(self, number: int, *, is_hull: bool) -> tuple[str, FloatArray, NDArray[np.int64]] | None:
         """Name, corners and triangles of an obstacle; None where it is not known.
@@ -56,8 +59,8 @@ class Numbered:
             if number >= len(self.centers):
                 return None
             corners, triangles = ball_mesh()
-            turn = matrix_from_quat_wxyz(self.quat_wxyz[number : number + 1])[0]
-            places = (corners * self.semi_axes[number]) @ turn.T + self.centers[number]
+            turn = matrix_from_quat_wxyz(np.asarray(self.quat_wxyz[number : number + 1], np.float64))[0]
+            places = (corners * (self.level * self.semi_axes[number])) @ turn.T + self.centers[number]
             return f"ellipsoid {number}", places, triangles
         hull = number - first
         if self.solids is None or hull >= len(self.solids):

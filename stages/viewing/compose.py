@@ -12,7 +12,7 @@ from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.stages.clearance import scene_obstacles
+from alula.stages.clearance import kept_obstacles
 from alula.stages.drawing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
 from alula.stages.drawing.solids import Solids, drawn, largest, solids_of_cover, surface_points, voxel_surface
 from alula.stages.drawing.splat import THINNED_FROM, chosen, gaussians
@@ -52,6 +52,7 @@ class Shown:
         maps: maps in the logs of runs, by the run's label.
         elsewhere: labels of runs that flew through other hulls than those given.
         around: further points that the camera shows, shape (n, 3) [m].
+        trees: search trees of a single scene by level, made when they are needed.
     """
 
     title: str
@@ -64,6 +65,7 @@ class Shown:
     maps: Mapping[str, LoggedMap] = field(default_factory=dict)
     elsewhere: Collection[str] = ()
     around: FloatArray | None = None
+    trees: dict[float, EllipsoidSet] = field(default_factory=dict)
 
 
 def content_of(
@@ -305,9 +307,8 @@ def _numbered(shown: Shown, run: Run) -> Numbered | None:
         solids = solids_of_cover(covers[0][1]) if len(covers) == 1 else None
         count = None if scene is None else len(scene["mean"])
     if scene is not None and count == len(scene["mean"]):
-        quat, axes = np.asarray(scene["quat_wxyz"], np.float64), sigma_of(run) * np.asarray(scene["scale"])
-        centers = np.asarray(scene["mean"], np.float64)
-    elif logged is not None and count == len(logged.centers):
+        return Numbered(solids, scene["mean"], scene["scale"], scene["quat_wxyz"], count, sigma_of(run))
+    if logged is not None and count == len(logged.centers):
         quat, axes, centers = logged.quat_wxyz, logged.semi_axes, logged.centers
     else:
         quat, axes, centers = np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 3))
@@ -326,5 +327,5 @@ def _obstacles(shown: Shown, run: Run) -> dict[str, PolytopeSet | EllipsoidSet]:
     sigma = run.record.summary.get("sigma")
     flew_ellipsoids = logged is None or logged.has_ellipsoids
     if isinstance(sigma, int | float) and sigma > 0 and len(shown.scenes) == 1 and flew_ellipsoids:
-        found["ellipsoids"] = scene_obstacles(shown.scenes[0][1], float(sigma))
+        found["ellipsoids"] = kept_obstacles(shown.scenes[0][1], float(sigma), shown.trees)
     return found

@@ -29,6 +29,7 @@ def view(material: Material) -> View | None:
         runs=runs,
         elsewhere=frozenset(run.label for run in runs if flew_through(run, material) is False),
         scenes=[] if material.scene is None else [("scene", material.scene)],
+        trees=material.trees,
         covers=[] if material.cover is None else [("cover", material.cover)],
         plans=[] if material.plan is None else [("plan", material.plan)],
     )

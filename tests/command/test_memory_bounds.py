@@ -1,4 +1,7 @@
-"""The memory bounds in the help of merge and verify hold, and more voxels are refused at the start."""
+"""The memory bounds in the help of merge and verify hold, and more voxels are refused at the start.
+
+Flights in a cover with its scene stay within a bound for each Gaussian.
+"""
 
 import json
 import os
@@ -14,6 +17,8 @@ from alula.schemas.kinds import VOXELS
 from alula.stages.compression import limits, merge
 from alula.stages.compression import verify as certificate
 from alula.stages.compression.onboard import verify as map_certificate
+from support.fabricate import make_scene
+from support.small_scenes import box_cover
 
 # Runs the command line in a child and prints the child's peak, in bytes (ru_maxrss counts KiB on Linux).
 PEAK = (
@@ -80,6 +85,20 @@ def test_peaks_stay_below_what_the_help_says(tmp_path, monkeypatch, shape, words
     cover = read_artifact(tmp_path / "c.cover.npz")
     held, hulls = max(count, len(cover["member_index"])), len(cover["plane_start"]) - 1
     assert used <= limits.BASE_BYTES + limits.VERIFY_BYTES * held + limits.VERIFY_HULL_BYTES * hulls
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
+def test_flights_among_hulls_hold_the_scene_for_the_judge_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    slabs = [((-10, -10, -10), (90, 90, 5)), ((-10, -10, 40), (90, 90, 50))]  # voxels of 0.1 m
+    write_artifact(tmp_path / "room.cover.npz", box_cover(slabs))
+    used = {}
+    for count in (50_000, 350_000):
+        write_artifact(tmp_path / "room.scene.npz", make_scene(count, high=(8, 8, 0.3)))
+        words = ["simulate", "room.cover.npz", "--scene", "room.scene.npz", "-o", f"{count}.run.mcap"]
+        used[count] = peak(*words, "--trials", "2", "--set", "world.inflation_m=0", "-q")
+    each = (used[350_000] - used[50_000]) / 300_000
+    assert each <= 280  # 46 bytes of the file, the judge's search tree and what it is made from
 
 
 def test_the_help_says_what_is_refused(capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -90,6 +91,19 @@ def needs_image(scenario: WorldScenario) -> bool:
         scenario: any.
     """
     return "geofence" in scenario.safety.filters or scenario.mission.kind == "pilot"
+
+
+def needs_index(scenario: WorldScenario, names: Sequence[str]) -> bool:
+    """Whether filters or the choice of starts read the ellipsoids of the scene; the judge always does.
+
+    Behind `polytope-cbf`, or without a filter, flights in a cover steer by its hulls alone.
+
+    Args:
+        scenario: completed.
+        names: filters, with the guide of the controller.
+    """
+    is_among_hulls = scenario.world.cover is not None and set(names) <= {"polytope-cbf"}
+    return not is_among_hulls or scenario.mission.kind == "pilot"
 
 
 def safety_filters(

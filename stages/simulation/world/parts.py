@@ -26,7 +26,7 @@ from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.behind import flown_behind, undisturbed
-from alula.stages.simulation.world.filters import filter_world, needs_image, safety_filters
+from alula.stages.simulation.world.filters import filter_world, needs_image, needs_index, safety_filters
 from alula.stages.simulation.world.vehicle import vehicle_spec, velocity_lags_s
 from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
 
@@ -150,6 +150,7 @@ def parts_of(
         tiles=tiles,
         beyond_map_m=max(mission.beyond_map_m, 0.0 if plan is None else plan.manifest.beyond_map_m),  # type: ignore[attr-defined]
         needs_image=full.world.onboard or needs_image(full),
+        needs_index=needs_index(full, names),
         jobs=jobs,
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most, lag_s=lag_s)

@@ -53,13 +53,13 @@ class StaticWorld:
         hulls: of the cover, the walls and unseen space; None without any.
         polytopes: the same as a native set.
         ellipsoids: of the scene, for the judge; None without a scene.
-        index: of the scene for filters; empty without a scene.
+        index: of the scene for filters; empty without a scene, and where none of them reads it.
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
-        parts: native maps by name, of those there are: ellipsoids, hulls, fence.
+        parts: native maps by name, of those there are: ellipsoids (where filters read them), hulls, fence.
         seen: space that was seen; the boxes of all other space are among the hulls.
         image: the cover as an onboard map; empty unless filters read it.
         tiles: the cover in tiles; None unless a filter reads them.
-        centres: vertices of hulls and centres of Gaussians, shape (N, 3) [m].
+        scene: that the scenario names; None without one.
         floor_m: height of the floor that the scene was levelled to; None where it was not [m].
         mapped: box around the hulls and ellipsoids of cover, scene and seen space; None without any.
         claims: of the guarantees of scene and cover, for that of the run.
@@ -80,7 +80,7 @@ class StaticWorld:
     seen: Artifact | None
     image: bytes
     tiles: _core.TileSet | None
-    centres: FloatArray
+    scene: Artifact | None
     floor_m: float | None
     mapped: Mapped | None
     claims: dict[str, Any]
@@ -90,6 +90,12 @@ class StaticWorld:
     def vertices(self) -> FloatArray:
         """Vertices of the hulls, shape (N, 3) [m]."""
         return np.empty((0, 3)) if self.hulls is None else self.hulls.vertices_world
+
+    @property
+    def centres(self) -> FloatArray:
+        """Vertices of the hulls and centres of the Gaussians, shape (N, 3) [m]."""
+        points = [] if self.scene is None else [self.scene["mean"]]
+        return np.concatenate([self.vertices, *points], dtype=np.float64)
 
     @property
     def map(self) -> _core.ObstacleMap | None:
@@ -152,8 +158,12 @@ class StaticWorld:
             paths: points of the references, each of shape (N, 3) [m].
             has_moving: whether there are moving obstacles.
         """
-        points, beyond = np.concatenate([self.centres, *paths]), _BEYOND_MOVING_M if has_moving else _BEYOND_M
-        return tuple(points.min(axis=0) - beyond), tuple(points.max(axis=0) + beyond)
+        means = [] if self.scene is None else [self.scene["mean"]]
+        points = [each for each in (self.vertices, *means, *paths) if len(each)]
+        beyond = _BEYOND_MOVING_M if has_moving else _BEYOND_M
+        lower = np.min([each.min(axis=0).astype(np.float64) for each in points], axis=0) - beyond
+        upper = np.max([each.max(axis=0).astype(np.float64) for each in points], axis=0) + beyond
+        return tuple(lower), tuple(upper)
 
 
 def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
@@ -195,6 +205,7 @@ def static_world(
     tiles: TileFiles | None = None,
     beyond_map_m: float = 0.0,
     needs_image: bool,
+    needs_index: bool,
     jobs: int,
 ) -> StaticWorld:
     """Make the static world of a scenario.
@@ -208,6 +219,7 @@ def static_world(
         tiles: that the scenario names.
         beyond_map_m: distance around the mapped box in which space counts as free [m].
         needs_image: whether a filter reads the cover as an onboard map.
+        needs_index: whether a filter, or the choice of starts, reads the ellipsoids; the judge does not.
         jobs: threads.
 
     Raises:
@@ -225,11 +237,11 @@ def static_world(
     hull_keep = radius_m + beyond_hulls(table.inflation_m, cover, suggested)
     hulls = static_walls(table.walls, cover, seen)
     polytopes = None if hulls is None else hull_obstacles(hulls)
-    index = ellipsoid_index(scene, sigma, keep)
+    index = ellipsoid_index(scene if needs_index else None, sigma, keep)
     box = None if table.fence is None else table.fence.box_m
     faces = fence_faces(box, () if table.fence is None else table.fence.faces)
     parts: dict[str, _core.ObstacleMap] = {}
-    if scene is not None:
+    if scene is not None and needs_index:
         parts["ellipsoids"] = _core.EllipsoidMap(index)
     image = encode_map(cover, indexed=True, jobs=jobs) if cover is not None and needs_image else b""
     if polytopes is not None and hulls is not None and len(hulls.plane_start) > 1:
@@ -237,11 +249,6 @@ def static_world(
         parts["hulls"] = _core.ImageMap(image) if reads else _core.HullMap(polytopes)
     if len(faces):
         parts["fence"] = _core.FenceMap(np.ascontiguousarray(faces[:, :3]), np.ascontiguousarray(faces[:, 3]))
-    centres = [np.empty((0, 3))]
-    if hulls is not None:
-        centres.append(hulls.vertices_world)
-    if scene is not None:
-        centres.append(np.asarray(scene["mean"], np.float64))
     return StaticWorld(
         radius_m=radius_m,
         sigma=sigma,
@@ -257,7 +264,7 @@ def static_world(
         seen=seen,
         image=image,
         tiles=None if tiles is None else tile_set(tiles),
-        centres=np.concatenate(centres),
+        scene=scene,
         floor_m=max(
             (at for each in (cover, scene) if each is not None and (at := floor_of(each)) is not None),
             default=None,

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from alula.schemas.artifact import Artifact
 from alula.stages.flight.recorder.channels import CHANNELS, FlightChannels, LineSample, StepSample
 from alula.stages.reporting.ros_messages import RosMessages
 from alula.stages.runlog import cloud
@@ -105,3 +106,19 @@ def test_channels_with_a_type_of_foxglove_use_it():
     for topic, name in {**FLIGHT_CHANNELS, **CHANNELS}.items():
         own = topic in ("/state", "/safety", "/supervisor", "/replay")
         assert name.startswith("alula." if own else "foxglove."), topic
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0])
+def test_the_nearest_gaussians_are_those_of_all_pairs_of_points(monkeypatch, sigma):
+    monkeypatch.setattr(cloud, "_CHUNK", 100)
+    scene = make_scene(950, low=(0, 0, 0), high=(9, 3, 3))
+    scale = np.array(scene["scale"])
+    scale[::97] = 2.5  # a few huge ones
+    scene = Artifact(scene.manifest, scene.arrays | {"scale": scale})
+    path = np.random.default_rng(2).uniform((0, 0, 0), (2, 3, 3), (40, 3))
+    mean = scene["mean"].astype(np.float64)
+    apart = np.linalg.norm(mean[:, None] - path, axis=2).min(axis=1)
+    apart -= sigma * scale.max(axis=1).astype(np.float64)
+    for most in (1, 60, 949, 950):
+        expected = np.sort(np.argsort(apart, kind="stable")[:most])
+        assert (cloud.nearest(scene, sigma, [path[:15], path[15:]], most) == expected).all()

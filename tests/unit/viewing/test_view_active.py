@@ -8,6 +8,7 @@ import pytest
 
 from alula.schemas.flights import Course, NewPlan
 from alula.schemas.manifest import PlanPass
+from alula.stages import clearance
 from alula.stages.reporting.material import Run
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.viewing.compose import Shown, content_of
@@ -102,3 +103,18 @@ def test_a_new_plan_appears_when_the_flight_joins_it():
     assert seen.index(True) == pytest.approx(N * 2 / 5, abs=1)
     assert not any(seen[: seen.index(True)])
     assert all(seen[seen.index(True) :])
+
+
+def test_runs_in_one_scene_share_its_search_tree_also_when_the_view_is_made_again(monkeypatch):
+    made = []
+    tree_of = clearance.scene_obstacles
+    monkeypatch.setattr(clearance, "scene_obstacles", lambda *given: made.append(given[1]) or tree_of(*given))
+    each = []
+    for label in "ab":
+        record = make_record([make_trial(0)], summary={"sigma": 1.0})
+        each.append(Run(label, record, {0: flight()}))
+    shown = Shown(title="t", runs=each, scenes=[("s", make_scene(30))])
+    for _ in range(2):
+        plays = content_of(shown).plays
+        assert [np.isfinite(play.nearest_world).all() for play in plays] == [True, True]
+    assert made == [1.0]

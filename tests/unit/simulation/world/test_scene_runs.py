@@ -14,7 +14,7 @@ from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
 from support.fabricate import make_scene
 from support.foreign_filters import Broken, Limiting, provide
-from support.small_scenes import ball_scene, rest_plan
+from support.small_scenes import ball_scene, box_cover, rest_plan
 from support.world_runs import flown
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
@@ -197,3 +197,13 @@ def test_parameters_are_complete_and_checked():
             quick("cone-di", given)
     with pytest.raises(UsageError, match=r"`\$.safety.cone-di.alpha`"):
         quick("cone-di", {"alpha": -1.0})
+
+
+def test_only_filters_that_read_ellipsoids_index_them_and_the_judge_measures_them_always():
+    scene, cover = ball_scene([[2, 2, 0.5]], 0.2), box_cover([((15, 15, 0), (25, 25, 10))])
+    given = {"scene": scene, "cover": cover, "bounds_m": [0, 0, 0, 4, 4, 3], "trials": 2, "speed_m_s": 1.0}
+    among_hulls, among_both = flown("polytope-cbf", **given), flown("cone-backup", **given)
+    assert (len(among_hulls.run.world.index), len(among_both.run.world.index)) == (0, 1)
+    assert all(trial.min_gamma is None for trial in among_hulls.trials)
+    assert all(trial.min_gamma > 0 for trial in among_both.trials)
+    assert all(trial.scene_clearance_m > 0 for trial in among_hulls.trials + among_both.trials)
