@@ -87,6 +87,7 @@ scene = "out/metric.scene.npz"
 
 [mission]
 kind = "pairs"
+planned = true                   # each along a plan of its own; straight flights slide along obstacles
 beyond_map_m = @BEYOND@
 
 [safety]

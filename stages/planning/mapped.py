@@ -96,7 +96,8 @@ class Mapped:
     def _words(self, what: str, out_m: float, points: FloatArray, radius_m: float, insist: str) -> str:
         box = " ".join(f"{x:.4g}" for x in (*self.lower, *self.upper))
         is_far = out_m > _FAR * float((self.upper - self.lower).max())
-        unit = self._unit(points) if is_far else ""
+        out = np.maximum(self.lower - points, points - self.upper) > self.beyond_m
+        unit = self._unit(points) if is_far and (out.sum(axis=1) > 1).any() else ""
         return (
             f"{what} is {at_most(out_m)} m outside of the mapped box ({box} m, less a radius of {radius_m:g} "
             f"m), and what is there is unknown{f' ({unit}?)' if unit else ''}; "
@@ -116,6 +117,20 @@ class Mapped:
             if ((scaled >= self.lower) & (scaled <= self.upper)).all():
                 return f"in {name}"
         return ""
+
+
+def within_crop(
+    box: tuple[FloatArray, FloatArray], crop: Sequence[float] | None
+) -> tuple[FloatArray, FloatArray]:
+    """The part of a box that a map's crop lets it know: what lies outside of the crop is unknown.
+
+    Args:
+        box: corners, each of shape (3,) [m].
+        crop: XMIN YMIN ZMIN XMAX YMAX ZMAX; None for none [m].
+    """
+    if crop is None:
+        return box
+    return np.maximum(box[0], crop[:3]), np.minimum(box[1], crop[3:])
 
 
 def words_beyond(beyond_m: float) -> str:

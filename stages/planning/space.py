@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.planning.corridor import Kept, Obstacles
 from alula.stages.planning.inside import floor_of
-from alula.stages.planning.mapped import Mapped, ellipsoid_box
+from alula.stages.planning.mapped import Mapped, ellipsoid_box, within_crop
 from alula.stages.planning.unseen import unseen_hulls
 
 IMAGE_FRAME = "world"  # an onboard map does not name its frame
@@ -64,6 +64,7 @@ class Part:
         omits: what the level leaves out, in words.
         solids: the same as hulls or ellipsoids.
         short_m: maximum by which distances in `map` are smaller than those of `solids` [m].
+        crop: box beyond which the map knows nothing, XMIN YMIN ZMIN XMAX YMAX ZMAX; None for none [m].
     """
 
     role: str
@@ -77,6 +78,7 @@ class Part:
     level_words: str
     omits: tuple[str, ...] = ()
     short_m: float = 0.0
+    crop: tuple[float, ...] | None = None
 
     @property
     def extent_m(self) -> float:
@@ -264,7 +266,8 @@ def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> P
         **_origins(cover),
     }
     hulls, left_out = Hulls.from_cover(cover), omissions(level)
-    return _hull_part("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
+    part = _hull_part("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
+    return replace(part, crop=None if level.crop is None else tuple(level.crop))
 
 
 def _seen_part(within: Artifact, keep_m: float) -> Part:
@@ -358,7 +361,11 @@ def mapped_box(space: PlanSpace, beyond_m: float = 0.0) -> Mapped | None:
         beyond_m: see `Mapped`.
     """
     box = space.box()
-    return None if box is None else Mapped(*box, beyond_m)
+    if box is None:
+        return None
+    for part in space.parts:
+        box = within_crop(box, part.crop)
+    return Mapped(*box, beyond_m)
 
 
 def room_around(

@@ -17,6 +17,10 @@ _LAYERS = 200  # along the largest extent of nearly all Gaussians
 _OUTER = 0.5  # percentile beyond which Gaussians have no say in the extent
 _CLEAR = 1.3  # times as many Gaussians in the fullest layer as along any other axis: perhaps a floor
 _FLOOR = 0.1, 2.0  # fraction of the Gaussians, and times as many as along any other axis: surely a floor
+_COMPARABLE = (
+    0.5  # fraction of the Gaussians of the fullest layer that another one apart from it needs to compare
+)
+_APART = 5  # layers between these two
 _ONE_SIDED = 2.0  # times as many Gaussians above a floor as below it
 _MATTER = 1.0  # percentile of a box around the matter
 _WORTH = 0.5  # of the volume of all Gaussians: a smaller box is worth a crop
@@ -90,7 +94,8 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
     """Up from the Gaussians alone: away from the floor, the fullest thin layer across an axis.
 
     Layers have the same thickness along all axes, 1 / 200 of the largest extent. Where neither side of the
-    fullest layer has twice as many Gaussians as the other, up is +x, -y or +z, as most writers have it.
+    fullest layer has twice as many Gaussians as the other, up is +x, -y or +z, as most writers have it. So
+    it is where the fullest layer says otherwise and a layer of comparable size lies elsewhere along the axis.
 
     A layer with a tenth of the Gaussians, and twice as many as any across another axis, is a floor. A layer
     with fewer decides only where the format does not state its frame, and never for x, which no format has
@@ -109,7 +114,7 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
         return no_floor
     layers = [_layer(mean[:, axis], float(low[axis]), float(high[axis]), thickness) for axis in range(3)]
     order = sorted(range(3), key=lambda axis: -layers[axis][0])
-    share, below, above = layers[order[0]]
+    share, below, above, other = layers[order[0]]
     if share < _CLEAR * layers[order[1]][0]:
         return no_floor
     is_floor = share >= _FLOOR[0] and share >= _FLOOR[1] * layers[order[1]][0]
@@ -119,9 +124,16 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
             f"the fullest flat layer, across {'xyz'[order[0]]}, has only {share:.0%} of the Gaussians, too "
             f"few for a floor, so {convention.words} is taken; --up gives another",
         )
-    is_positive = order[0] != 1 if max(below, above) < _ONE_SIDED * min(below, above) else below <= above
+    is_positive, usual = below <= above, order[0] != 1
+    is_odd = is_positive != usual and other >= _COMPARABLE * share  # the other layer may be the floor as well
+    if is_odd or max(below, above) < _ONE_SIDED * min(below, above):
+        is_positive = usual
     name = f"{'+' if is_positive else '-'}{'xyz'[order[0]]}"
-    weak = "" if is_floor else "; that is weak evidence: look at it in alula view, --up gives another"
+    weak = (
+        ""
+        if is_floor and not is_odd
+        else "; that is weak evidence: look at it in alula view, --up gives another"
+    )
     return Up(
         _axis(order[0], 1.0 if is_positive else -1.0),
         f"a flat layer has {share:.0%} of the Gaussians, and {name} leads up from it{weak}",
@@ -181,9 +193,13 @@ def crop_of(mean: _Centres) -> tuple[FloatArray, FloatArray, float] | None:
     return low, high, float(inside.mean())
 
 
-def _layer(coordinate: _Centres, low: float, high: float, thickness: float) -> tuple[float, float, float]:
-    """Fractions of the Gaussians in the fullest layer, and on either side of it."""
+def _layer(
+    coordinate: _Centres, low: float, high: float, thickness: float
+) -> tuple[float, float, float, float]:
+    """Fractions of the Gaussians in the fullest layer, on either side of it, and in the fullest one apart."""
     bins = max(1, round((high - low) / thickness))
     counts, _ = np.histogram(coordinate, bins, (low, low + bins * thickness))
     at, total = int(counts.argmax()), len(coordinate)
-    return counts[at] / total, int(counts[:at].sum()) / total, int(counts[at + 1 :].sum()) / total
+    apart = np.r_[counts[: max(at - _APART, 0)], counts[at + 1 + _APART :]]
+    sides = int(counts[:at].sum()) / total, int(counts[at + 1 :].sum()) / total
+    return counts[at] / total, *sides, int(apart.max(initial=0)) / total

@@ -14,6 +14,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import WallTable
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.manifest import LevelManifest
 from alula.schemas.tiles import TileFiles
 from alula.schemas.world import WorldScenario
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
@@ -29,7 +30,7 @@ from alula.stages.filtering.obstacles import (
     union_of,
 )
 from alula.stages.planning.inside import floor_of
-from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box
+from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box, within_crop
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.fence import fence_faces
 
@@ -269,7 +270,7 @@ def static_world(
             (at for each in (cover, scene) if each is not None and (at := floor_of(each)) is not None),
             default=None,
         ),
-        mapped=_mapped(None if cover is None and seen is None else hulls, scene, sigma, beyond_map_m),
+        mapped=_mapped(None if cover is None and seen is None else hulls, scene, sigma, beyond_map_m, cover),
         claims={
             f"{name}_claims": {} if each.manifest.guarantee is None else each.manifest.guarantee.claims
             for name, each in (("scene", scene), ("cover", cover))
@@ -279,13 +280,18 @@ def static_world(
     )
 
 
-def _mapped(hulls: Hulls | None, scene: Artifact | None, sigma: float, beyond_m: float) -> Mapped | None:
+def _mapped(
+    hulls: Hulls | None, scene: Artifact | None, sigma: float, beyond_m: float, cover: Artifact | None
+) -> Mapped | None:
     """The mapped box: a world that is only walls, fence and moving obstacles is known everywhere."""
     points = [] if hulls is None else [hulls.vertices_world]
     if scene is not None:
         points += ellipsoid_box(scene, sigma)
     corners = np.concatenate([np.empty((0, 3)), *points])
-    return Mapped(corners.min(axis=0), corners.max(axis=0), beyond_m) if len(corners) else None
+    if not len(corners):
+        return None
+    crop = cover.manifest.crop if cover is not None and isinstance(cover.manifest, LevelManifest) else None
+    return Mapped(*within_crop((corners.min(axis=0), corners.max(axis=0)), crop), beyond_m)
 
 
 def _suggested(scene: Artifact) -> float:

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import InfeasibleError
+from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.world import decoded
 from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.mapped import Mapped
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
 from alula.stages.planning.trajectory import evaluate
+from alula.stages.simulation.world.simulate import simulate_world
+from support.covers import with_manifest
 from support.small_scenes import box_cover
 
 # A room of 8 x 6 x 3 m within, of voxels of 0.1 m, with a wall across it that leaves a gap at the top.
@@ -35,6 +38,7 @@ CONFIG = PlanConfig(start=(1, 1, 1), goal=(7, 5, 1), radius_m=0.25)
             (80, 80, 100),
             r"the start \(80 80 100\) is 97.1 m outside of the mapped box .* \(in centimetres\?\)",
         ),
+        ((4, 3, 50), r"outside of the mapped box .* is unknown; --beyond-map"),  # metres along two axes
         ((1500, 2500, 1200), r"outside .* is unknown \(in millimetres\?\)"),
         ((41.00824, 28.97836, 30), r"outside .* is unknown \(latitude and longitude in degrees\?\)"),
         ((666000, 4541000, 30), r"outside .* is unknown \(coordinates of a map projection\?\)"),
@@ -51,6 +55,18 @@ def test_points_outside_are_refused_with_the_distance_and_the_likely_unit(start,
         plan(dataclasses.replace(CONFIG, start=start, straight=True), ROOM)
     with pytest.raises(InfeasibleError, match="outside of the mapped box"):
         plan(dataclasses.replace(CONFIG, start=start, snap=True), ROOM)
+
+
+def test_what_lies_outside_of_the_crop_is_outside_of_the_mapped_box():
+    cropped = with_manifest(ROOM, crop=[0.0, 0.0, 0.0, 8.0, 6.0, 2.0])
+    high = dataclasses.replace(CONFIG, start=(1, 1, 2.2))
+    assert plan(high, ROOM)["waypoint"][0, 2] == pytest.approx(2.2)
+    with pytest.raises(InfeasibleError, match=r"0.451 m outside of the mapped box \(-?0 -?0 -?0 8 6 2 m"):
+        plan(high, cropped)
+    tree = {"world": {"cover": "x"}, "mission": {"kind": "waypoints", "start_m": (1, 1, 2.2)}}
+    tree["mission"]["waypoints_m"] = [(2, 1, 1.0)]
+    with pytest.raises(UsageError, match="outside of the mapped box"):
+        simulate_world(decoded(tree | {"safety": {"filters": ["polytope-cbf"]}}), cover=cropped, jobs=1)
 
 
 def test_free_points_moved_points_and_paths_stay_in_the_mapped_box():

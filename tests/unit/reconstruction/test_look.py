@@ -152,3 +152,14 @@ def test_the_vertical_axis_of_the_header_decides(stated, up):
     found = up_of(place("+x"), convention)  # whatever the layers say
     assert found.direction == AXES[up or "+x"]
     assert (f"the header of the file states Vertical Axis: {stated.lower()}" == found.why) == (up is not None)
+
+
+def test_a_roof_of_comparable_size_does_not_turn_a_place_upside_down():
+    rng = np.random.default_rng(4)
+    heights = (rng.normal(2.8, 0.01, 3000), rng.normal(0, 0.01, 2200), rng.uniform(0, 2.7, 5000))
+    z = np.concatenate(heights)
+    points = np.column_stack([rng.uniform(-10, 10, len(z)), rng.uniform(-8, 8, len(z)), z])
+    found = up_of(points)
+    assert found.direction == AXES["+z"]
+    assert "weak evidence" in found.why
+    assert up_of(points[np.r_[0:3000, 5200 : len(z)]]).direction == AXES["-z"]  # one layer, all below it
