@@ -48,7 +48,7 @@ State Shield::following_rates(const State& x, Vec4& rotors, const Wrench& u) con
   const ShieldOptions& o = options_;
   const double lag = o.motor_time_constant_s;
   const Vec3 rates = body_rates(body, x, u, rate_lead_s(o.rate_time_constant_s, o.tick_s), o.max_rate_rad_s);
-  const double thrust = lags() ? leading(body, lag, rotors, u, o.tick_s).thrust : u.thrust;
+  const double thrust = lags() ? leading_thrust(body, lag, rotors, u.thrust, o.tick_s) : u.thrust;
   const Vec3 constant = o.rate_time_constant_s;
   Vec3 held, without;  // half a period, and the time constant without it
   for (int i = 0; i < 3; ++i) {

@@ -69,6 +69,13 @@ inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, con
   return body.limited(body.wrench(f));
 }
 
+// The thrust to command, together with body rates, with which the rotors produce `target` when it has been held for a
+// time. A rate loop makes the torques itself: those that the rotors have now must not limit the thrust.
+inline double leading_thrust(const Quadrotor& body, double lag, const Vec4& rotors, double target, double held_s) {
+  const double from = body.wrench(rotors).thrust;
+  return body.limited({from - (target - from) / std::expm1(-held_s / lag), {}}).thrust;
+}
+
 // Period of the rate loop of a vehicle, as of the simulated one by default: 1 kHz [s].
 inline constexpr double kRateLoopPeriod = 1e-3;
 

@@ -34,10 +34,13 @@ class StatePredictor {
   // Current thrusts of the rotors [N].
   const Vec4& rotors() const { return rotors_; }
 
-  // The command that brings the rotors to `target` when it has been held for a time; `target` itself without lag.
+  // The command that brings the rotors to `target` when it has been held for a time, with a rate loop to its thrust;
+  // `target` itself without lag.
   Wrench lead(const Wrench& target, double held_s) const {
     const double lag = model_.motor_time_constant_s;
-    return lag > 0 ? leading(body_, lag, rotors_, target, held_s) : target;
+    if (!(lag > 0)) return target;
+    if (has_rate_loop()) return {leading_thrust(body_, lag, rotors_, target.thrust, held_s), target.torque};
+    return leading(body_, lag, rotors_, target, held_s);
   }
   Wrench lead(const Wrench& target) const { return lead(target, tick_s_); }
 
