@@ -233,7 +233,7 @@ def test_a_real_splat_becomes_a_report_and_a_rehearsal_without_a_question(splat,
     assert run(["init", str(data / splat), "-o", str(folder), "--trials", "5"]) == 0, capsys.readouterr().err
     done = make(folder)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "- obstacles covered: yes" in done.stdout
+    assert re.search("- obstacles covered: (yes|in part)", done.stdout)  # in part: init may crop
     assert (folder / "out/report.html").is_file()
     for name in ("path", "pairs"):
         found = alula.read(folder / f"out/{name}.run.mcap")

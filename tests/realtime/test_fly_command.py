@@ -91,7 +91,7 @@ def test_a_plan_of_another_cover_is_said(pipeline, tmp_path, capsys):
     assert run(["merge", str(pipeline / "tiny.voxels.npz"), "-o", str(other), "--hulls", "5", "-q"]) == 0
     code = run(words(pipeline, tmp_path / "f.run.mcap", "-n", map_name=str(other), link="sim:?start=2,1.5,0"))
     assert code == 4
-    assert "tiny.plan.npz was planned in another cover than" in capsys.readouterr().err
+    assert "tiny.plan.npz was made in tiny.cover.npz" in capsys.readouterr().err
 
 
 def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):

@@ -27,7 +27,7 @@ AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.a
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])
 def test_a_flight_straight_at_a_wall_arrives_behind_its_filter(tmp_path, name):
     config = PlanConfig(
-        beyond_map_m=3.0, start=START, goal=GOAL, speed_m_s=1.0, straight=True, allow_blocked=True
+        beyond_map_m=10.0, start=START, goal=GOAL, speed_m_s=1.0, straight=True, allow_blocked=True
     )
     straight = plan(config, WALL)
     words = ("--filter", name, "--allow-blocked", "--fence", *map(str, FENCE))
