@@ -48,7 +48,6 @@ def test_the_project_has_the_extras_of_the_table():
 COMMANDS = [
     ("pycolmap", "scale-align tiny.scene.npz -o OUT.scene.npz --colmap MODEL --reference cameras.csv"),
     ("pycolmap", "observe tiny.metric.scene.npz -o OUT.seen.npz --colmap MODEL"),
-    ("open3d", "scale-align tiny.scene.npz -o OUT.scene.npz --cloud tiny.ply"),
     ("matplotlib", "report tiny.run.mcap -o OUT.html"),
     ("matplotlib", "report tiny.run.mcap -o OUT.pdf"),
     ("viser", "report tiny.run.mcap -o OUT.html"),

@@ -20,6 +20,7 @@ from support.paths import VEHICLES
 START, GOAL = "0.8 0.8 0.9", "4.7 3.6 1.1"  # behind a hoop and a pillar
 FILTERS = ("cone-backup", "polytope-cbf")
 SENT = dict(zip(FILTERS, ("rates", "velocity"), strict=True))
+BARE = ("--filter", "none", "--interface", "body-rates")  # as fast as the vehicle
 AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 
 
@@ -35,7 +36,19 @@ def room(tmp_path_factory):
         ("scale-align", f("scene.npz"), "-o", f("metric.npz"), *poses, "--max-rms", "0.02"),
         ("voxelize", f("metric.npz"), "-o", f("voxels.npz"), "--size", "0.1"),
         ("merge", f("voxels.npz"), "-o", f("cover.npz"), "--hulls", "150"),
-        ("plan", f("cover.npz"), "-o", f("plan.npz"), "--start", START, "--goal", GOAL, "--radius", "0.25"),
+        (
+            "plan",
+            f("cover.npz"),
+            "-o",
+            f("plan.npz"),
+            "--start",
+            START,
+            "--goal",
+            GOAL,
+            "--radius",
+            "0.25",
+            *BARE,
+        ),
     ):
         speed = ("--speed", "1.5") if step[0] == "plan" else ()
         assert run([*step, *speed, "-q"]) == 0, step
