@@ -32,6 +32,7 @@ _WIDE, _HIGH = 4.0, 1.5  # extents of a scene of unknown scale in which the defa
 _LEAST = 20  # Gaussians of a scene
 _KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
 _KEEP_M = 0.25  # radius and margin of the default vehicle
+_WIDER_M = (0.0, 0.1, 0.2)  # that a plan keeps beyond them, until the filter does not act along it [m]
 LEARN_SCALE = (
     "a splat does not tell its scale; learn it from two points clicked in alula view, which shows their "
     "distance, and a tape measure (--metres-per-unit), from a known height (--height), or from COLMAP "
@@ -51,6 +52,7 @@ class Choices:
         beyond_m: distance around the mapped box that is assumed to be free [m].
         start_m, goal_m: of the plan [m].
         stand_m: where the rehearsed vehicle stands before it takes off [m].
+        keep_m: distance that the plan keeps from the hulls [m].
         assumed: sentences by subject.
         scale: metres per unit.
         is_scale_assumed: nobody gave the scale.
@@ -64,6 +66,7 @@ class Choices:
     start_m: tuple[float, ...]
     goal_m: tuple[float, ...]
     stand_m: tuple[float, ...]
+    keep_m: float
     assumed: dict[str, str]
     scale: float
     is_scale_assumed: bool
@@ -194,8 +197,8 @@ def look(
         "the simulated flights move a point of the same radius by velocities, which polytope-cbf filters"
     )
     return Choices(
-        importing, aligning, voxelizing, size, way.beyond_m, way.start_m, way.goal_m, way.stand_m, assumed,
-        scale, not is_known,
+        importing, aligning, voxelizing, size, way.beyond_m, way.start_m, way.goal_m, way.stand_m,
+        _undisturbed(cover, way, assumed, jobs), assumed, scale, not is_known,
     )  # fmt: skip
 
 
@@ -229,6 +232,7 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
         "SIZE": f"{chosen.size_m:g}",
         "HULLS": str(HULLS),
         "TRIALS": str(trials),
+        "KEEP": f"{chosen.keep_m:g}",
         "BEYOND": f"{chosen.beyond_m:g}",
         "START": " ".join(map(repr, chosen.start_m)),
         "GOAL": " ".join(map(repr, chosen.goal_m)),
@@ -411,6 +415,32 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
         f"{failure}; the map is {extent} m at {scale:g} m a unit, and the vehicle with its margin "
         f"{2 * _KEEP_M:g} m wide{'' if is_scale_known else ': is the scale right (--metres-per-unit)?'}"
     )
+
+
+def _undisturbed(cover: Cover, way: _Way, assumed: dict[str, str], jobs: int) -> float:
+    """The distance to keep along whose plan the filter does not act and leads nothing off its plan [m]."""
+    from alula.cli.library.verbs import plan
+
+    for wider in _WIDER_M:
+        keep = round(_KEEP_M + wider, 3)
+        try:
+            found = plan(
+                cover, start=way.start_m, goal=way.goal_m, interface="velocity", radius_m=keep,
+                beyond_map_m=way.beyond_m, jobs=jobs,
+            )  # fmt: skip
+        except InfeasibleError:
+            continue
+        if not found.summary.get("notes"):
+            if wider:
+                assumed["distance"] = (
+                    f"the plan keeps {keep:g} m from the hulls, where the filter does not act"
+                )
+            return keep
+    assumed["distance"] = (
+        f"the plan keeps {_KEEP_M:g} m from the hulls, and the filter acts along it: a flight may leave the "
+        "plan's tube, and make fly-rehearsal then ends with exit code 4"
+    )
+    return _KEEP_M
 
 
 def _extent(space: PlanSpace) -> list[float]:
