@@ -12,6 +12,23 @@ from alula.schemas.arrays import FloatArray
 _ROUND_M = 100.0  # a chosen origin is a multiple of it
 
 
+def spacing(numbers: NDArray[Any]) -> FloatArray:
+    """Distance from the size of each number to the next larger one of its precision.
+
+    That of the largest finite numbers is the spacing of their exponent, where `np.spacing` overflows.
+
+    Args:
+        numbers: of half or single precision, any shape.
+
+    Returns:
+        Same shape; NaN for those that are not finite.
+    """
+    largest = np.finfo(numbers.dtype).max
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = np.spacing(np.abs(numbers)).astype(np.float64)
+    return np.minimum(step, float(largest - np.nextafter(largest, largest.dtype.type(0))))
+
+
 def single_rounding(points: NDArray[Any]) -> FloatArray:
     """Bound of the shift of each point by rounding to single precision; 0 where a file has finer numbers.
 
@@ -25,7 +42,7 @@ def single_rounding(points: NDArray[Any]) -> FloatArray:
     """
     with np.errstate(over="ignore"):  # infinite where it is beyond single precision
         single = points.astype(np.float32)
-        half = np.spacing(np.abs(single)).astype(np.float64) / 2
+    half = spacing(single) / 2
     if not (single == points).all():
         return np.zeros(len(points))
     bound: FloatArray = np.linalg.norm(half, axis=1)

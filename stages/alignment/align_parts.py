@@ -25,6 +25,7 @@ from alula.stages.alignment.scale_align import (
     solved,
 )
 from alula.stages.alignment.uncertainty import mapped_corners
+from alula.stages.coordinates import spacing
 from alula.stages.distribute import distribute
 
 MOST_POINTS = 2**22  # centres in memory at once: 100 MB
@@ -77,8 +78,8 @@ class PartsAligner:
             found.record["every_gaussian"] = self._step
         self._similarity = found.similarity
         farthest = np.abs(mapped_corners(found.similarity, *_around(centres))).max(axis=0)
-        units = np.spacing(np.nextafter(farthest.astype(np.float32), np.float32(np.inf)))
-        rounding = float(np.linalg.norm(units.astype(np.float64) / 2))
+        units = spacing(np.nextafter(farthest.astype(np.float32), np.float32(np.inf)))
+        rounding = float(np.linalg.norm(units / 2))
         self._alignment = alignment_of(config, scene.manifest, found, rounding, report)
 
     def _boxes(self, number: int) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:

@@ -17,7 +17,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
-from alula.stages.coordinates import single_rounding
+from alula.stages.coordinates import single_rounding, spacing
 from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
@@ -283,7 +283,8 @@ def with_rounding(splats: Splats) -> Splats:
     finite = np.isfinite(splats.mean).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
     largest = float(np.abs(splats.mean[finite]).max(initial=0.0))
     typical = float(np.median(splats.scale[finite].max(axis=1))) if finite.any() else 0.0
-    if np.spacing(np.float32(largest)) <= _FINE * typical:
+    most = float(np.finfo(np.float32).max)
+    if spacing(np.array(min(largest, most), np.float32)) <= _FINE * typical:
         return splats
     rounding = np.zeros(len(splats))
     rounding[finite] = single_rounding(splats.mean[finite])

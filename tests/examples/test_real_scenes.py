@@ -52,6 +52,8 @@ def test_a_real_scene_is_covered_and_flown_without_collision(file, data, tmp_pat
             "--trials",
             "10",
             "--set",
+            "mission.beyond_map_m=2",
+            "--set",
         ],
         ["report", "r.run.mcap", "--cover", "c.cover.npz", "--certificate", "cert.json", "-o", "r.html"],
     ]

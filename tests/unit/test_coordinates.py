@@ -1,5 +1,6 @@
 """Coordinates far from the origin: bounds of their rounding, and origins that are nearer."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from alula.stages.coordinates import nearer_origin, single_rounding
+from alula.stages.coordinates import nearer_origin, single_rounding, spacing
 
 coordinate = st.floats(-1e8, 1e8)
 
@@ -30,7 +31,7 @@ def test_finer_numbers_have_no_rounding():
 def test_numbers_beyond_single_precision_do_not_warn():
     assert single_rounding(np.array([[1e300, 0.0, 0.0]])).tolist() == [0.0]
     largest = float(np.finfo(np.float32).max)
-    assert single_rounding(np.array([[largest, 0.0, 0.0]]))[0] >= largest * 2.0**-24
+    assert single_rounding(np.array([[largest, 0.0, 0.0]]))[0] == pytest.approx(2.0**103, rel=1e-12)
 
 
 def test_an_origin_is_chosen_only_along_axes_that_are_far():
@@ -38,3 +39,15 @@ def test_an_origin_is_chosen_only_along_axes_that_are_far():
     assert nearer_origin(low, high, 8192.0) == (450_000.0, 0.0, 0.0)
     assert nearer_origin(low, high, 1e6) == (0.0, 0.0, 0.0)
     assert nearer_origin(np.full(3, -8192.5), np.full(3, -8192.0), 8192.0) == (-8200.0,) * 3
+
+
+@pytest.mark.parametrize(("form", "bits", "least"), [(np.float16, 11, -24), (np.float32, 24, -149)])
+def test_the_spacing_of_numbers_is_that_of_their_exponent_up_to_the_largest(form, bits, least):
+    largest = np.finfo(form).max
+    sizes = np.array([2.0**least, 2.0 ** (least + bits), 1.0, -2.5, float(largest) / 2, largest], form)
+    steps = [2.0 ** max(math.frexp(abs(float(size)))[1] - bits, least) for size in sizes]
+    assert spacing(sizes).tolist() == steps
+
+
+def test_numbers_that_are_not_finite_have_no_spacing():
+    assert np.isnan(spacing(np.array([np.inf, -np.inf, np.nan], np.float32))).all()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
+from alula.stages.coordinates import spacing
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound
 
@@ -156,7 +157,7 @@ def _turns(quat: NDArray[np.float16]) -> NDArray[np.float64]:
     most the norm e of these units, and that of its direction at most asin(e / |q|), for any length.
     """
     stored = quat.astype(np.float64)
-    unit = np.spacing(np.abs(quat)).astype(np.float64)
+    unit = spacing(quat)
     ratio = np.linalg.norm(unit, axis=1) / np.maximum(np.linalg.norm(stored, axis=1), SUBNORMAL_STEP)
     angle: NDArray[np.float64] = 2.0 * np.arcsin(np.minimum(np.nan_to_num(ratio, nan=1.0), 1.0))
     return angle * (1.0 + 1e-12)

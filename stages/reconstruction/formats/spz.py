@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import InputError
 from alula.schemas.progress import Progress
+from alula.stages.coordinates import spacing
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
 from alula.stages.reconstruction.formats.splats import (
     Loss,
@@ -135,7 +136,7 @@ def _half_positions(packed: Packed, part: slice) -> tuple[NDArray[np.float32], N
     """
     half = packed.rows("positions", part).view("<f2").reshape(-1, 3)
     with np.errstate(invalid="ignore"):
-        unit = np.spacing(np.abs(half).astype(np.float16)).astype(np.float64)
+        unit = spacing(half.astype(np.float16))
         off = np.sqrt((unit * unit).sum(axis=1))
     outer = int((np.abs(half) >= 32768).any(axis=1).sum())
     return half.astype(np.float32), rounded_up(np.where(np.isfinite(off), off, 0.0)), outer
