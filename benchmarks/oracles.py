@@ -80,7 +80,7 @@ def _open3d(path: Path) -> Any:
 
 
 def _of_open3d(point: Any) -> Values:
-    if "rot" not in point:
+    if "rot" not in point or "f_dc" not in point:  # without colours it leaves the scales logarithms
         raise ValueError("it read no Gaussians")
     mean, scale, quat, logit = (
         point[name].numpy().astype(np.float64) for name in ("positions", "scale", "rot", "opacity")
@@ -108,8 +108,10 @@ def differences(ours: Splats, theirs: Values) -> tuple[dict[str, float], str]:
     [rad], opacities absolutely. Rows that are not finite on both sides are left out.
 
     Raises:
-        ValueError: the numbers of rows differ.
+        ValueError: the numbers of rows differ, or ours applied a property that other readers do not know.
     """
+    if ours.properties.applied:
+        raise ValueError(f"it does not know what ours applied: {'; '.join(ours.properties.applied)}")
     mean, scale, quat, opacity = (np.asarray(values, np.float64) for values in theirs)
     if len(mean) != len(ours):
         raise ValueError(f"it read {len(mean)} rows, not {len(ours)}")

@@ -246,7 +246,7 @@ class Mission:
         from alula.schemas.lineage import require_own_map
 
         return require_own_map(
-            str(self.paths["plan"]),
+            self.paths["plan"],
             manifest,  # type: ignore[arg-type]
             refs,
             [path.parent for path in self.paths.values()],

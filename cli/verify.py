@@ -206,7 +206,7 @@ def command(
     )
     if is_plan:
         require_own_map(
-            str(proven),
+            proven,
             read_manifest(proven),  # type: ignore[arg-type]
             provenance.inputs,
             [path.parent for path in inputs.values()],

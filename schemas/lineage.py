@@ -84,7 +84,7 @@ def relation(
 
 
 def require_own_map(
-    plan: str,
+    plan: Path,
     manifest: PlanManifest,
     flown: Iterable[InputRef],
     folders: Iterable[Path],
@@ -95,7 +95,7 @@ def require_own_map(
     """Refuse a map that a plan was not made in.
 
     Args:
-        plan: its name, for messages.
+        plan: its file; notes name it without its folder, so that logs do not depend on where they are made.
         manifest: of the plan, with its inputs.
         flown: maps of the flight, and what is known of their origins; other roles do not count.
         folders: see `relation`.
@@ -118,11 +118,11 @@ def require_own_map(
     was = " and ".join(map(_known_as, made)) or "a map that it does not name"
     now = " and ".join(map(_known_as, maps))
     if how == "derived":
-        return f"{plan} was made in {was}; {now} is of the same scene"
-    words = f"{plan} was made in {was}, and nothing shows that {now} is of the same scene"
+        return f"{plan.name} was made in {was}; {now} is of the same scene"
+    words = f"was made in {was}, and nothing shows that {now} is of the same scene"
     if not allow_other:
-        raise InputError(f"{words}; plan in the map that is flown in, or insist with {insist}")
-    return words
+        raise InputError(f"{plan} {words}; plan in the map that is flown in, or insist with {insist}")
+    return f"{plan.name} {words}"
 
 
 def _known_as(ref: InputRef) -> str:

@@ -26,7 +26,8 @@ def spacing(numbers: NDArray[Any]) -> FloatArray:
     largest = np.finfo(numbers.dtype).max
     with np.errstate(over="ignore", invalid="ignore"):
         step = np.spacing(np.abs(numbers)).astype(np.float64)
-    return np.minimum(step, float(largest - np.nextafter(largest, largest.dtype.type(0))))
+    bound: FloatArray = np.minimum(step, float(largest - np.nextafter(largest, largest.dtype.type(0))))
+    return bound
 
 
 def single_rounding(points: NDArray[Any]) -> FloatArray:

@@ -185,7 +185,7 @@ def command(
         RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
     )
     note = require_own_map(
-        str(paths["plan"]),
+        paths["plan"],
         mission.plan.manifest,  # type: ignore[arg-type]
         provenance.inputs,
         [path.parent for path in paths.values()],

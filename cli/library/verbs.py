@@ -370,7 +370,7 @@ def verify(
         from alula.schemas.lineage import require_own_map
 
         require_own_map(
-            "the plan" if isinstance(proven, Result) else str(proven),
+            Path("the plan" if isinstance(proven, Result) else proven),
             found.manifest,  # type: ignore[arg-type]
             [ref for one in files.values() if one is not found for ref in one.origins()],
             [folder for one in files.values() for folder in one.folders()],
