@@ -234,15 +234,46 @@ def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
 def from_config(
     config: type[Any], argument: str = "config", groups: Mapping[str, str] | None = None
 ) -> Callable[[F], F]:
+    """Decorator that adds one option per field of a configuration dataclass; the function gets an instance.
+
+    Args:
+        config: see `_of_fields`.
+        argument: name of the function's argument.
+        groups: headings by field, in place of those of the metadata.
+    """
+    return _of_fields(config, lambda values: {argument: config(**values)}, groups)
+
+
+def fields_of(config: type[Any]) -> Callable[[F], F]:
+    """Decorator that adds one option per field of a configuration dataclass, for a verb.
+
+    The function gets a dictionary `fields` of those that are given on the command line.
+
+    Args:
+        config: see `_of_fields`.
+    """
+
+    def given(values: dict[str, Any]) -> dict[str, Any]:
+        context = click.get_current_context()
+        return {"fields": {name: value for name, value in values.items() if is_given(context, name)}}
+
+    return _of_fields(config, given)
+
+
+def _of_fields(
+    config: type[Any],
+    handed: Callable[[dict[str, Any]], dict[str, Any]],
+    groups: Mapping[str, str] | None = None,
+) -> Callable[[F], F]:
     """Decorator that adds one option per field of a configuration dataclass.
 
-    The function gets an instance as an argument. The metadata of a field can have `help`, `option`
+    The metadata of a field can have `help`, `option`
     (one name or several, when they differ from the field's name), `metavar` and `group`, the heading under
     which the help shows the option.
 
     Args:
         config: the dataclass; fields with the metadata `internal` get no option.
-        argument: name of the function's argument.
+        handed: function from the values to arguments of the decorated function.
         groups: headings by field, in place of those of the metadata.
     """
 
@@ -252,7 +283,7 @@ def from_config(
 
         def collect(*args: Any, **kwargs: Any) -> Any:
             values = {f.name: kwargs.pop(f.name) for f in fields}
-            return function(*args, **{argument: config(**values)}, **kwargs)
+            return function(*args, **handed(values), **kwargs)
 
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)

@@ -15,7 +15,7 @@ from alula.cli.project_files import MAKEFILE, README, SCENARIO
 from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
-    from alula.cli.library.results import Cover, Scene
+    from alula.cli.verbs.results import Cover, Scene
     from alula.stages.planning.space import PlanSpace
     from alula.stages.reconstruction.look import Up
 
@@ -419,7 +419,7 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
 
 def _undisturbed(cover: Cover, way: _Way, assumed: dict[str, str], jobs: int) -> float:
     """The distance to keep along whose plan the filter does not act and leads nothing off its plan [m]."""
-    from alula.cli.library.verbs import plan
+    from alula.cli.verbs.plan import plan
 
     for wider in _WIDER_M:
         keep = round(_KEEP_M + wider, 3)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from alula.cli import runner
 from alula.cli.library.bar import shown
-from alula.cli.library.display import table
-from alula.cli.library.results import Cover, File, Plan, Result, Scene, on_disk
 from alula.cli.missions import MAPS, Mission, names_of, scenario_of
 from alula.cli.run_files import check_log_name
 from alula.cli.sources import read_tiles_of
+from alula.cli.verbs.display import table
+from alula.cli.verbs.results import Cover, File, Plan, Result, Scene, on_disk
 from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import UsageError
 from alula.schemas.files import printable

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from alula.cli.library.bar import quiet, shown
 from alula.cli.library.flights import Run
-from alula.cli.library.keywords import configured, keywords
-from alula.cli.library.results import Cover, Plan, Result, Scene, on_disk
+from alula.cli.verbs.keywords import configured, keywords
+from alula.cli.verbs.results import Cover, Plan, Result, Scene, on_disk
 from alula.schemas.configs.report import ReportConfig
 from alula.schemas.configs.view import PictureConfig, ViewConfig
 from alula.schemas.errors import UsageError

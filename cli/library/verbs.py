@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from alula.cli import runner
 from alula.cli.library.bar import shown
-from alula.cli.library.keywords import configured, keywords
-from alula.cli.library.results import RESULTS, Cover, File, Plan, Result, Scene, Seen, Voxels
+from alula.cli.verbs.keywords import configured, keywords
+from alula.cli.verbs.results import RESULTS, Cover, File, Plan, Result, Scene, Seen, Voxels
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import CheckError, InfeasibleError, InputError, UsageError, WrongKindError
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from alula.schemas.keywords import (
         ImportSplatFields,
         MergeFields,
-        PlanFields,
         ScaleAlignFields,
         VoxelizeFields,
     )
@@ -395,65 +393,6 @@ def verify(
         name = f"{proven}" if not isinstance(proven, Result) else role
         raise CheckError(f"{name}: {certificate.complaint()}")
     return Proof(certificate, Provenance.now(SCHEMA, VERSION, {}, None, refs))
-
-
-@keywords(PlanConfig)
-def plan(
-    map: Source,
-    *,
-    scene: Source | None = None,
-    vehicle: str | Path | None = None,
-    mission: str | Path | None = None,
-    within: Source | None = None,
-    jobs: int = 0,
-    **fields: Unpack[PlanFields],
-) -> Plan:
-    """Find a smooth collision-free trajectory through a map.
-
-    Args:
-        map: a cover or a scene.
-        scene: beside a cover: the plan keeps away from both.
-        vehicle: that will fly it, a built-in one by its name, or a file; default: FastBridge's quadrotor.
-        mission: file with waypoints, gates, laps and zones.
-        within: seen space to stay in.
-        jobs: threads; 0 is all processors.
-        **fields: as in the signature.
-
-    Raises:
-        InfeasibleError: there is no path; the message says which radius would pass.
-        UsageError: start or goal is missing, or parameters contradict one another.
-    """
-    from alula.cli.plan import check_filter, find_plan, resolved
-    from alula.schemas.mission import read_mission
-    from alula.schemas.vehicles import vehicle_named
-
-    _one_level(fields)
-    config = configured("plan", PlanConfig, fields)
-    if config.radius_m is not None and vehicle is not None:
-        raise UsageError("--radius is the whole distance to keep; leave out --vehicle")
-    found = map if isinstance(map, Result) else read(map)
-    if not isinstance(found, Cover | Scene) or (isinstance(found, Scene) and scene is not None):
-        raise UsageError("a plan needs a cover, perhaps with `scene`, or a scene")
-    maps: dict[str, Result] = {"cover" if isinstance(found, Cover) else "scene": found}
-    maps |= {} if scene is None else {"scene": Scene.of(scene)}
-    maps |= {} if within is None else {"within": Seen.of(within)}
-    flown, file = vehicle_named(vehicle)
-    course = None
-    if mission is not None:
-        if both := [name for name in ("via", "gate", "loops", "yaw") if name in fields]:
-            raise UsageError(f"--{both[0]} and --mission: the file says this; give one of the two")
-        course = read_mission(Path(mission))
-        start, goal = config.start or course.start_m, config.goal or course.goal_m
-        config = dataclasses.replace(config, start=start, goal=goal)
-    config = resolved(config, flown, maps)
-    if config.start is None or config.goal is None:
-        raise UsageError("`start` and `goal` are needed; free_points of a cover chooses free points")
-    check_filter(config, maps)
-    further = file if mission is None else file | {"mission": Path(mission)}
-    inputs: Mapping[str, Result | File] = maps | {role: File.at(path) for role, path in further.items()}
-    with shown("plan") as progress:
-        read_maps = {role: one.artifact for role, one in maps.items()}
-        return Plan(find_plan(config, read_maps, flown, course, jobs=jobs, progress=progress), inputs)
 
 
 def _one_level(fields: Mapping[str, Any]) -> None:

@@ -13,8 +13,8 @@ import pytest
 
 import alula
 from alula.cli.library import bar
-from alula.cli.library.results import RESULTS
 from alula.cli.main import run
+from alula.cli.verbs.results import RESULTS
 from alula.schemas import kinds
 from support.paths import DOCS, EXAMPLES
 
@@ -145,7 +145,7 @@ def voxelized(folder, **fields):
         (lambda f: alula.merge(f / "tiny.plan.npz"), alula.InputError, "voxels or a cover are needed"),
         (lambda f: alula.align(f / "tiny.scene.npz"), alula.UsageError, "none was given"),
         (lambda f: alula.import_splat(f / "tiny.toml"), alula.InputError, "tiny.toml"),
-        (lambda f: alula.plan(f / "tiny.cover.npz"), alula.UsageError, "`start` and `goal`"),
+        (lambda f: alula.plan(f / "tiny.cover.npz"), alula.UsageError, "--start and --goal"),
         (
             lambda f: alula.plan(f / "tiny.cover.npz", start=(0, 0, 0), goal=(1, 1.5, 1)),
             alula.InfeasibleError,

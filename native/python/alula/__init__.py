@@ -18,28 +18,29 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from alula.cli.library.flights import Run, simulate
     from alula.cli.library.pages import Page, report, view
-    from alula.cli.library.results import Cover, Plan, Scene, Seen, Voxels
     from alula.cli.library.verbs import (
         Proof,
         align,
         import_splat,
         import_voxels,
         merge,
-        plan,
         read,
         verify,
         voxelize,
     )
+    from alula.cli.verbs.plan import plan
+    from alula.cli.verbs.results import Cover, Plan, Scene, Seen, Voxels
     from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
     from alula.stages.filtering import public as filtering
 
 _PLACES = {
     "cli.library.verbs": (
-        *("read", "import_splat", "import_voxels", "align", "voxelize", "merge", "verify", "plan", "Proof"),
+        *("read", "import_splat", "import_voxels", "align", "voxelize", "merge", "verify", "Proof"),
     ),
     "cli.library.flights": ("simulate", "Run"),
     "cli.library.pages": ("report", "view", "Page"),
-    "cli.library.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
+    "cli.verbs.plan": ("plan",),
+    "cli.verbs.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
     "schemas.errors": ("AlulaError", "UsageError", "InputError", "CheckError", "InfeasibleError"),
 }
 

@@ -9,16 +9,16 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar, cast
+from typing import Any, ClassVar, Self, TypeVar, Union, cast
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from alula.cli import runner
-from alula.cli.library.display import table
+from alula.cli.verbs.display import table
 from alula.schemas.artifact import Artifact, encode_artifact, file_hash, write_artifact
-from alula.schemas.errors import InputError
+from alula.schemas.errors import InputError, WrongKindError
 from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
 from alula.schemas.manifest import CoverManifest, InputRef, LevelManifest, Manifest
 from alula.schemas.parts_join import read_whole
@@ -27,6 +27,7 @@ from alula.schemas.provenance import Provenance
 _Ints = NDArray[np.signedinteger[Any]]
 _Floats = NDArray[np.floating[Any]]
 _Path = str | Path
+Source = Union["Result", str, Path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,18 @@ class File:
             path: the file.
         """
         return cls(path, runner.state_of(runner.index_of(path)))
+
+    def read(self, kind: Kind) -> Artifact:
+        """The artifact in the file; one in parts is joined.
+
+        Args:
+            kind: that is needed.
+
+        Raises:
+            InputError: it cannot be read.
+            WrongKindError: it is of another kind.
+        """
+        return read_whole(self.path, kind)
 
     def is_unchanged(self) -> bool:
         """Whether the file is as it was."""
@@ -101,16 +114,22 @@ class Result:
             InputError: the file cannot be read.
             WrongKindError: it is of another kind.
         """
-        from alula.schemas.errors import WrongKindError
+        found = source_of(given)
+        artifact = found.read(cls.KIND)
+        return cast(Self, found) if isinstance(found, Result) else cls(artifact, file=found)
 
-        if isinstance(given, cls):
-            return given
-        if isinstance(given, Result):
-            kind = given.artifact.kind.name
-            raise WrongKindError(f"a result is {kind}, but {cls.KIND.name} is needed")
-        path = _path(given)
-        file = File.at(path)
-        return cls(read_whole(path, cls.KIND), file=file)
+    def read(self, kind: Kind) -> Artifact:
+        """The artifact.
+
+        Args:
+            kind: that is needed.
+
+        Raises:
+            WrongKindError: it is of another kind.
+        """
+        if self.KIND is not kind:
+            raise WrongKindError(f"a result is {self.KIND.name}, but {kind.name} is needed")
+        return self.artifact
 
     @property
     def manifest(self) -> Manifest:
@@ -338,7 +357,7 @@ class Cover(Result):
         Raises:
             InfeasibleError: there are fewer.
         """
-        from alula.cli.library.keywords import configured
+        from alula.cli.verbs.keywords import configured
         from alula.schemas.configs.plan import PlanConfig
         from alula.stages.planning.endpoints import free_points
         from alula.stages.planning.plan import resolve_plan
@@ -395,6 +414,18 @@ def on_disk(name: str = "alula-") -> Iterator[Path]:
     """
     with tempfile.TemporaryDirectory(prefix=name, ignore_cleanup_errors=sys.platform == "win32") as folder:
         yield Path(folder)
+
+
+def source_of(given: Result | _Path) -> Result | File:
+    """A result itself, or the file at a path, which is read when it is needed.
+
+    Args:
+        given: a result or the path of a file.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    return given if isinstance(given, Result) else File.at(_path(given))
 
 
 def _path(given: _Path) -> Path:

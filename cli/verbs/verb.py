@@ -1,0 +1,88 @@
+"""What a verb is: a checked step, which a command writes to a file and `import alula` makes at once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
+
+from alula.cli import runner
+from alula.cli.library.bar import shown
+from alula.cli.options import Common
+from alula.cli.verbs.keywords import keywords
+from alula.cli.verbs.results import File, Result
+from alula.schemas.artifact import Artifact
+from alula.schemas.progress import Progress
+
+P = ParamSpec("P")
+R = TypeVar("R", bound=Result)
+
+
+@dataclass(frozen=True, slots=True)
+class Step(Generic[R]):
+    """A call of a verb whose parameters and files go together, before its work.
+
+    Attributes:
+        result: class of what it makes.
+        config: complete configuration, which is recorded.
+        inputs: all that the result depends on, by role; files are read by `build`.
+        build: function from a progress callback to the artifact.
+        seed: of all randomness, where the result depends on one.
+    """
+
+    result: type[R]
+    config: Any
+    inputs: Mapping[str, Result | File]
+    build: Callable[[Progress], Artifact]
+    seed: int | None = None
+
+
+class Verb(Protocol[P, R]):
+    """A function that makes a result at once; `step` only checks, for a command that may find it current."""
+
+    @property
+    def step(self) -> Callable[P, Step[R]]:
+        """The call before its work."""
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Make the result, with a bar in a notebook and on a terminal."""
+
+
+def verb(config: type[Any], *, without: tuple[str, ...] = ()) -> Callable[[Callable[P, Step[R]]], Verb[P, R]]:
+    """Decorator that makes a verb of a function that checks and returns a step.
+
+    The fields of the configuration are the keyword arguments `**fields` of the function; help and signature
+    list them.
+
+    Args:
+        config: the dataclass.
+        without: fields that are no arguments.
+    """
+
+    def decorate(function: Callable[P, Step[R]]) -> Verb[P, R]:
+        @functools.wraps(function)
+        def made(*args: P.args, **kwargs: P.kwargs) -> R:
+            step = function(*args, **kwargs)
+            with shown(function.__name__) as progress:
+                return step.result(step.build(progress), step.inputs, seed=step.seed)
+
+        made.step = function  # type: ignore[attr-defined]
+        return cast(Verb[P, R], keywords(config, without=without)(made))
+
+    return decorate
+
+
+def run_step(common: Common, step: Step[Any], *, names: Mapping[str, str] | None = None) -> None:
+    """Run a step of a verb whose inputs are files, unless its output is already current.
+
+    Args:
+        common: the shared options.
+        step: of the verb.
+        names: role to name of inputs that are recorded by another name than the file's own.
+
+    Raises:
+        UsageError, InputError, OutputError: as `runner.run`.
+    """
+    paths = {role: one.path for role, one in step.inputs.items() if isinstance(one, File)}
+    runner.run_stage(common, step.result.KIND, step.config, paths, step.build, seed=step.seed, names=names)
