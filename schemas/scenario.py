@@ -145,6 +145,7 @@ class FlyTable(_Table, frozen=True, kw_only=True):
     """A real flight: its link, and options of `fly` by name."""
 
     link: str | None = None
+    speed_m_s: float | None = None
     rate_hz: float | None = None
     margin_m: float | None = None
     fence_m: tuple[float, float, float, float, float, float] | None = None

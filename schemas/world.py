@@ -259,6 +259,23 @@ def _without_none(value: Any) -> Any:
     return [_without_none(item) for item in value] if isinstance(value, list | tuple) else value
 
 
+def value_at(tree: Any, path: str) -> Any:
+    """Plain value at a path, None where there is none.
+
+    Args:
+        tree: plain values.
+        path: of a key, with dots; a number is the place in a list.
+    """
+    for part in path.split("."):
+        if isinstance(tree, Mapping):
+            tree = tree.get(part)
+        elif isinstance(tree, list) and int(part) < len(tree):
+            tree = tree[int(part)]
+        else:
+            return None
+    return tree
+
+
 def _major(path: Path, tree: Mapping[str, Any]) -> int:
     version = str(tree.get("version", "1.0"))
     try:

@@ -18,7 +18,7 @@ from alula.schemas.filter_options import FILTERS
 from alula.schemas.scenario import FlyTable
 from alula.schemas.toml_file import toml_key, toml_value
 from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import ELSEWHERE, FILES, Read, WorldScenario, plain
+from alula.schemas.world import ELSEWHERE, FILES, Read, WorldScenario, plain, value_at
 from alula.schemas.world_defaults import completed
 from alula.schemas.world_presets import PRESETS
 from alula.schemas.world_ranges import USED
@@ -56,26 +56,14 @@ def values_of(read: Read, vehicle: Vehicle, file: str) -> list[Value]:
     def source(path: str) -> str:
         if any(path == key or path.startswith(f"{key}.") for key in read.changed):
             return "--set"
-        if _find(read.given, path) is not None:
+        if value_at(read.given, path) is not None:
             return name
-        if _find(preset, path) is not None:
+        if value_at(preset, path) is not None:
             return f"preset {read.scenario.estimation.preset}"
-        is_own = _find(own, path) is not None or path in ("vehicle.type", "vehicle.actuation_delay_s")
+        is_own = value_at(own, path) is not None or path in ("vehicle.type", "vehicle.actuation_delay_s")
         return "default" if is_own else f"vehicle {vehicle.name}"
 
     return [Value(path, value, source(path)) for path, value in _walk(_used(full, read), "")]
-
-
-def _find(tree: Any, path: str) -> Any:
-    """Value at a path, None where there is none."""
-    for part in path.split("."):
-        if isinstance(tree, Mapping):
-            tree = tree.get(part)
-        elif isinstance(tree, list) and int(part) < len(tree):
-            tree = tree[int(part)]
-        else:
-            return None
-    return tree
 
 
 def _used(scenario: WorldScenario, read: Read) -> dict[str, Any]:
@@ -84,7 +72,7 @@ def _used(scenario: WorldScenario, read: Read) -> dict[str, Any]:
     mission, safety = scenario.mission, scenario.safety
 
     def is_given(path: str) -> bool:
-        return _find(read.given, path) is not None or any(
+        return value_at(read.given, path) is not None or any(
             key == path or key.startswith(f"{path}.") for key in read.changed
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,7 +16,8 @@ from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.schemas.scenario import Scenario
+    from alula.schemas.vehicle import Vehicle
+    from alula.schemas.world import Read
 
 EXAMPLES = """\b
 Examples:
@@ -139,21 +140,21 @@ def command(
     start_ns = None if start_time is None else start_time_ns(start_time)
     check_log_name(common.output)
     named, file = vehicle_named(vehicle_name)
-    paths, scenario = inputs_of(source, map_path, scene_path, file.get("vehicle"))
-    paths |= {} if within is None else {"within": within}
+    paths, scenario = inputs_of(source, map_path, scene_path, file.get("vehicle"), within)
     tiles = read_tiles_of(paths, tiles_key)
-    if scenario is not None:
-        config, address = _from_scenario(context, source, config, address, scenario)
-    is_chosen = options.is_given(context, "filter")
-    if not is_chosen and (scenario is None or "filter" not in scenario.fly_settings()):
+    vehicle = named if vehicle_name is not None else vehicle_named(paths.get("vehicle"))[0]
+    if not options.is_given(context, "filter"):
         config = dataclasses.replace(config, filter=filter_in(paths))
+    if scenario is not None:
+        config, address, vehicle = _from_scenario(
+            context, source, scenario, config, address, None if vehicle_name is None else vehicle
+        )
     if address is None:
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
         config, filter_parameters={**config.filter_parameters, **settings_of(settings)}
     )
     is_splat = is_among_ellipsoids(config.filter, paths)
-    vehicle = named if vehicle_name is not None else vehicle_named(paths.get("vehicle"))[0]
     mission: Mission  # made below; the link asks for its ground when it is opened
     link = route.link(
         address,
@@ -200,14 +201,31 @@ def command(
 
 
 def _from_scenario(
-    context: click.Context, source: Path, config: FlyConfig, address: str | None, scenario: Scenario
-) -> tuple[FlyConfig, str | None]:
-    """Configuration and link of the scenario; options on the command line take precedence."""
-    settings = scenario.fly_settings()
-    link = settings.pop("link", None)
-    names = {f.name for f in dataclasses.fields(config)}
-    given = {name: getattr(config, name) for name in names if options.is_given(context, name)}
+    context: click.Context,
+    source: Path,
+    read: Read,
+    config: FlyConfig,
+    address: str | None,
+    vehicle: Vehicle | None,
+) -> tuple[FlyConfig, str | None, Vehicle]:
+    """Configuration, link and vehicle of the scenario; options on the command line take precedence."""
+    from alula.schemas.world_defaults import vehicle_of
+    from alula.schemas.world_fly import flown_filter, flown_settings, flown_vehicle
+    from alula.stages.compression.voxelize import sigma_of_confidence
+
+    given = {
+        item.name: getattr(config, item.name)
+        for item in dataclasses.fields(config)
+        if options.is_given(context, item.name)
+    }
     try:
-        return FlyConfig(**{**settings, **given}), address or link
+        name = given.get("filter") or flown_filter(read) or config.filter
+        settings: dict[str, Any] = {"filter": name} | flown_settings(read, name)
+        if (confidence := read.scenario.world.confidence) is not None:
+            settings["sigma"] = sigma_of_confidence(confidence)
+        link = settings.pop("link", None)
+        config = FlyConfig(**(settings | given))
+        vehicle = flown_vehicle(read.scenario, vehicle or vehicle_of(read.scenario, source.parent))
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
+    return config, address or link, vehicle

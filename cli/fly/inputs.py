@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.schemas.scenario import Scenario
+    from alula.schemas.world import Read
 
 
 def inputs_of(
-    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
-) -> tuple[dict[str, Path], Scenario | None]:
+    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None, within: Path | None
+) -> tuple[dict[str, Path], Read | None]:
     """Paths of all inputs by role, and the scenario if there is one; its files are relative to its folder.
 
     Args:
@@ -22,37 +22,31 @@ def inputs_of(
         map_path: cover, tiles or scene of --map.
         scene: scene of --scene.
         vehicle: file of --vehicle.
+        within: seen space of --within.
 
     Raises:
         WrongKindError: a file is of another kind.
         UsageError: the files do not go together, or there is no plan.
     """
     from alula.cli.sources import map_files, source_files
-    from alula.schemas.scenario import read_scenario
+    from alula.schemas.world import read_sources
+    from alula.schemas.world_fly import flown_files
 
-    scenario = None
+    read = None
     if source.suffix == ".toml":
-        scenario = read_scenario(source)
-        table = scenario.map
-        named = {
-            "cover": table.cover,
-            "scene": table.scene,
-            "plan": table.plan,
-            "vehicle": scenario.vehicle.file,
-        }
-        paths = {role: source.parent / name for role, name in named.items() if name is not None}
-        paths["scenario"] = source
+        read = read_sources(source)
+        paths = flown_files(read.scenario, source.parent) | {"scenario": source}
         if map_path is not None:
             paths |= map_files(map_path)
         if scene is not None:
             paths["scene"] = scene
     else:
         paths = source_files(source, map_path, scene)
-    if vehicle is not None:
-        paths["vehicle"] = vehicle
+    given = {"vehicle": vehicle, "within": within}
+    paths |= {role: path for role, path in given.items() if path is not None}
     if "plan" not in paths:
         raise UsageError(f"{source}: only a plan can be flown; make one with alula plan")
-    return paths, scenario
+    return paths, read
 
 
 def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:

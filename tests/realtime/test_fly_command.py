@@ -135,11 +135,16 @@ def test_a_link_is_needed(pipeline, tmp_path, capsys):
     assert "only a plan can be flown" in capsys.readouterr().err
 
 
-def test_a_scenario_has_the_link_and_options(pipeline, tmp_path, capsys):
-    text = (
-        f'[map]\ncover = "{pipeline}/tiny.cover.npz"\nplan = "{pipeline}/tiny.plan.npz"\n'
-        '[fly]\nlink = "sim:?start=2,1.5,0"\nnear_m = 0.25\n'
+def scenario_of(pipeline, more=""):
+    return (
+        'schema = "alula/scenario"\nversion = "2.0"\n'
+        f'[world]\ncover = "{pipeline}/tiny.cover.npz"\n'
+        f'[mission]\nkind = "plan"\nplan = "{pipeline}/tiny.plan.npz"\n{more}'
     )
+
+
+def test_a_scenario_has_the_link_and_options(pipeline, tmp_path, capsys):
+    text = scenario_of(pipeline, '[fly]\nlink = "sim:?start=2,1.5,0"\nnear_m = 0.25\n')
     scenario = tmp_path / "s.toml"
     scenario.write_text(text)
     log = tmp_path / "f.run.mcap"
@@ -149,6 +154,44 @@ def test_a_scenario_has_the_link_and_options(pipeline, tmp_path, capsys):
     scenario.write_text(text + "speed_of_light = 1\n")
     assert run(["fly", str(scenario), "-o", str(log), "-q"]) == 2
     assert "speed_of_light" in capsys.readouterr().err
+
+
+def test_a_scenario_that_says_everything_is_flown_by_simulate_and_fly(pipeline, tmp_path, capsys):
+    scenario, whole = tmp_path / "s.toml", tmp_path / "whole.toml"
+    scenario.write_text(
+        scenario_of(
+            pipeline,
+            '[vehicle]\ntype = "crazyflie21"\ninterface = "velocity"\n'
+            f'[safety]\nfilters = ["polytope-cbf"]\n[fly]\nlink = "{SIM}"\n',
+        )
+    )
+    assert run(["scenario", str(scenario), "-o", str(whole), "-q"]) == 0
+    assert run(["simulate", str(whole), "-o", str(tmp_path / "s.run.mcap"), "-q"]) == 0
+    capsys.readouterr()
+    assert run(["fly", str(whole), "-o", str(tmp_path / "f.run.mcap"), "--dry-run"]) == 0
+    assert "link: simulated crazyflie21" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            "[[world.walls]]\nlower_m = [9, 9, 9]\nupper_m = [10, 10, 10]\n",
+            "`$.world.walls`: is for simulate",
+        ),
+        ('[safety]\nfilters = ["polytope-cbf", "shield"]\n', "choose one with --filter"),
+        ('[vehicle]\ntype = "single-integrator"\n', "`$.vehicle`: a single-integrator is simulated only"),
+        ('[safety]\nfilters = ["dr-acbf"]\n', "dr-acbf is simulated only"),
+        ("[vehicle]\nradius_m = 3\n", "polytope-cbf keeps 3.1 m"),
+    ],
+)
+def test_what_a_real_flight_cannot_have_is_refused_in_words(pipeline, tmp_path, capsys, more, message):
+    scenario = tmp_path / "s.toml"
+    scenario.write_text(scenario_of(pipeline, more))
+    assert run(["fly", str(scenario), "-o", str(tmp_path / "f.run.mcap"), "--link", SIM, "-q"]) != 0
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
 
 
 def test_ctrl_c_lands_and_the_log_says_so(pipeline, tmp_path):
