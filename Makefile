@@ -77,7 +77,7 @@ typing-view: setup ## link the sources under one namespace for static tools
 	@for file in __init__.py py.typed _core.pyi; do ln -sfn $(CURDIR)/native/python/alula/$$file $(VIEW)/$$file; done
 
 typecheck: typing-view ## check types, strictly
-	$(BIN)/mypy -p alula
+	$(BIN)/mypy -p alula -p papers
 
 test-native: setup ## build the native tests with sanitizers and run them, and fuzz for 20 s where clang can
 	@$(MAKE) --no-print-directory -j2 native-address native-thread

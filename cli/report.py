@@ -25,7 +25,6 @@ Examples:
   alula report room.run.mcap --cover room.cover.npz -o report.html
   alula report with.run.mcap without.run.mcap -o comparison.html
   alula report room.run.mcap --cover room.cover.npz -o report.pdf
-  alula report a.run.mcap b.run.mcap --cover c.cover.npz --paper polymerge -o table.html
 """
 
 
@@ -159,7 +158,7 @@ def contents_of(
     from alula.stages.reporting.tables import to_csv
 
     everything = {"listed": None} if form == "json" else {}
-    content = content_of(material, config.table, config.paper, **everything)
+    content = content_of(material, config.table, **everything)
     summary = dict(content.facts)
     line = provenance.line(summary)
     plain = in_ascii(line)

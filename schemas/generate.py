@@ -48,14 +48,6 @@ def keyword_files() -> dict[str, str]:
 def documents() -> dict[str, bytes]:
     """The JSON Schema of the manifest or record of each kind, by file name."""
     # These modules depend on files that `main` writes first.
-    from alula.schemas.comparison import (
-        COMPARISON_SCHEMA,
-        COMPARISON_VERSION,
-        PAPERS_SCHEMA,
-        PAPERS_VERSION,
-        Comparison,
-        Papers,
-    )
     from alula.schemas.encounters import Encounters
     from alula.schemas.geofence import FenceScenario
     from alula.schemas.kinds import KINDS
@@ -74,8 +66,6 @@ def documents() -> dict[str, bytes]:
         (PARTS_SCHEMA, PARTS_VERSION, PartsIndex),
         (RUN_SCHEMA, RUN_VERSION, RunRecord),
         (REPORT_SCHEMA, REPORT_VERSION, Report),
-        (COMPARISON_SCHEMA, COMPARISON_VERSION, Comparison),
-        (PAPERS_SCHEMA, PAPERS_VERSION, Papers),
         (TILES_SCHEMA, TILES_VERSION, TilesIndex),
         (SCENARIO_SCHEMA, VERSION, Scenario),
         (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),

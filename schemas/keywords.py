@@ -78,7 +78,6 @@ class ReportFields(TypedDict, total=False):
 
     title: str
     table: Sequence[str]
-    paper: Literal["polymerge"] | None
 
 
 class ScaleAlignFields(TypedDict, total=False):

@@ -8,19 +8,17 @@ the same tables as one Markdown page into FILE.
 
 import json
 
-from alula.cli.comparison import comparison_words, this_machine, write_comparison, write_record
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import (
-    dracbf,
-    dracbf_analysis,
-    dracbf_difficulty,
-    dracbf_figures,
-    dracbf_verdicts,
-    dracbf_warning,
-)
-from alula.stages.reporting.papers.dracbf_claims import DRACBF_PAPER
-from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
+from papers.command_line import comparison_words, this_machine, write_comparison, write_record
+from papers.dracbf import analysis as dracbf_analysis
+from papers.dracbf import difficulty as dracbf_difficulty
+from papers.dracbf import figures as dracbf_figures
+from papers.dracbf import tables as dracbf
+from papers.dracbf import verdicts as dracbf_verdicts
+from papers.dracbf import warning as dracbf_warning
+from papers.dracbf.claims import DRACBF_PAPER
+from papers.verdicts import verdict_table
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"
 WRITTEN = """Read here which results of the DR-ACBF paper hold, and where the filters fail.

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers.dracbf import Flown
-from alula.stages.reporting.papers.dracbf_difficulty import chosen
+from papers.dracbf.difficulty import chosen
+from papers.dracbf.tables import Flown
 
 method, paths = sys.argv[1], [Path(word) for word in sys.argv[2:]]
 runs = [Flown(path.parent.name, path.name.removesuffix(".run.mcap"), read_run(path)) for path in paths]

@@ -5,11 +5,11 @@ Usage: python ablations.py [--markdown FILE] FOLDER RUN [RUN ...]
 
 from pathlib import Path
 
-from alula.cli.comparison import comparison_words, write_comparison
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
-from alula.stages.reporting.papers import fastbridge
-from alula.stages.reporting.papers.sweeps import Sweep
+from papers.command_line import comparison_words, write_comparison
+from papers.fastbridge import tables as fastbridge
+from papers.fastbridge.sweeps import Sweep
 
 HEAD = """Read here what each part of our filters contributes: flights with one part changed.
 Written by `make -C examples/fastbridge ablations`. Pairs, references, rate and plant are those of

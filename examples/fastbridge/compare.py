@@ -9,17 +9,18 @@ Tables and figures are written into FOLDER, and the same tables as one Markdown 
 import csv
 from pathlib import Path
 
-from alula.cli.comparison import comparison_words, write_comparison, write_record
 from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
-from alula.stages.reporting.papers import fastbridge, fastbridge_figures
-from alula.stages.reporting.papers.backup_feasibility import feasibility_table
-from alula.stages.reporting.papers.fastbridge_claims import FASTBRIDGE_PAPER
-from alula.stages.reporting.papers.fastbridge_verdicts import verdict_rows
-from alula.stages.reporting.papers.sweeps import Sweep
-from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import Table
+from papers.command_line import comparison_words, write_comparison, write_record
+from papers.fastbridge import figures as fastbridge_figures
+from papers.fastbridge import tables as fastbridge
+from papers.fastbridge.claims import FASTBRIDGE_PAPER
+from papers.fastbridge.feasibility import feasibility_table
+from papers.fastbridge.sweeps import Sweep
+from papers.fastbridge.verdicts import verdict_rows
+from papers.verdicts import verdict_table
 
 TITLE = "FastBridge: collision cones through the quadrotor"
 HEAD = """Read here which results of the FastBridge paper hold, with SAFER-Splat flown beside it.

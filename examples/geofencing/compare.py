@@ -11,15 +11,17 @@ import json
 import re
 from pathlib import Path
 
-from alula.cli.comparison import comparison_words, this_machine, write_comparison, write_record
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
-from alula.stages.reporting.papers.geofencing_claims import GEOFENCING_PAPER
-from alula.stages.reporting.papers.geofencing_verdicts import paper_rows
-from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
-from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
+from papers.command_line import comparison_words, this_machine, write_comparison, write_record
+from papers.geofencing import figures as geofencing_figures
+from papers.geofencing import pendulum
+from papers.geofencing import tables as geofencing
+from papers.geofencing.claims import GEOFENCING_PAPER
+from papers.geofencing.pendulum import PROGRAM, REGULATION, sweep
+from papers.geofencing.verdicts import paper_rows
+from papers.verdicts import verdict_table
 
 TITLE = "Geofencing: racing drones in a fence"
 WRITTEN = """Read here which results of the geofencing paper hold, and how robust the fence is.

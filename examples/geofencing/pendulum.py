@@ -21,7 +21,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.atomic import write_text
 from alula.stages.filtering.qp import clarabel_backend
-from alula.stages.reporting.papers.pendulum import PROGRAM, PUSH, REGULATION, Pendulum, program_rows, swing
+from papers.geofencing.pendulum import PROGRAM, PUSH, REGULATION, Pendulum, program_rows, swing
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--quick", action="store_true")

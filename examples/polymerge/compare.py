@@ -16,19 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.cli.comparison import common_words, this_machine, write_comparison, write_record
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.reporting.papers import polymerge
-from alula.stages.reporting.papers.polymerge import Polytopes, SceneMaps
-from alula.stages.reporting.papers.polymerge_claims import POLYMERGE_PAPER
-from alula.stages.reporting.papers.polymerge_figures import flights_figure
-from alula.stages.reporting.papers.polymerge_flights import Flights, figure_5_table, from_record, table_2
-from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
-from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
+from papers.command_line import common_words, this_machine, write_comparison, write_record
+from papers.polymerge import maps as polymerge
+from papers.polymerge.claims import POLYMERGE_PAPER
+from papers.polymerge.figures import flights_figure
+from papers.polymerge.flights import Flights, figure_5_table, from_record, table_2
+from papers.polymerge.maps import Polytopes, SceneMaps
+from papers.polymerge.verdicts import verdict_rows
+from papers.verdicts import verdict_table
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 common_words(parser)

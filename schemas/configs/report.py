@@ -27,9 +27,6 @@ class ReportConfig:
     table: tuple[str, ...] = field(
         default=(), metadata={"help": "Keep only this table (repeatable).", "metavar": "NAME"}
     )
-    paper: Literal["polymerge"] | None = field(
-        default=None, metadata={"help": "Add tables with the published values of a paper."}
-    )
 
     def __post_init__(self) -> None:
         """Refuse an empty title."""

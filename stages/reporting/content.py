@@ -58,7 +58,6 @@ class Content:
 def content_of(
     material: Material,
     names: Sequence[str] = (),
-    paper: str | None = None,
     *,
     listed: int | None = LISTED_TRIALS,
 ) -> Content:
@@ -67,13 +66,12 @@ def content_of(
     Args:
         material: what the report is about.
         names: tables to keep; all when empty.
-        paper: paper whose published values are added.
         listed: number of trials that are listed of each run; None for all.
 
     Raises:
         UsageError: no table has one of the names.
     """
-    tables = tuple(all_tables(material, names, paper, listed=listed))
+    tables = tuple(all_tables(material, names, listed=listed))
     return Content(brief(material), headline(material), tables, tuple(difference_tables(material)))
 
 

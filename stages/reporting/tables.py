@@ -29,7 +29,6 @@ from alula.stages.reporting.material import (
     is_covered,
     outcome_of,
 )
-from alula.stages.reporting.papers.published import paper_tables
 from alula.stages.reporting.table import Table, csv_cell, flat, text
 from alula.stages.verdict import path_ratio
 
@@ -45,7 +44,6 @@ LISTED_TRIALS = 500  # per run; the CSV lists all
 def all_tables(
     material: Material,
     names: Sequence[str] = (),
-    paper: str | None = None,
     *,
     listed: int | None = LISTED_TRIALS,
 ) -> list[Table]:
@@ -54,7 +52,6 @@ def all_tables(
     Args:
         material: what the report is about.
         names: tables to keep; all when empty.
-        paper: paper whose published values are added.
         listed: number of trials that are listed of each run; None for all.
 
     Raises:
@@ -65,8 +62,6 @@ def all_tables(
         tables.append(runs_table(material))
     if material.cover is not None or material.scene is not None:
         tables += [compression_table(material), cover_table(material)]
-    if paper is not None:
-        tables += paper_tables(paper, material)
     timed = [run for run in material.runs if run.record.timing]
     if timed:
         tables.append(_beside("timing", "Measured times", timed, lambda run: flat(run.record.timing)))

@@ -86,7 +86,7 @@ def report(folder, tmp_path):
 
 EVERYTHING = (
     *("a.run.mcap", "b.run.mcap", "--cover", "m.cover.npz", "--scene", "m.scene.npz"),
-    *("--plan", "m.plan.npz", "--certificate", "c.json", "--paper", "polymerge"),
+    *("--plan", "m.plan.npz", "--certificate", "c.json"),
 )
 
 
@@ -256,8 +256,7 @@ def test_foreign_files_beside_the_page_are_kept(report, tmp_path, suffix, capsys
 
 
 def test_a_report_without_runs_shows_the_map(report):
-    page = report("--cover", "m.cover.npz", "--paper", "polymerge").read_text()
-    assert "PolyMerge, Table I" in page
+    page = report("--cover", "m.cover.npz").read_text()
     assert "half-planes" in page
 
 
@@ -266,7 +265,6 @@ def test_a_report_without_runs_shows_the_map(report):
     [
         ([], 2, "needs a run"),
         (["a.run.mcap", "--table", "nothing"], 2, "this report has"),
-        (["a.run.mcap", "--paper", "bible"], 2, "polymerge"),
         (["m.cover.npz"], 3, "not an MCAP log"),
         (["a.run.mcap", "--cover", "m.scene.npz"], 3, "alula/cover is needed"),
         (["a.run.mcap", "--certificate", "a.run.mcap"], 3, "not a certificate"),

@@ -1,6 +1,6 @@
 """Rows of verdicts against the claims of their paper."""
 
-from alula.stages.reporting.papers.claims import claim_of
+from papers.claims import claim_of
 
 
 def open_claims(paper, rows):

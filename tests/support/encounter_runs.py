@@ -3,7 +3,7 @@
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
-from alula.stages.reporting.papers import dracbf
+from papers.dracbf import tables as dracbf
 
 
 def met(hit=False, closest=2.0, separation=1.5, warned=3.0, reaction=0.0):

@@ -1,14 +1,14 @@
 """Records of comparisons made by hand."""
 
-from alula.schemas.comparison import (
+from alula.schemas.manifest import Producer
+from papers.compared import (
     COMPARISON_SCHEMA,
     COMPARISON_VERSION,
     ComparedFigure,
     ComparedValue,
     Comparison,
 )
-from alula.schemas.manifest import Producer
-from alula.stages.reporting.papers.verdicts import PaperRow, exact
+from papers.verdicts import PaperRow, exact
 
 PRODUCER = Producer(name="alula", version="1.0", commit="abc")
 SVG = (

@@ -4,7 +4,7 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.reporting.material import Run
-from alula.stages.reporting.papers.sweeps import Sweep
+from papers.fastbridge.sweeps import Sweep
 
 
 def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=100, **fields):

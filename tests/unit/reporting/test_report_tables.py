@@ -239,36 +239,13 @@ def test_only_the_named_tables_are_kept():
         all_tables(material, ["nothing"])
 
 
-def test_the_paper_stands_beside_ours():
-    cover_ref = InputRef("cover", "alula/cover", "1.0", "ab" * 32, "room.cover.npz")
-    material = Material(
-        "t", runs=(run_of("a", hulls=50), run_of("b", hulls=77)), cover=COVER, inputs=(cover_ref,)
-    )
-    tables = {t.name: t for t in all_tables(material, paper="polymerge")}
-    sizes = {row[0]: row[1:] for row in tables["polymerge-1"].rows}
-    assert sizes["ours: room.cover.npz"][:3] == (2, 12, 6.0)
-    assert sizes["published: Room"][:2] == (454, 33_000)
-    assert len(sizes) == 10
-    flights = tables["polymerge-2"].rows
-    assert [row[0] for row in flights] == [10, 30, 50, 77, 100, 150]
-    assert flights[2] == (50, 250, 1.0, 0.098, 50, "a", 4, 0.25, 0.3125, 0.9375, -0.03125)
-    assert flights[3][1:6] == (None, None, None, 77, "b")
-    with pytest.raises(UsageError, match="needs a run or --cover"):
-        all_tables(Material("t"), paper="polymerge")
-
-
 def test_a_run_is_matched_to_the_cover_that_it_flew_through():
-    from alula.stages.reporting.papers.published import hulls_of
-
     ref = InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz")
     run = run_of()
-    assert hulls_of(run, Material("t", cover=COVER, inputs=(ref,))) is None
     run.record.provenance.inputs.append(InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz"))
     material = Material("t", runs=(run,), cover=COVER, inputs=(ref,))
-    assert hulls_of(run, material) == 2
     assert row_of(runs_table(material), "flew through the cover shown") == (True,)
     other = Material("t", runs=(run,), cover=COVER, inputs=(InputRef("cover", "", "", "cd" * 32, "y"),))
-    assert hulls_of(run, other) is None
     assert row_of(runs_table(other), "flew through the cover shown") == (False,)
     assert curves.flight_maps(material)[0].hulls == 2
     assert curves.flight_maps(other)[0].hulls == 0

@@ -1,0 +1,1 @@
+"""What four papers claim, judged by our runs: claims, verdicts, tables, figures and pages."""

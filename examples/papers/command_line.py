@@ -1,0 +1,125 @@
+"""Command line and output files of the examples that compare runs or maps; this is no command of alula."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from alula.stages.reporting.figures import Figure
+    from alula.stages.reporting.table import Table
+    from papers.claims import Paper
+    from papers.verdicts import PaperRow
+
+
+def comparison_words(description: str, *, tuning: bool = False) -> argparse.Namespace:
+    """Parse the command line of a comparison.
+
+    Args:
+        description: first line of its help.
+        tuning: whether it also reads the table of a search for gains.
+
+    Returns:
+        `folder`, `runs`, and `markdown`, which may be None; with `tuning` also that file.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    common_words(parser)
+    if tuning:
+        parser.add_argument("--tuning", type=Path, metavar="FILE", required=True, help="table of a search")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+    return parser.parse_args()
+
+
+def common_words(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every comparison: its Markdown page, and how it was made."""
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="also write the tables to FILE, the record beside it"
+    )
+    parser.add_argument("--command", default="make", help="command that makes a target of the example")
+    parser.add_argument("--setting", choices=("full", "quick"), default="full", help="how much was flown")
+
+
+def this_machine() -> str:
+    """Describe in words the machine that writes a page."""
+    return f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}"
+
+
+def write_comparison(
+    output: Path,
+    title: str,
+    inputs: Iterable[tuple[str, Path]],
+    facts: Mapping[str, str],
+    tables: Sequence[Table],
+    figures: Sequence[Figure],
+    *,
+    read: Sequence[Table] | None = None,
+    markdown: Path | None = None,
+    head: str = "",
+) -> None:
+    """Write all files of a comparison.
+
+    Args:
+        output: OUTPUT.md and OUTPUT.html are written, and tables and figures beside them.
+        title: of the pages.
+        inputs: roles and files that the comparison was made from.
+        facts: summary lines by subject.
+        tables: in reading order, with all digits.
+        figures: in reading order.
+        read: tables as the pages show them; by default `tables`.
+        markdown: second file for the Markdown page, with `head` below its title.
+        head: a paragraph.
+
+    Raises:
+        InputError: an input cannot be read.
+        OutputError: a file cannot be written.
+    """
+    from alula.cli.runner import input_ref
+    from alula.schemas.atomic import write_text
+    from alula.stages.reporting.material import Material
+    from papers.comparison import comparison_files, headed
+
+    material = Material(title, inputs=tuple(input_ref(role, path) for role, path in inputs))
+    files = comparison_files(output.name, material, facts, tables, figures, read=read)
+    for name, text in files.items():
+        write_text(output.parent / name, text)
+    if markdown is not None:
+        write_text(markdown, headed(files[f"{output.name}.md"], head))
+
+
+def write_record(
+    output: Path,
+    paper: Paper,
+    rows: Sequence[PaperRow],
+    figures: Sequence[Figure],
+    options: argparse.Namespace,
+) -> None:
+    """Write the record of a comparison: OUTPUT.record.json, and a second one beside a Markdown page.
+
+    Args:
+        output: name of the comparison's files, without an ending.
+        paper: with its claims.
+        rows: in reading order.
+        figures: in reading order.
+        options: from `comparison_words`: `folder`, `command`, `setting` and `markdown`.
+
+    Raises:
+        InputError: a row belongs to no claim.
+        OutputError: a file cannot be written.
+    """
+    from alula.schemas.atomic import write_text
+    from alula.schemas.manifest import producer
+    from papers.compared import write_comparison_record
+    from papers.record import Made, comparison_record
+
+    made = Made(
+        options.command, options.folder.as_posix(), f"{output.name}.html", options.setting, this_machine()
+    )
+    text = write_comparison_record(comparison_record(paper, rows, figures, made, producer()))
+    write_text(output.parent / f"{output.name}.record.json", text)
+    if options.markdown is not None:
+        write_text(options.markdown.with_suffix(".json"), text)

@@ -1,0 +1,1 @@
+"""Claims, tables, figures and verdicts of the geofencing paper (arXiv 2201.04331)."""

@@ -1,0 +1,1 @@
+"""Claims, tables, figures and verdicts of PolyMerge (arXiv 2606.16232)."""
