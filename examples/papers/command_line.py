@@ -37,9 +37,7 @@ def comparison_words(description: str, *, tuning: bool = False) -> argparse.Name
 
 def common_words(parser: argparse.ArgumentParser) -> None:
     """Add the options of every comparison: its Markdown page, and how it was made."""
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="also write the tables to FILE, the record beside it"
-    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     parser.add_argument("--command", default="make", help="command that makes a target of the example")
     parser.add_argument("--setting", choices=("full", "quick"), default="full", help="how much was flown")
 
@@ -98,14 +96,14 @@ def write_record(
     figures: Sequence[Figure],
     options: argparse.Namespace,
 ) -> None:
-    """Write the record of a comparison: OUTPUT.record.json, and a second one beside a Markdown page.
+    """Write the record of a comparison: OUTPUT.record.json.
 
     Args:
         output: name of the comparison's files, without an ending.
         paper: with its claims.
         rows: in reading order.
         figures: in reading order.
-        options: from `comparison_words`: `folder`, `command`, `setting` and `markdown`.
+        options: from `comparison_words`: `folder`, `command` and `setting`.
 
     Raises:
         InputError: a row belongs to no claim.
@@ -121,5 +119,3 @@ def write_record(
     )
     text = write_comparison_record(comparison_record(paper, rows, figures, made, producer()))
     write_text(output.parent / f"{output.name}.record.json", text)
-    if options.markdown is not None:
-        write_text(options.markdown.with_suffix(".json"), text)

@@ -1,11 +1,11 @@
 """Make one page of all papers from the records of the comparisons: every claim, with ours beside it.
 
-Usage: python papers.py [--markdown FILE] [--head TEXT] [--links FOLDER] OUTPUT RECORD [RECORD ...]
+Usage: python write_pages.py [--markdown FILE] [--head TEXT] [--links FOLDER] OUTPUT RECORD [RECORD ...]
 
 A record is EXAMPLE.record.json of a compare.py, its figures beside it. Of several records of one paper the
 first counts; later ones fill the claims that it leaves open. OUTPUT.html, OUTPUT.md and OUTPUT.json are
-written; FILE gets the Markdown page, with TEXT below its title, and its data beside it. FOLDER has the
-detailed pages, as seen from OUTPUT.html.
+written; FILE gets the Markdown page, with TEXT below its title. FOLDER has the detailed pages,
+as seen from OUTPUT.html.
 """
 
 import argparse
@@ -38,6 +38,5 @@ write_text(options.output.with_suffix(".md"), papers_markdown(papers, options.he
 write_text(options.output.with_suffix(".json"), write_comparison_record(papers))
 if options.markdown is not None:
     write_text(options.markdown, papers_markdown(papers, options.head))
-    write_text(options.markdown.with_suffix(".json"), write_comparison_record(papers))
 print(sentence(papers.counts))
 print(f"page: {options.output.with_suffix('.html').resolve()}")
