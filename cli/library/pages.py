@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from alula.cli.library.bar import quiet, shown
-from alula.cli.library.flights import Run
 from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.results import Cover, Plan, Result, Scene, on_disk
+from alula.cli.verbs.runs import Run
 from alula.schemas.configs.report import ReportConfig
 from alula.schemas.configs.view import PictureConfig, ViewConfig
 from alula.schemas.errors import UsageError

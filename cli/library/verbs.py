@@ -21,7 +21,7 @@ from alula.schemas.errors import CheckError, InfeasibleError, InputError, UsageE
 from alula.schemas.provenance import Provenance
 
 if TYPE_CHECKING:
-    from alula.cli.library.flights import Run
+    from alula.cli.verbs.runs import Run
     from alula.schemas.keywords import (
         ImportSplatFields,
         MergeFields,
@@ -55,7 +55,7 @@ def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
         with file.open("rb") as opened:
             with_magic = opened.read(len(MAGIC))
     if with_magic == MAGIC:
-        from alula.cli.library.flights import Run
+        from alula.cli.verbs.runs import Run
 
         return Run.read(file)
     if file.is_file() and not is_artifact_like(file):

@@ -17,6 +17,19 @@ from alula.schemas.progress import Progress
 
 P = ParamSpec("P")
 R = TypeVar("R", bound=Result)
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Makes(Protocol[T_co]):
+    """What a verb has checked, and can do."""
+
+    def make(self, progress: Progress, /) -> T_co:
+        """Do it.
+
+        Args:
+            progress: called with (done, total).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,38 +50,48 @@ class Step(Generic[R]):
     build: Callable[[Progress], Artifact]
     seed: int | None = None
 
+    def make(self, progress: Progress) -> R:
+        """The result.
 
-class Verb(Protocol[P, R]):
+        Args:
+            progress: called with (done, total).
+        """
+        return self.result(self.build(progress), self.inputs, seed=self.seed)
+
+
+class Verb(Protocol[P, T_co]):
     """A function that makes a result at once; `step` only checks, for a command that may find it current."""
 
     @property
-    def step(self) -> Callable[P, Step[R]]:
+    def step(self) -> Callable[P, Any]:
         """The call before its work."""
 
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T_co:
         """Make the result, with a bar in a notebook and on a terminal."""
 
 
-def verb(config: type[Any], *, without: tuple[str, ...] = ()) -> Callable[[Callable[P, Step[R]]], Verb[P, R]]:
-    """Decorator that makes a verb of a function that checks and returns a step.
+def verb(
+    config: type[Any] | None = None, *, without: tuple[str, ...] = ()
+) -> Callable[[Callable[P, Makes[T]]], Verb[P, T]]:
+    """Decorator that makes a verb of a function that only checks, and returns what makes the result.
 
     The fields of the configuration are the keyword arguments `**fields` of the function; help and signature
     list them.
 
     Args:
-        config: the dataclass.
+        config: the dataclass, if there is one.
         without: fields that are no arguments.
     """
 
-    def decorate(function: Callable[P, Step[R]]) -> Verb[P, R]:
+    def decorate(function: Callable[P, Makes[T]]) -> Verb[P, T]:
         @functools.wraps(function)
-        def made(*args: P.args, **kwargs: P.kwargs) -> R:
+        def made(*args: P.args, **kwargs: P.kwargs) -> T:
             step = function(*args, **kwargs)
             with shown(function.__name__) as progress:
-                return step.result(step.build(progress), step.inputs, seed=step.seed)
+                return step.make(progress)
 
         made.step = function  # type: ignore[attr-defined]
-        return cast(Verb[P, R], keywords(config, without=without)(made))
+        return cast(Verb[P, T], made if config is None else keywords(config, without=without)(made))
 
     return decorate
 

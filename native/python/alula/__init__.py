@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from alula.cli.library.flights import Run, simulate
     from alula.cli.library.pages import Page, report, view
     from alula.cli.library.verbs import (
         Proof,
@@ -30,6 +29,8 @@ if TYPE_CHECKING:
     )
     from alula.cli.verbs.plan import plan
     from alula.cli.verbs.results import Cover, Plan, Scene, Seen, Voxels
+    from alula.cli.verbs.runs import Run
+    from alula.cli.verbs.simulate import simulate
     from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
     from alula.stages.filtering import public as filtering
 
@@ -37,7 +38,8 @@ _PLACES = {
     "cli.library.verbs": (
         *("read", "import_splat", "import_voxels", "align", "voxelize", "merge", "verify", "Proof"),
     ),
-    "cli.library.flights": ("simulate", "Run"),
+    "cli.verbs.runs": ("Run",),
+    "cli.verbs.simulate": ("simulate",),
     "cli.library.pages": ("report", "view", "Page"),
     "cli.verbs.plan": ("plan",),
     "cli.verbs.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.cli.simulate import check_trials
+from alula.cli.verbs.runs import check_trials
 from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import CheckError, InfeasibleError, UsageError

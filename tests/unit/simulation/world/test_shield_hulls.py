@@ -8,7 +8,7 @@ import pytest
 
 from alula import _core
 from alula.cli.main import run
-from alula.cli.simulate import check_trials
+from alula.cli.verbs.runs import check_trials
 from alula.schemas.artifact import write_artifact
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.configs.import_splat import ImportSplatConfig
