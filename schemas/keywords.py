@@ -76,6 +76,7 @@ class PlanFields(TypedDict, total=False):
 class ReportFields(TypedDict, total=False):
     """Fields of `ReportConfig`."""
 
+    format: Literal["auto", "html", "md", "csv", "json", "tex", "pdf", "png"]
     title: str
     table: Sequence[str]
 

@@ -60,11 +60,19 @@ def plan(
     config = given.config
     if config.start is None or config.goal is None:
         raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
-    check_filter(config, given.maps)
+    if config.filter is not None and config.straight:
+        raise UsageError("--straight flies lines as they are, whatever a filter does; leave out --filter")
+    if config.filter is not None and "image" in given.maps:
+        raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
 
     def build(progress: Progress) -> Artifact:
-        maps, known = read_maps(given.maps), (given.vehicle, given.mission)
-        return find_plan(config, maps, *known, jobs=jobs, progress=progress)
+        from alula.stages.planning.plan import plan as stage
+        from alula.stages.simulation.world.parts import behind_filters
+
+        maps = given.read()
+        behind = None if config.filter is None else behind_filters(config, given.vehicle, **maps, jobs=jobs)
+        known: dict[str, Any] = {"mission": given.mission, "vehicle": given.vehicle, "behind": behind}
+        return stage(config, **maps, **known, jobs=jobs, progress=progress)
 
     return Step(Plan, config, given.inputs, build)
 
@@ -74,7 +82,7 @@ class Given:
     """What a plan is made from.
 
     Attributes:
-        config: complete, see `resolved`.
+        config: complete.
         maps: `cover`, `scene`, `image` (an onboard map) and `within`, those that there are.
         inputs: maps and further files, by role.
         vehicle: that will fly it.
@@ -127,7 +135,17 @@ class Given:
             start, goal = config.start or course.start_m, config.goal or course.goal_m
             config = dataclasses.replace(config, start=start, goal=goal)
         files = {role: File.at(path) for role, path in further.items()}
-        return cls(resolved(config, flown, maps), maps, maps | files, flown, course)
+        return cls(_resolved(config, flown, maps), maps, maps | files, flown, course)
+
+    def read(self) -> dict[str, Any]:
+        """The maps by role: artifacts, and the bytes of an onboard map."""
+        kinds = {"cover": COVER, "scene": SCENE, "within": SEEN}
+        return {
+            role: one.path.read_bytes()
+            if isinstance(one, File) and role == "image"
+            else one.read(kinds[role])
+            for role, one in self.maps.items()
+        }
 
     def free_points(self, count: int, *, seed: int = 0, jobs: int = 0) -> tuple[NDArray[Any], PlanSpace]:
         """Free points to choose start and goal from, shape (count, 3) [m], and the space that they lie in.
@@ -143,21 +161,12 @@ class Given:
         from alula.stages.planning.endpoints import free_points
         from alula.stages.planning.space import plan_space
 
-        space = plan_space(self.config, **read_maps(self.maps), jobs=jobs)
+        space = plan_space(self.config, **self.read(), jobs=jobs)
         return free_points(self.config, space, count, seed=seed), space
 
 
-def resolved(config: PlanConfig, vehicle: Vehicle, roles: Container[str]) -> PlanConfig:
-    """Complete what follows from the vehicle, the filters and the maps.
-
-    Args:
-        config: as given by the user.
-        vehicle: that will fly the plan.
-        roles: of the maps.
-
-    Raises:
-        UsageError: parameters do not go together, or there is no such filter.
-    """
+def _resolved(config: PlanConfig, vehicle: Vehicle, roles: Container[str]) -> PlanConfig:
+    """Complete what follows from the vehicle, the filters and the maps."""
     from alula.stages.filtering.registry import filter_kind
     from alula.stages.planning.plan import resolve_plan
 
@@ -172,69 +181,6 @@ def resolved(config: PlanConfig, vehicle: Vehicle, roles: Container[str]) -> Pla
             raise UsageError(f"--filter {config.filter}: {error}") from error
         config = dataclasses.replace(config, interface=interface)
     return resolve_plan(config, vehicle)
-
-
-def check_filter(config: PlanConfig, roles: Container[str]) -> None:
-    """Refuse filters that the plan cannot be flown behind.
-
-    Args:
-        config: of the plan.
-        roles: of its maps.
-
-    Raises:
-        UsageError: there is one.
-    """
-    if config.filter is not None and config.straight:
-        raise UsageError("--straight flies lines as they are, whatever a filter does; leave out --filter")
-    if config.filter is not None and "image" in roles:
-        raise UsageError("--filter flies the plan in a cover or a scene, not in an onboard map")
-
-
-def find_plan(
-    config: PlanConfig,
-    maps: Mapping[str, Any],
-    vehicle: Vehicle,
-    mission: Mission | None = None,
-    *,
-    jobs: int = 0,
-    progress: Progress | None = None,
-) -> Artifact:
-    """Find the plan, behind the filters of the configuration if it names some.
-
-    Args:
-        config: see `resolved`.
-        maps: `cover`, `scene`, `image` and `within`.
-        vehicle: that will fly it.
-        mission: waypoints, gates and zones.
-        jobs: threads; 0 is all processors.
-        progress: called with (done, total).
-
-    Raises:
-        InfeasibleError: there is no plan.
-        UsageError, InputError: parameters and maps do not go together.
-    """
-    from alula.stages.planning.plan import plan
-    from alula.stages.simulation.world.parts import behind_filters
-
-    behind = None if config.filter is None else behind_filters(config, vehicle, **maps, jobs=jobs)
-    known: dict[str, Any] = {"mission": mission, "vehicle": vehicle, "behind": behind}
-    return plan(config, **maps, **known, jobs=jobs, progress=progress)
-
-
-def read_maps(maps: Maps) -> dict[str, Any]:
-    """The maps by role, read: artifacts, and the bytes of an onboard map.
-
-    Args:
-        maps: by role.
-
-    Raises:
-        InputError: one cannot be read, or is of another kind.
-    """
-    kinds = {"cover": COVER, "scene": SCENE, "within": SEEN}
-    return {
-        role: one.path.read_bytes() if isinstance(one, File) and role == "image" else one.read(kinds[role])
-        for role, one in maps.items()
-    }
 
 
 def _maps_of(map: Source, scene: Source | None) -> dict[str, Result | File]:

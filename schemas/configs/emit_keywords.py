@@ -20,7 +20,7 @@ CONFIGS: dict[type[Any], tuple[str, ...]] = {
     ImportSplatConfig: (),
     MergeConfig: (),
     PlanConfig: (),
-    ReportConfig: ("format",),
+    ReportConfig: (),
     ScaleAlignConfig: ("distances",),
     ViewConfig: (),
     VoxelizeConfig: (),

@@ -154,7 +154,7 @@ def voxelized(folder, **fields):
         (lambda f: alula.verify(f / "tiny.plan.npz"), alula.UsageError, "`map`"),
         (lambda f: alula.simulate(f / "tiny.cover.npz", filter="no"), alula.UsageError, "no filter"),
         (lambda f: alula.report(), alula.UsageError, "needs a run"),
-        (lambda f: alula.report(f / "tiny.run.mcap", format="md"), TypeError, "suffix"),
+        (lambda f: alula.report(f / "tiny.run.mcap", format="doc"), alula.UsageError, "format"),
     ],
 )  # fmt: skip
 def test_errors_are_those_of_the_command_line(call, error, text, pipeline):

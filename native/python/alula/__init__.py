@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from alula.cli.library.pages import Page, report, view
     from alula.cli.library.verbs import (
         Proof,
         align,
@@ -27,10 +26,13 @@ if TYPE_CHECKING:
         verify,
         voxelize,
     )
+    from alula.cli.verbs.pages import Page
     from alula.cli.verbs.plan import plan
+    from alula.cli.verbs.report import report
     from alula.cli.verbs.results import Cover, Plan, Scene, Seen, Voxels
     from alula.cli.verbs.runs import Run
     from alula.cli.verbs.simulate import simulate
+    from alula.cli.verbs.view import view
     from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
     from alula.stages.filtering import public as filtering
 
@@ -40,7 +42,9 @@ _PLACES = {
     ),
     "cli.verbs.runs": ("Run",),
     "cli.verbs.simulate": ("simulate",),
-    "cli.library.pages": ("report", "view", "Page"),
+    "cli.verbs.pages": ("Page",),
+    "cli.verbs.report": ("report",),
+    "cli.verbs.view": ("view",),
     "cli.verbs.plan": ("plan",),
     "cli.verbs.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
     "schemas.errors": ("AlulaError", "UsageError", "InputError", "CheckError", "InfeasibleError"),
