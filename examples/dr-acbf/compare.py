@@ -10,14 +10,14 @@ import json
 
 from alula.schemas.run import read_run
 from alula.stages.reporting.table import folded
-from papers.command_line import comparison_words, this_machine, write_comparison, write_record
+from papers.comparison import comparison_words, this_machine, write_comparison, write_record
 from papers.dracbf import analysis as dracbf_analysis
 from papers.dracbf import difficulty as dracbf_difficulty
 from papers.dracbf import figures as dracbf_figures
 from papers.dracbf import tables as dracbf
 from papers.dracbf import verdicts as dracbf_verdicts
 from papers.dracbf import warning as dracbf_warning
-from papers.dracbf.claims import DRACBF_PAPER
+from papers.papers import DRACBF
 from papers.verdicts import verdict_table
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"
@@ -32,7 +32,7 @@ times = folder / "times.json"
 saved = json.loads(times.read_text()) if times.is_file() else {}
 verdicts = dracbf_verdicts.verdict_rows(flown, saved)
 found = [
-    verdict_table(verdicts),
+    verdict_table(DRACBF, verdicts),
     dracbf_difficulty.difficulty_table(flown),
     dracbf_difficulty.tuning_table(flown),
     dracbf_difficulty.hard_table(flown),
@@ -77,4 +77,4 @@ write_comparison(
     head=f"{WRITTEN} on {this_machine()}. The tables name the numbers of trials. Times of Tables I to V were "
     "measured during the trials.",
 )
-write_record(folder / "dr-acbf", DRACBF_PAPER, verdicts, figures, options)
+write_record(folder / "dr-acbf", DRACBF, verdicts, figures, options)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
-from papers.command_line import comparison_words, write_comparison
+from papers.comparison import comparison_words, write_comparison
 from papers.fastbridge import tables as fastbridge
 from papers.fastbridge.sweeps import Sweep
 

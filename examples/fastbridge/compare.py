@@ -13,13 +13,13 @@ from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.table import Table
-from papers.command_line import comparison_words, write_comparison, write_record
+from papers.comparison import comparison_words, write_comparison, write_record
 from papers.fastbridge import figures as fastbridge_figures
 from papers.fastbridge import tables as fastbridge
-from papers.fastbridge.claims import FASTBRIDGE_PAPER
 from papers.fastbridge.feasibility import feasibility_table
 from papers.fastbridge.sweeps import Sweep
 from papers.fastbridge.verdicts import verdict_rows
+from papers.papers import FASTBRIDGE
 from papers.verdicts import verdict_table
 
 TITLE = "FastBridge: collision cones through the quadrotor"
@@ -94,7 +94,7 @@ verdicts = verdict_rows(sweeps, names[0], feasibility)
 paper = [s for s in sweeps if is_of_the_paper(s)]
 whole = [s for s in sweeps if not is_of_the_paper(s)]
 tables = [
-    verdict_table(verdicts),
+    verdict_table(FASTBRIDGE, verdicts),
     tuning_table(options.tuning),
     fastbridge.gap_table(whole),
     fastbridge.comparison_table(whole),
@@ -129,4 +129,4 @@ write_comparison(
     markdown=options.markdown,
     head=HEAD,
 )
-write_record(folder / "fastbridge", FASTBRIDGE_PAPER, verdicts, figures, options)
+write_record(folder / "fastbridge", FASTBRIDGE, verdicts, figures, options)

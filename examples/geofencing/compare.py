@@ -14,13 +14,13 @@ from pathlib import Path
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
 from alula.stages.reporting.table import folded
-from papers.command_line import comparison_words, this_machine, write_comparison, write_record
+from papers.comparison import comparison_words, this_machine, write_comparison, write_record
 from papers.geofencing import figures as geofencing_figures
 from papers.geofencing import pendulum
 from papers.geofencing import tables as geofencing
-from papers.geofencing.claims import GEOFENCING_PAPER
 from papers.geofencing.pendulum import PROGRAM, REGULATION, sweep
 from papers.geofencing.verdicts import paper_rows
+from papers.papers import GEOFENCING
 from papers.verdicts import verdict_table
 
 TITLE = "Geofencing: racing drones in a fence"
@@ -48,7 +48,7 @@ counted = re.search(r"`m7_geofence_us` \| ([\d.]+)", onboard.read_text("utf-8") 
 teensy_us = float(counted[1]) if counted else None
 verdicts = paper_rows(runs, swings, measured, teensy_us)
 found = [
-    verdict_table(verdicts),
+    verdict_table(GEOFENCING, verdicts),
     pendulum.time_table(measured),
     pendulum.gains_table(swings),
     geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
@@ -96,4 +96,4 @@ write_comparison(
     head=f"{WRITTEN} on {this_machine()}. The filter and its guarantee: "
     "[geofence.md](../theory/geofence.md).",
 )
-write_record(folder / "geofencing", GEOFENCING_PAPER, verdicts, figures, options)
+write_record(folder / "geofencing", GEOFENCING, verdicts, figures, options)

@@ -4,25 +4,78 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
+
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Producer
-from papers.claims import Claim, Paper, counts, judged
-from papers.compared import (
-    PAPERS_SCHEMA,
-    PAPERS_VERSION,
-    ComparedFigure,
-    ComparedValue,
-    Comparison,
-    JudgedClaim,
-    JudgedPaper,
-    Papers,
-)
-from papers.dracbf.claims import DRACBF_PAPER
-from papers.fastbridge.claims import FASTBRIDGE_PAPER
-from papers.geofencing.claims import GEOFENCING_PAPER
-from papers.polymerge.claims import POLYMERGE_PAPER
+from papers.claims import Claim, Paper, Row, Shown, counts, judged, row_id, shown
+from papers.compared import Compared, ComparedFigure, Comparison, Verdict
+from papers.papers import PAPERS
 
-PAPERS = (POLYMERGE_PAPER, FASTBRIDGE_PAPER, DRACBF_PAPER, GEOFENCING_PAPER)
+_OPEN = "not in these records: the setting flies nothing for it, or its data are not at hand"
+
+
+class JudgedClaim(msgspec.Struct, frozen=True, kw_only=True):
+    """A claim of a paper with its verdict.
+
+    Attributes:
+        claim: with the texts of its rows.
+        verdict: the least favourable of the rows that have a measurement, or else that of the others.
+        rows: what was measured; of a claim that no record judges one without a name.
+        figures: ours.
+        see: the claim that already has our figure of this one; empty without.
+    """
+
+    claim: Claim
+    verdict: Verdict
+    rows: list[Compared]
+    figures: list[ComparedFigure]
+    see: str
+
+    def texts(self, found: Compared) -> Shown:
+        """A row of the claim as a person reads it."""
+        claim = self.claim
+        row = next(
+            (row for row in claim.rows if row_id(claim, row) == found.row),
+            Row(item=claim.where, quantity=claim.says, published=claim.printed, why=_OPEN),
+        )
+        return shown(row, found)
+
+
+class JudgedPaper(msgspec.Struct, frozen=True, kw_only=True):
+    """A paper with all its claims.
+
+    Attributes:
+        name, title, source, says, page: as of `Paper`.
+        counts: number of claims by verdict.
+        claims: in the paper's order.
+        made: commands that wrote the records.
+        machine: on which they were written, in words.
+    """
+
+    name: str
+    title: str
+    source: str
+    says: str
+    page: str
+    counts: dict[str, int]
+    claims: list[JudgedClaim]
+    made: list[str]
+    machine: str
+
+
+class Papers(msgspec.Struct, frozen=True, kw_only=True):
+    """All papers on one page, as data.
+
+    Attributes:
+        producer: the program that wrote it.
+        counts: number of claims by verdict, of all papers.
+        papers: in reading order.
+    """
+
+    producer: Producer
+    counts: dict[str, int]
+    papers: list[JudgedPaper]
 
 
 def collect(records: Sequence[Comparison], producer: Producer) -> Papers:
@@ -44,25 +97,28 @@ def collect(records: Sequence[Comparison], producer: Producer) -> Papers:
             raise InputError(f"{record.paper!r} is no known paper")
     found = [_collected(p, [record for record in records if record.paper == p.name]) for p in PAPERS]
     total = {name: sum(paper.counts[name] for paper in found) for name in found[0].counts}
-    return Papers(schema=PAPERS_SCHEMA, version=PAPERS_VERSION, producer=producer, counts=total, papers=found)
+    return Papers(producer=producer, counts=total, papers=found)
 
 
 def _collected(paper: Paper, records: Sequence[Comparison]) -> JudgedPaper:
-    rows: dict[str, list[ComparedValue]] = {claim.name: [] for claim in paper.claims}
-    tables = {claim.name for claim in paper.claims if claim.kind == "table"}
+    rows: dict[str, list[Compared]] = {claim.name: [] for claim in paper.claims}
     for record in records:
         filled = {name for name, known in rows.items() if known}
-        cells = {(row.claim, row.quantity) for known in rows.values() for row in known}
+        cells = {row.row for known in rows.values() for row in known}
         for row in record.rows:
-            if row.claim not in rows:
-                raise InputError(
-                    f"{paper.name}: a record judges {row.claim!r}, which is no claim of the paper"
-                )
-            is_missing = row.claim in tables and (row.claim, row.quantity) not in cells
-            if row.claim not in filled or is_missing:
-                rows[row.claim].append(row)
+            claim, _ = paper.row(row.row)
+            is_missing = claim.kind == "table" and row.row not in cells
+            if claim.name not in filled or is_missing:
+                rows[claim.name].append(row)
     for claim in paper.claims:
-        rows[claim.name] = rows[claim.name] or [_open(claim, paper)]
+        rows[claim.name] = rows[claim.name] or [
+            Compared(
+                row="",
+                verdict="not available here",
+                command=claim.how or f"make -C examples/{paper.name} page",
+                setting="full",
+            )
+        ]
     figures, see = _figures(paper, records)
     verdicts = {name: [row.verdict for row in known] for name, known in rows.items()}
     return JudgedPaper(
@@ -74,13 +130,8 @@ def _collected(paper: Paper, records: Sequence[Comparison]) -> JudgedPaper:
         counts={str(name): count for name, count in counts(verdicts).items()},
         claims=[
             JudgedClaim(
-                name=claim.name,
-                where=claim.where,
-                says=claim.says,
-                printed=claim.printed,
-                kind=claim.kind,
+                claim=claim,
                 verdict=judged(verdicts[claim.name]),
-                shows=claim.shows,
                 rows=rows[claim.name],
                 figures=figures.get(claim.name, []),
                 see=see.get(claim.name, ""),
@@ -89,24 +140,6 @@ def _collected(paper: Paper, records: Sequence[Comparison]) -> JudgedPaper:
         ],
         made=list(dict.fromkeys(record.command for record in records)),
         machine="; ".join(dict.fromkeys(record.machine for record in records)),
-    )
-
-
-def _open(claim: Claim, paper: Paper) -> ComparedValue:
-    """The row of a claim that no record judges."""
-    return ComparedValue(
-        claim=claim.name,
-        item=claim.where,
-        quantity=claim.says,
-        published=claim.printed,
-        ours="",
-        interval="",
-        verdict="not available here",
-        why="not in these records: the setting flies nothing for it, or its data are not at hand",
-        numbers=[],
-        flights=None,
-        command=claim.how or f"make -C examples/{paper.name} page",
-        setting="full",
     )
 
 
@@ -119,8 +152,8 @@ def _figures(
     """
     found: dict[str, list[ComparedFigure]] = {}
     see: dict[str, str] = {}
-    shown = next((record.figures for record in records if record.figures), [])
-    for figure in shown:
+    drawn = next((record.figures for record in records if record.figures), [])
+    for figure in drawn:
         fits = [(len(s), c.name) for c in paper.claims for s in c.figures if figure.name.startswith(s)]
         named = [name for length, name in fits if length == max(fits)[0]]
         if named:

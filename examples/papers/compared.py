@@ -1,28 +1,30 @@
-"""Record of a comparison with a paper: every claim of the paper with our values, as data.
+"""Records of comparisons with papers as data: what was measured for each row of a claim.
 
 The examples write one for each paper; the page of all papers is made from them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import msgspec
 
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Producer
+from alula.stages.reporting.statistics import Estimate, Rate
 
-COMPARISON_SCHEMA = "alula/comparison"
-COMPARISON_VERSION = "1.0"
-PAPERS_SCHEMA = "alula/papers"
-PAPERS_VERSION = "1.0"
+COMPARISON_SCHEMA = "papers/comparison"
+COMPARISON_VERSION = "2.0"
 Verdict = Literal["better", "reproduced", "bounded", "refuted", "not comparable", "not available here"]
 VERDICTS: tuple[Verdict, ...] = (
     *("better", "reproduced", "bounded", "refuted"),
     *("not comparable", "not available here"),
 )
+Setting = Literal["full", "quick"]
 
 
 class ShownNumber(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,38 +43,89 @@ class ShownNumber(msgspec.Struct, frozen=True, kw_only=True):
     value: float
 
 
-class ComparedValue(msgspec.Struct, frozen=True, kw_only=True):
-    """A published value and ours.
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """What was measured for a row of a claim.
 
     Attributes:
-        claim: name of the claim that it belongs to.
-        item: table, figure or section of the paper.
-        quantity: what is compared.
-        published: as printed.
-        ours: our value; empty without a measurement.
-        interval: its 95 % interval, or what stands for it.
+        row: its name in the paper.
         verdict: the judgement.
-        why: its reason.
-        numbers: exact values of the rounded numbers in `ours` and `interval`.
-        flights: number of flights that the row is made from; null where it is made from none.
-        command: what makes it.
-        setting: `full` or `quick`: how many flights were asked for.
-        copied_from: the committed page that the row was copied from, with the digits printed there.
+        values: that the texts of the row take, by name.
+        low, high: ends of the 95 % interval; null where it is not known or is none.
+        runs: files below the example's output folder that it is made from.
+        flights: number of flights in them; null where it is made from none.
     """
 
-    claim: str
-    item: str
-    quantity: str
-    published: str
-    ours: str
-    interval: str
+    row: str
     verdict: Verdict
-    why: str
-    numbers: list[ShownNumber]
-    flights: int | None
+    values: dict[str, Any] = {}
+    low: float | None = None
+    high: float | None = None
+    runs: list[str] = []
+    flights: int | None = None
+
+
+class Source(Protocol):
+    """What a row is made from: a file, and the number of flights in it, or None."""
+
+    @property
+    def file(self) -> str:
+        """Below the example's output folder; empty for none."""
+
+    @property
+    def flights(self) -> int | None:
+        """Number of flights in it; None for none."""
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file that a row is made from."""
+
+    file: str
+    flights: int | None = None
+
+
+def measured(
+    row: str,
+    verdict: Verdict,
+    made_of: Iterable[Source | None] = (),
+    interval: Estimate | Rate | tuple[float | None, float | None] | None = None,
+    /,
+    **values: Any,
+) -> Measured:
+    """What was measured for a row.
+
+    Args:
+        row: its name in the paper.
+        verdict: the judgement.
+        made_of: what it is made from; None is skipped.
+        interval: of 95 %; unknown unless both ends are.
+        values: that the texts of the row take, by name.
+    """
+    sources = [source for source in made_of if source is not None]
+    flown = [source.flights for source in sources if source.flights is not None]
+    ends = (interval.low, interval.high) if isinstance(interval, Estimate | Rate) else interval
+    low, high = (None, None) if ends is None or None in ends else ends
+    return Measured(
+        row=row,
+        verdict=verdict,
+        values=values,
+        low=None if low is None else float(low),
+        high=None if high is None else float(high),
+        runs=list(dict.fromkeys(source.file for source in sources if source.file)),
+        flights=sum(flown) if flown else None,
+    )
+
+
+class Compared(Measured, frozen=True, kw_only=True):
+    """A row of a record: what was measured, and how.
+
+    Attributes:
+        command: what makes it.
+        setting: how many flights were asked for.
+    """
+
     command: str
-    setting: Literal["full", "quick"]
-    copied_from: str = ""
+    setting: Setting
 
 
 class ComparedFigure(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,7 +141,7 @@ class ComparedFigure(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     title: str
     description: str
-    setting: Literal["full", "quick"]
+    setting: Setting
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -99,7 +152,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
         producer: the program that wrote the record.
         machine: in words.
         command: what wrote the record.
-        setting: `full` or `quick`.
+        setting: how many flights were asked for.
         rows: in the order of the paper.
         figures: in reading order.
     """
@@ -110,83 +163,13 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     producer: Producer
     machine: str
     command: str
-    setting: Literal["full", "quick"]
-    rows: list[ComparedValue]
+    setting: Setting
+    rows: list[Compared]
     figures: list[ComparedFigure]
 
 
-class JudgedClaim(msgspec.Struct, frozen=True, kw_only=True):
-    """A claim of a paper with its verdict.
-
-    Attributes:
-        name: short, unique in its paper.
-        where: table, figure or section that makes it.
-        says: the claim in plain words.
-        printed: its values as printed; empty where it has none.
-        kind: what makes it.
-        verdict: the least favourable of the rows that have a measurement, or else that of the others.
-        shows: of a figure, what the paper's figure shows.
-        rows: in the order of the paper.
-        figures: ours.
-        see: the claim that already has our figure of this one; empty without.
-    """
-
-    name: str
-    where: str
-    says: str
-    printed: str
-    kind: Literal["number", "table", "figure", "theorem", "statement", "setting"]
-    verdict: Verdict
-    shows: str
-    rows: list[ComparedValue]
-    figures: list[ComparedFigure]
-    see: str
-
-
-class JudgedPaper(msgspec.Struct, frozen=True, kw_only=True):
-    """A paper with all its claims.
-
-    Attributes:
-        name: of its folder in `examples`.
-        title: as printed.
-        source: where it is found.
-        says: its claim in one plain sentence.
-        page: the detailed page in `docs/results`.
-        counts: number of claims by verdict.
-        claims: in the paper's order.
-        made: commands that wrote the records.
-        machine: on which they were written, in words.
-    """
-
-    name: str
-    title: str
-    source: str
-    says: str
-    page: str
-    counts: dict[str, int]
-    claims: list[JudgedClaim]
-    made: list[str]
-    machine: str
-
-
-class Papers(msgspec.Struct, frozen=True, kw_only=True):
-    """All papers on one page, as data.
-
-    Attributes:
-        producer: the program that wrote it.
-        counts: number of claims by verdict, of all papers.
-        papers: in reading order.
-    """
-
-    schema: str
-    version: str
-    producer: Producer
-    counts: dict[str, int]
-    papers: list[JudgedPaper]
-
-
-def write_comparison_record(record: Comparison | Papers) -> str:
-    """Write a record, or the page of all papers, as JSON text."""
+def write_comparison_record(record: Any) -> str:
+    """Write a record, or the claims of all papers, as JSON text."""
     return msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n"
 
 
@@ -200,6 +183,6 @@ def read_comparison(path: Path) -> Comparison:
         record = decode_json(path.read_bytes(), Comparison)
     except (OSError, MalformedError) as error:
         raise InputError(f"{path}: {error}") from error
-    if record.schema != COMPARISON_SCHEMA or record.version.split(".")[0] != "1":
-        raise InputError(f"{path}: is no {COMPARISON_SCHEMA} of version 1")
+    if record.schema != COMPARISON_SCHEMA or record.version.split(".")[0] != "2":
+        raise InputError(f"{path}: is no {COMPARISON_SCHEMA} of version 2")
     return record

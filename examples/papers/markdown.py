@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from alula.stages.reporting.table import markdown_cell
-from papers.compared import VERDICTS, ComparedValue, JudgedPaper, Papers
+from papers.collected import JudgedClaim, JudgedPaper, Papers
+from papers.compared import VERDICTS, Compared
 from papers.page import TITLE, sentence
 from papers.verdicts import NOTE
 
@@ -46,20 +47,20 @@ def _counts(name: str, shown: str, counts: dict[str, int]) -> str:
 
 def _paper(paper: JudgedPaper) -> str:
     lines = ["| " + " | ".join(_COLUMNS) + " |", "|" + " --- |" * len(_COLUMNS)]
-    for claim in paper.claims:
-        for place, row in enumerate(claim.rows):
-            lines.append(_row(claim.where, claim.says, row, is_first=place == 0))
-    shown = [
-        f"- {markdown_cell(claim.where)}: {markdown_cell(claim.shows)} "
+    for found in paper.claims:
+        for place, row in enumerate(found.rows):
+            lines.append(_row(found, row, is_first=place == 0))
+    figures = [
+        f"- {markdown_cell(found.claim.where)}: {markdown_cell(found.claim.shows)} "
         + (
-            f"Ours: {'; '.join(markdown_cell(f.title) for f in claim.figures)}."
-            if claim.figures
-            else f"Ours: as for {claim.see}."
-            if claim.see
+            f"Ours: {'; '.join(markdown_cell(f.title) for f in found.figures)}."
+            if found.figures
+            else f"Ours: as for {found.see}."
+            if found.see
             else "Ours: the values above."
         )
-        for claim in paper.claims
-        if claim.shows
+        for found in paper.claims
+        if found.claim.shows
     ]
     made = "; ".join(f"`{command}`" for command in paper.made)
     return "\n\n".join(
@@ -70,17 +71,25 @@ def _paper(paper: JudgedPaper) -> str:
             f"Made by {made} on {markdown_cell(paper.machine)}." if paper.made else "Nothing was flown.",
             "\n".join(lines),
             "### Figures",
-            "\n".join(shown),
+            "\n".join(figures),
         ]
     )
 
 
-def _row(where: str, says: str, row: ComparedValue, *, is_first: bool) -> str:
+def _row(found: JudgedClaim, row: Compared, *, is_first: bool) -> str:
     setting = "quick: " if row.setting == "quick" else ""
     flights = f"{setting}{'–' if row.flights is None else format(row.flights, ',')}"
+    said = found.texts(row)
     cells = [
-        *((where, says) if is_first else ("", "")),
-        *(row.quantity, row.published, row.ours or "–", row.interval or "–", row.verdict, row.why or "–"),
+        *((found.claim.where, found.claim.says) if is_first else ("", "")),
+        *(
+            said.quantity,
+            said.published,
+            said.ours or "–",
+            said.interval or "–",
+            said.verdict,
+            said.why or "–",
+        ),
         flights,
     ]
     return "| " + " | ".join(markdown_cell(cell) for cell in cells) + f" | `{row.command}` |"

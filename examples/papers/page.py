@@ -13,7 +13,9 @@ from html import escape
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.page import inline_svg
 from alula.stages.reporting.style import STYLE, SWITCH
-from papers.compared import VERDICTS, ComparedValue, JudgedClaim, JudgedPaper, Papers, ShownNumber
+from papers.claims import Shown
+from papers.collected import JudgedClaim, JudgedPaper, Papers
+from papers.compared import VERDICTS, Compared, ShownNumber
 from papers.style import PAPERS_STYLE, name_of
 from papers.verdicts import VERDICT_WORDS
 
@@ -128,20 +130,18 @@ def _choice(counts: Mapping[str, int]) -> str:
 
 
 def _paper(paper: JudgedPaper, drawings: Mapping[tuple[str, str], str], folder: str) -> str:
-    drawn = [claim for claim in paper.claims if claim.shows]
+    drawn = [found for found in paper.claims if found.claim.shows]
     made = "".join(f"<p>Made by <code>{escape(command)}</code></p>" for command in paper.made)
-    copied = any(row.copied_from for claim in paper.claims for row in claim.rows)
-    digits = f"<p>Rows from {escape(paper.page)} have the digits printed there.</p>" if copied else ""
     where = f" on {escape(paper.machine)}" if paper.machine else ""
     return (
         f'<section id="{paper.name}"><h2>{escape(paper.title)}</h2>'
         f'<p class="soft">{escape(paper.source)}</p><p>{escape(paper.says)}</p>'
         f"<p>{escape(sentence(paper.counts))} Everything else that was measured: "
         f'<a href="{escape(folder)}/{escape(paper.page)}">{escape(paper.page)}</a>.</p>'
-        f'<div class="made soft">{made}{f"<p>{where.strip()}</p>" if where and made else ""}{digits}</div>'
+        f'<div class="made soft">{made}{f"<p>{where.strip()}</p>" if where and made else ""}</div>'
         f"<h3>Claims</h3>{_claims(paper)}"
         f'<h3>Figures: theirs in words, ours beside them</h3><div class="drawn">'
-        f"{''.join(_beside(paper, claim, drawings) for claim in drawn)}</div></section>"
+        f"{''.join(_beside(paper, found, drawings) for found in drawn)}</div></section>"
     )
 
 
@@ -150,7 +150,7 @@ def _claims(paper: JudgedPaper) -> str:
         f'<th scope="col">{words}</th>'
         for words in ("what is compared", "published", "ours", "95 % interval", "verdict, reason, command")
     )
-    bodies = "".join(_claim(paper, claim) for claim in paper.claims)
+    bodies = "".join(_claim(paper, found) for found in paper.claims)
     widths = "".join(f'<col class="{name}">' for name in ("what", "printed", "ours", "interval", "verdict"))
     return (
         f'<div class="panel"><table class="claims"><colgroup>{widths}</colgroup>'
@@ -158,17 +158,18 @@ def _claims(paper: JudgedPaper) -> str:
     )
 
 
-def _claim(paper: JudgedPaper, claim: JudgedClaim) -> str:
+def _claim(paper: JudgedPaper, found: JudgedClaim) -> str:
     """A claim with its rows; the verdict of several rows stands beside the claim."""
+    claim = found.claim
     printed = f'<span class="printed">{escape(claim.printed)}</span>' if claim.printed else ""
     says = f'<span class="where">{escape(claim.where)}</span>{escape(claim.says)}{printed}'
-    if len(claim.rows) > 1:
-        head = f'<th colspan="4" scope="rowgroup">{says}</th><td>together: {_chip(claim.verdict)}</td>'
+    if len(found.rows) > 1:
+        head = f'<th colspan="4" scope="rowgroup">{says}</th><td>together: {_chip(found.verdict)}</td>'
     else:
         head = f'<th colspan="5" scope="rowgroup">{says}</th>'
-    rows = "".join(_row(row) for row in claim.rows)
+    rows = "".join(_row(row, found.texts(row)) for row in found.rows)
     return (
-        f'<tbody id="{escape(paper.name)}-{escape(claim.name)}" data-verdict="{name_of(claim.verdict)}">'
+        f'<tbody id="{escape(paper.name)}-{escape(claim.name)}" data-verdict="{name_of(found.verdict)}">'
         f'<tr class="claim">{head}</tr>{rows}</tbody>'
     )
 
@@ -177,22 +178,19 @@ def _chip(verdict: str) -> str:
     return f'<span class="chip {name_of(verdict)}">{escape(verdict)}</span>'
 
 
-def _row(row: ComparedValue) -> str:
-    notes = [_flights(row)]
-    if row.copied_from:
-        notes.append(f"from {row.copied_from}")
-    why = f" {_CODE.sub(_as_code, escape(row.why))}" if row.why else ""
+def _row(row: Compared, said: Shown) -> str:
+    why = f" {_CODE.sub(_as_code, escape(said.why))}" if said.why else ""
     return (
-        f'<tr class="value"><td data-label="what">{escape(row.quantity)}</td>'
-        f'<td data-label="published">{escape(row.published)}</td>'
-        f'<td data-label="ours">{_exactly(row, "ours")}</td>'
-        f'<td data-label="95 % interval">{_exactly(row, "interval")}</td>'
+        f'<tr class="value"><td data-label="what">{escape(said.quantity)}</td>'
+        f'<td data-label="published">{escape(said.published)}</td>'
+        f'<td data-label="ours">{_exactly(said, "ours")}</td>'
+        f'<td data-label="95 % interval">{_exactly(said, "interval")}</td>'
         f'<td>{_chip(row.verdict)}{why}<small data-flights="{"" if row.flights is None else row.flights}">'
-        f"{escape(', '.join(notes))}</small>{_command(row.command)}</td></tr>"
+        f"{escape(_flights(row))}</small>{_command(row.command)}</td></tr>"
     )
 
 
-def _flights(row: ComparedValue) -> str:
+def _flights(row: Compared) -> str:
     few = " (quick setting)" if row.setting == "quick" else ""
     counted = "no flights" if row.flights is None else f"{row.flights:,} flight{'s' * (row.flights != 1)}"
     return f"{counted}{few}"
@@ -202,7 +200,7 @@ def _as_code(found: re.Match[str]) -> str:
     return f"<code>{found[1]}</code>"
 
 
-def _exactly(row: ComparedValue, cell: str) -> str:
+def _exactly(row: Shown, cell: str) -> str:
     """The text of a cell, each rounded number with its exact value."""
     words = row.ours if cell == "ours" else row.interval
     parts, end = [], 0
@@ -221,10 +219,10 @@ def _command(command: str) -> str:
     return f"<details><summary>command</summary>{code}</details>"
 
 
-def _beside(paper: JudgedPaper, claim: JudgedClaim, drawings: Mapping[tuple[str, str], str]) -> str:
+def _beside(paper: JudgedPaper, found: JudgedClaim, drawings: Mapping[tuple[str, str], str]) -> str:
     """A figure of the paper in words, and ours."""
-    shown = []
-    for figure in claim.figures:
+    claim, shown = found.claim, []
+    for figure in found.figures:
         svg = drawings.get((paper.name, figure.name))
         if svg is not None:
             few = " (quick setting)" if figure.setting == "quick" else ""
@@ -234,8 +232,8 @@ def _beside(paper: JudgedPaper, claim: JudgedClaim, drawings: Mapping[tuple[str,
                 f"{inline_svg(own)}<figcaption>{escape(own.alt)}</figcaption></figure>"
             )
     ours = "".join(shown)
-    if not ours and claim.see:
-        ours = f'<p>Ours: <a href="#{escape(paper.name)}-{escape(claim.see)}-drawn">the figure above</a>.</p>'
+    if not ours and found.see:
+        ours = f'<p>Ours: <a href="#{escape(paper.name)}-{escape(found.see)}-drawn">the figure above</a>.</p>'
     ours = ours or (
         f'<p>Ours: no figure. <a href="#{escape(paper.name)}-{escape(claim.name)}">The claim</a> has the '
         "values and the reason.</p>"
@@ -244,5 +242,5 @@ def _beside(paper: JudgedPaper, claim: JudgedClaim, drawings: Mapping[tuple[str,
     return (
         f'<div class="panel beside apart" id="{escape(place)}"><div><h3>{escape(claim.where)}</h3>'
         f"<p><b>In the paper:</b> {escape(claim.shows)}</p><p>It claims: {escape(claim.says)}.</p>"
-        f"<p>{_chip(claim.verdict)}</p></div><div>{ours}</div></div>"
+        f"<p>{_chip(found.verdict)}</p></div><div>{ours}</div></div>"
     )

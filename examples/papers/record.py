@@ -1,23 +1,25 @@
-"""Make the record of a comparison: rows with their claims and with the commands that make them."""
+"""Make the record of a comparison: rows with the commands that make them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Literal
+
+import msgspec
 
 from alula.schemas.manifest import Producer
 from alula.stages.reporting.figures import Figure
-from papers.claims import Claim, Paper, claim_of
+from papers.claims import Claim, Paper
 from papers.compared import (
     COMPARISON_SCHEMA,
     COMPARISON_VERSION,
+    Compared,
     ComparedFigure,
-    ComparedValue,
     Comparison,
+    Measured,
+    Setting,
 )
-from papers.verdicts import PaperRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class Made:
     command: str
     folder: str
     page: str
-    setting: Literal["full", "quick"]
+    setting: Setting
     machine: str
 
     @property
@@ -44,7 +46,7 @@ class Made:
         return f"{self.command} {self.folder}/{self.page}"
 
 
-def command_of(row: PaperRow, claim: Claim, made: Made) -> str:
+def command_of(row: Measured, claim: Claim, made: Made) -> str:
     """State the command that makes a row: its runs, a check of its claim, or the whole comparison.
 
     Several files of a folder are written as the shell's braces.
@@ -64,7 +66,7 @@ def command_of(row: PaperRow, claim: Claim, made: Made) -> str:
 
 
 def comparison_record(
-    paper: Paper, rows: Sequence[PaperRow], figures: Sequence[Figure], made: Made, producer: Producer
+    paper: Paper, rows: Sequence[Measured], figures: Sequence[Figure], made: Made, producer: Producer
 ) -> Comparison:
     """Make the record of a comparison.
 
@@ -76,26 +78,14 @@ def comparison_record(
         producer: the program that writes it.
 
     Raises:
-        InputError: a row belongs to no claim of the paper, or to two.
+        InputError: a row belongs to no claim of the paper.
     """
     values = []
     for row in rows:
-        claim = claim_of(paper, row.item, row.quantity)
+        claim, _ = paper.row(row.row)
+        setting: Setting = made.setting if row.runs or not claim.how else "full"  # tests are the same in both
         values.append(
-            ComparedValue(
-                claim=claim.name,
-                item=row.item,
-                quantity=row.quantity,
-                published=row.published,
-                ours=row.ours,
-                interval=row.interval,
-                verdict=row.verdict,  # type: ignore[arg-type]  # checked by PaperRow
-                why=row.why,
-                numbers=list(row.numbers),
-                flights=row.flights,
-                command=command_of(row, claim, made),
-                setting=made.setting if row.runs or not claim.how else "full",  # tests are the same in both
-            )
+            Compared(**msgspec.structs.asdict(row), command=command_of(row, claim, made), setting=setting)
         )
     return Comparison(
         schema=COMPARISON_SCHEMA,

@@ -1,21 +1,14 @@
-"""Verdicts on the published values of a paper: one row per table, figure and number, ours beside it.
-
-A row is text. `exact` writes a rounded number so that its row keeps the value with all digits as well: a page
-shows the one and holds the other.
-"""
+"""Verdicts on published values, from what was measured: the forms that several papers share."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Sequence
 
-from alula.schemas.errors import InputError
-from alula.stages.reporting.statistics import Estimate
-from alula.stages.reporting.table import Table, text
-from papers.compared import VERDICTS, ShownNumber
+from alula.stages.reporting.statistics import Estimate, Rate
+from alula.stages.reporting.table import Table
+from papers.claims import Paper, shown
+from papers.compared import Measured, Source, Verdict, measured
 
 _COLUMNS = ("item", "quantity", "published", "ours", "95 % interval", "verdict", "why")
 VERDICT_WORDS = {
@@ -28,93 +21,59 @@ VERDICT_WORDS = {
     "not available here": "it needs hardware or data that this project does not have",
 }
 NOTE = " ".join(f"{name.capitalize()}: {words}." for name, words in VERDICT_WORDS.items())
-_MARK = "\u2063"  # an invisible separator, which no name and no unit contains
-_MARKED = re.compile(f"{_MARK}([^{_MARK}]*){_MARK}([^{_MARK}]*){_MARK}")
+_SAME = 1e-3  # relative difference up to which a setting is the printed one
 
 
-def exact(value: Any, form: str | None = None) -> str:
-    """Write a number for the text of a row, which keeps all its digits.
-
-    Args:
-        value: the number; anything else is written as `text` does.
-        form: format, by default that of `text`.
-    """
-    shown = text(value) if form is None else format(value, form)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return shown
-    return f"{_MARK}{value!r}{_MARK}{shown}{_MARK}"
-
-
-@dataclass(frozen=True, slots=True)
-class PaperRow:
-    """One published value and ours, as text; `item` is a table, a figure or a section of the paper.
-
-    Attributes:
-        runs: files below the example's output folder that the row is made from; `made_from` sets them.
-        flights: number of flights in them; None where it is made from no flight.
-        numbers: the numbers written by `exact` in `ours` and in `interval`.
-
-    Raises:
-        InputError: `verdict` is not one of `VERDICTS`.
-    """
-
-    item: str
-    quantity: str
-    published: str
-    ours: str
-    interval: str
-    verdict: str
-    why: str
-    runs: tuple[str, ...] = ()
-    flights: int | None = None
-    numbers: tuple[ShownNumber, ...] = field(default=())
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown verdict; keep the numbers that the texts carry."""
-        if self.verdict not in VERDICTS:
-            raise InputError(f"a verdict is one of {', '.join(VERDICTS)}, not {self.verdict!r}")
-        found = list(self.numbers)
-        for name in ("item", "quantity", "published", "ours", "interval", "why"):
-            plain, numbers = _plain(getattr(self, name), name)
-            object.__setattr__(self, name, plain)
-            if name in ("ours", "interval"):
-                found += numbers
-        object.__setattr__(self, "numbers", tuple(found))
-
-    def made_from(self, runs: Iterable[str], flights: int | None = None) -> PaperRow:
-        """Return the row with the files that it is made from, and the number of flights in them."""
-        return replace(self, runs=tuple(dict.fromkeys(runs)), flights=flights)
-
-
-def verdict_table(rows: Sequence[PaperRow]) -> Table:
+def verdict_table(paper: Paper, rows: Sequence[Measured]) -> Table:
     """Tabulate published values with ours and a verdict, in reading order; an empty cell reads as a dash."""
-    cells = tuple(
-        tuple(
-            cell or None
-            for cell in (row.item, row.quantity, row.published, row.ours, row.interval, row.verdict, row.why)
-        )
-        for row in rows
-    )
+    each = [shown(paper.row(found.row)[1], found) for found in rows]
+    cells = tuple(tuple(cell or None for cell in row.cells) for row in each)
     return Table("verdicts", "Every published value, ours beside it, and a verdict", _COLUMNS, cells, NOTE)
 
 
-def lower_is_better(found: Estimate, published: float) -> str:
+def stated(paper: Paper, *names: str) -> list[Measured]:
+    """Rows that are never measured."""
+    found = []
+    for name in names:
+        verdict = paper.row(name)[1].verdict
+        assert verdict is not None, name
+        found.append(measured(name, verdict))
+    return found
+
+
+def settings(
+    paper: Paper,
+    name: str,
+    ours: Sequence[float],
+    made_of: Sequence[Source] = (),
+    rel_tol: float = _SAME,
+) -> Measured:
+    """A printed setting beside those that we fly with."""
+    values = [float(value) for value in ours]
+    limits = paper.row(name)[1].limits
+    same = all(math.isclose(a, b, rel_tol=rel_tol) for a, b in zip(limits, values, strict=True))
+    return measured(name, holds(same, "not comparable"), made_of, values=values)
+
+
+def holds(condition: bool, otherwise: Verdict = "refuted") -> Verdict:
+    """Reproduced where a statement holds."""
+    return "reproduced" if condition else otherwise
+
+
+def below(found: Estimate, published: float) -> Verdict:
     """Judge a value of which less is better by its interval, or by itself where it has none."""
     low = found.value if found.low is None else found.low
     high = found.value if found.high is None else found.high
     return "better" if high < published else "refuted" if low > published else "reproduced"
 
 
-def _plain(words: str, name: str) -> tuple[str, list[ShownNumber]]:
-    """Take the exact values out of a text."""
-    if _MARK not in words:
-        return words, []
-    parts, numbers, at, end = [], [], 0, 0
-    for found in _MARKED.finditer(words):
-        parts.append(words[end : found.start()])
-        at += len(parts[-1])
-        numbers.append(ShownNumber(cell=name, at=at, shown=found[2], value=float(found[1])))
-        parts.append(found[2])
-        at += len(found[2])
-        end = found.end()
-    return "".join([*parts, words[end:]]), numbers
+def above(found: Estimate | Rate | None, limit: float, otherwise: Verdict) -> Verdict:
+    """Judge that a value lies above a limit by its interval; `otherwise` where that has the limit in it."""
+    if found is None or found.low is None or found.high is None:
+        return otherwise
+    return "reproduced" if found.low > limit else "refuted" if found.high < limit else otherwise
+
+
+def close(value: float, published: float, limit: float) -> bool:
+    """Whether a value is the published one up to a relative difference."""
+    return abs(value - published) <= limit * published

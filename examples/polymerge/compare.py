@@ -21,9 +21,9 @@ from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.table import folded
-from papers.command_line import common_words, this_machine, write_comparison, write_record
+from papers.comparison import common_words, this_machine, write_comparison, write_record
+from papers.papers import POLYMERGE
 from papers.polymerge import maps as polymerge
-from papers.polymerge.claims import POLYMERGE_PAPER
 from papers.polymerge.figures import flights_figure
 from papers.polymerge.flights import Flights, figure_5_table, from_record, table_2
 from papers.polymerge.maps import Polytopes, SceneMaps
@@ -121,7 +121,7 @@ shown = [drawn.figure for drawn in figures]
 shown += [drawn] if (drawn := flights_figure(figure_5)) is not None else []
 verdicts = verdict_rows(scenes, figure_5, second, onboard_rate())
 tables = [
-    verdict_table(verdicts),
+    verdict_table(POLYMERGE, verdicts),
     polymerge.sizes_table(scenes),
     polymerge.volumes_table(scenes),
     polymerge.curve_table(scenes),
@@ -143,4 +143,4 @@ write_comparison(
     markdown=options.markdown,
     head=HEAD,
 )
-write_record(folder / "polymerge", POLYMERGE_PAPER, verdicts, shown, options)
+write_record(folder / "polymerge", POLYMERGE, verdicts, shown, options)

@@ -1,11 +1,19 @@
-"""Rows of verdicts against the claims of their paper."""
+"""Rows of verdicts as a person reads them, and the claims that they leave open."""
 
-from papers.claims import claim_of
+from types import SimpleNamespace
+
+from papers.claims import shown
+
+
+def said(paper, rows):
+    """The texts of rows, with what was measured as `found`."""
+    texts = [(shown(paper.row(found.row)[1], found), found) for found in rows]
+    fields = ("item", "quantity", "published", "ours", "interval", "verdict", "why", "numbers")
+    return [
+        SimpleNamespace(**{name: getattr(row, name) for name in fields}, found=found) for row, found in texts
+    ]
 
 
 def open_claims(paper, rows):
-    """Names of the claims without a row; every row must belong to exactly one claim."""
-    judged = {claim_of(paper, row.item, row.quantity).name for row in rows}
-    names = [claim.name for claim in paper.claims]
-    assert len(set(names)) == len(names)
-    return set(names) - judged
+    """Names of the claims without a row."""
+    return {claim.name for claim in paper.claims} - {paper.row(row.found.row)[0].name for row in rows}

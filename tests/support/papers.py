@@ -4,11 +4,10 @@ from alula.schemas.manifest import Producer
 from papers.compared import (
     COMPARISON_SCHEMA,
     COMPARISON_VERSION,
+    Compared,
     ComparedFigure,
-    ComparedValue,
     Comparison,
 )
-from papers.verdicts import PaperRow, exact
 
 PRODUCER = Producer(name="alula", version="1.0", commit="abc")
 SVG = (
@@ -17,25 +16,9 @@ SVG = (
 )
 
 
-def value(claim, quantity, row=None, *, setting="full", flights=6, command="make x", **changed):
-    known = row or PaperRow("item", quantity, "1", exact(1.23456), "", "reproduced", "<why>")
-    return ComparedValue(
-        **{
-            "claim": claim,
-            "item": known.item,
-            "quantity": quantity,
-            "published": known.published,
-            "ours": known.ours,
-            "interval": known.interval,
-            "verdict": known.verdict,
-            "why": known.why,
-            "numbers": list(known.numbers),
-            "flights": flights,
-            "command": command,
-            "setting": setting,
-            **changed,
-        }
-    )
+def value(row, verdict="reproduced", *, setting="full", flights=6, command="make x", **changed):
+    known = {"verdict": verdict, "flights": flights, "command": command, "setting": setting}
+    return Compared(row=row, **known, **changed)
 
 
 def record(rows, figures=(), paper="fastbridge", setting="full"):
@@ -56,16 +39,12 @@ def record(rows, figures=(), paper="fastbridge", setting="full"):
 
 
 def jerk_rows():
-    """Two rows of one claim, with intervals and values that are rounded."""
-    ratio = f"× {exact(3.4567891, '.2f')}"
-    bad = PaperRow(
-        "i", "mean jerk, ratio", "× 0.53", ratio, f"{exact(3.1)} to {exact(3.87654)}", "refuted", "a"
-    )
-    good = PaperRow("i", "mean jerk, ratio", "× 0.53", f"× {exact(0.2)}", "", "better", "b & c")
+    """Two rows of one claim, with an interval and values that are rounded, and one without a flight."""
+    bad = {"value": 3.4567891, "whose": "<why>", "speeds": "1"}
+    good = {"value": 0.2, "whose": "b & c", "speeds": "2"}
+    long = "make -C examples/fastbridge " + "x" * 200
     return [
-        value(
-            "mean-jerk", bad.quantity, bad, flights=500, command="make -C examples/fastbridge " + "x" * 200
-        ),
-        value("mean-jerk", good.quantity, good),
-        value("proposition-1", "rates", flights=None),
+        value("mean-jerk", "refuted", flights=500, command=long, values=bad, low=3.1, high=3.87654),
+        value("mean-jerk", "better", values=good),
+        value("proposition-1", flights=None),
     ]

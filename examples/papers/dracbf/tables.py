@@ -37,6 +37,16 @@ class Flown:
     record: RunRecord
 
     @property
+    def file(self) -> str:
+        """Its log below the example's output folder."""
+        return f"{self.scenario}/{self.variant}.run.mcap"
+
+    @property
+    def flights(self) -> int:
+        """Number of flights."""
+        return len(self.record.trials)
+
+    @property
     def obstacles(self) -> int:
         """Number of obstacles."""
         return len(self.record.trials[0].obstacles or [])

@@ -1,4 +1,4 @@
-"""Every published value of DR-ACBF, ours beside it, and a verdict.
+"""What was measured for every row of DR-ACBF, with a verdict.
 
 Success and separation come from the runs of the example. Fractions of computing time come from replaying the
 same ticks through all filters in turns (`benchmarks/dracbf.py --ticks-only`): absolute times of MATLAB on a
@@ -7,28 +7,38 @@ laptop compare with nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from alula import _core
-from alula.stages.reporting.table import HIGH, LOW, Table, text
-from papers.compared import VERDICTS
-from papers.dracbf.analysis import stop
-from papers.dracbf.difficulty import paired
-from papers.dracbf.flown import flown_settings
-from papers.dracbf.rows import MATLAB, NAMES, command_time, made_of, missing, span
-from papers.dracbf.table_verdicts import hardware, table_1, table_2, table_3
+from alula.schemas.encounters import SensorTable
+from alula.schemas.filter_options import MovingFilterParameters
+from alula.schemas.run import ObstacleResult
+from alula.stages.reporting.statistics import Rate, mean_estimate, mean_of
+from alula.stages.reporting.table import HIGH, LOW, Table, flat
+from papers.claims import shown
+from papers.compared import VERDICTS, File, Measured, Verdict, measured
+from papers.dracbf.analysis import collapse_cells, has_collapsed, stop
+from papers.dracbf.cells import HARDWARE
+from papers.dracbf.difficulty import crossing, levels, mean_success, paired
 from papers.dracbf.tables import (
     BASE,
+    SWEEP,
     Flown,
+    detection_time,
     find,
+    milli,
+    reaction_in_ticks,
     success,
 )
-from papers.settings import settings_rows
-from papers.verdicts import PaperRow, exact
+from papers.papers import DRACBF
+from papers.published import DRACBF_PRINTED
+from papers.verdicts import above, holds, settings, stated
 
 Times = Mapping[str, Any]
-
+_Get = Callable[[ObstacleResult], float | None]
 _TIMED = {
     "tick": "dr-acbf, exact projection",
     "general_qp_tick": "the same rows, our QP solver",
@@ -38,9 +48,12 @@ _TIMED = {
     "cbf_qp_tick": "cbf-qp",
     "rp_cbf_tick": "rp-cbf",
 }
+_TIMES = File("times.json")
+_RECORDED = 1e-6  # relative difference of a recorded setting to the printed one
+_LOWEST = 77.6  # success in Table II below which a printed equation is refuted [%]
 
 
-def verdict_rows(flown: Sequence[Flown], times: Times) -> list[PaperRow]:
+def verdict_rows(flown: Sequence[Flown], times: Times) -> list[Measured]:
     """Make all rows, in the paper's order.
 
     Args:
@@ -48,27 +61,24 @@ def verdict_rows(flown: Sequence[Flown], times: Times) -> list[PaperRow]:
         times: what `benchmarks/dracbf.py --ticks-only` measured; may be empty.
     """
     return [
-        *settings_rows("dr-acbf"),
-        *flown_settings(flown),
+        *_settings(),
+        *_flown_settings(flown),
         *_claims(flown, times),
         *_equations(flown),
-        *table_1(flown),
-        *table_2(flown),
-        *table_3(flown),
+        *_table_1(flown),
+        *_table_2(flown),
+        *_table_3(flown),
         *_projection(flown, times),
-        *hardware(flown),
+        *_hardware(flown),
     ]
 
 
-def counted(rows: Sequence[PaperRow]) -> dict[str, str]:
+def counted(rows: Sequence[Measured]) -> dict[str, str]:
     """Summarise the verdicts: how many of each, and what is refuted."""
     words = ", ".join(f"{sum(row.verdict == name for row in rows)} {name}" for name in VERDICTS)
-    refuted = [
-        f"{row.quantity} ({row.published}; ours {row.ours})" for row in rows if row.verdict == "refuted"
-    ]
-    return {"published values": f"{len(rows)} rows: {words}"} | (
-        {"refuted": "; ".join(refuted)} if refuted else {}
-    )
+    said = [shown(DRACBF.row(row.row)[1], row) for row in rows if row.verdict == "refuted"]
+    refuted = "; ".join(f"{row.quantity} ({row.published}; ours {row.ours})" for row in said)
+    return {"published values": f"{len(rows)} rows: {words}"} | ({"refuted": refuted} if refuted else {})
 
 
 def saving_table(times: Times) -> Table | None:
@@ -98,179 +108,356 @@ def saving_table(times: Times) -> Table | None:
     return Table("saved", "Computing time in the same ticks", columns, tuple(rows), note)
 
 
-def _claims(flown: Sequence[Flown], times: Times) -> list[PaperRow]:
-    saved = times.get("saved", {})
-    rows = [
-        _saved(
-            "abstract, section I",
-            "computing saved against a QP with the same rows (t_cp)",
-            0.31,
-            saved.get("general_qp_tick"),
-        )
+def _missing(row: str) -> Measured:
+    """A row whose run is missing."""
+    return measured(row, "not available here", why="not flown in this run")
+
+
+def _limit(row: str) -> float:
+    return DRACBF.row(row)[1].limits[0]
+
+
+def _settings() -> list[Measured]:
+    own, sensor = MovingFilterParameters(), SensorTable()
+    field = [math.degrees(2 * angle) for angle in (sensor.half_azimuth_rad, sensor.half_elevation_rad)]
+    budget = [own.alpha, own.h_min_s, own.h_max_s, own.clearance_m, own.hold_s, own.stop_s, own.brake]
+    return [
+        settings(DRACBF, "mpc-setting", [20 * own.mpc.step_s]),
+        settings(DRACBF, "rp-cbf-setting", [own.rp_cbf.horizon_s, own.rp_cbf.samples]),
+        settings(DRACBF, "cbf-qp-setting", [own.cbf_qp.horizon_s]),
+        settings(DRACBF, "radar", [*field, sensor.max_range_m]),
+        settings(DRACBF, "settings", budget),
+        settings(DRACBF, "southwell/setting", [own.iterations, own.relaxation]),
+        settings(DRACBF, "trigger-settings", [own.tail, own.latency_s, own.wasserstein_m]),
+        measured("differentiator", "not comparable", l1=own.l1, l2=own.l2),
+        *stated(DRACBF, "directions"),
     ]
-    rows += [
-        _saved("section IV-B", f"computing saved against {NAMES[name]} (t_cp)", published, saved.get(key))
-        for name, key, published in (
-            ("rp-cbf", "rp_cbf_tick", 1 - 0.444 / 0.642),
-            ("cbf-qp", "cbf_qp_tick", 1 - 0.444 / 0.714),
-            ("mpc", "mpc_tick", 1 - 0.444 / 0.956),
-        )
-    ]
-    base = find(flown, "scenario-1", BASE)
-    others = [f for name in ("mpc", "cbf-qp", "rp-cbf") if (f := find(flown, "scenario-1", name)) is not None]
-    if base is not None and others:
-        mine = command_time(base)
-        ratios = [(f.variant, command_time(f)) for f in others]
-        words = ", ".join(
-            f"{name} {exact(100 * (1 - mine / other))} %" for name, other in ratios if mine and other
-        )
-        rows.append(
-            made_of(
-                PaperRow(
-                    *("section I", "command time saved (t_cm)", "over 32 %", words, ""),
-                    "not comparable",
-                    "each warning is one tick, timed once while other programs run; the replay of ticks "
-                    "above is the fair comparison",
-                ),
-                base,
-                *others,
-            )
-        )
-    rows.append(
-        PaperRow(
-            *("Figures 1 and 2", "sketch and block diagram", "no values", "", "", "not comparable"),
-            "nothing to measure; every block is flown here",
-        )
-    )
+
+
+def _flown_settings(flown: Sequence[Flown]) -> list[Measured]:
+    """Settings of the scenarios from the records of the flights; one whose run is missing is left out."""
+    vehicle = ("vehicle.radius_m", "vehicle.max_acceleration_m_s2")
+    manoeuvre = [f"safety.{BASE}.{name}" for name in ("clearance_m", "hold_s", "stop_s", "brake")]
+
+    def first(p: Mapping[str, Any]) -> list[Any]:
+        return [p[vehicle[0]], p["world.moving"][0]["radius_m"], p[vehicle[1]]]
+
+    def distances(p: Mapping[str, Any]) -> list[Any]:
+        return [moving["distance_m"] for moving in p["world.moving"]]
+
+    def of_scenario(p: Mapping[str, Any]) -> list[Any]:
+        return [*first(p), p["rules.dt_s"], min(m["speed_m_s"][0] for m in p["world.moving"])]
+
+    rows = []
+    for row, scenario, variant, get in (
+        ("vehicle", "scenario-1", BASE, of_scenario),
+        ("scenario-1", "scenario-1", BASE, distances),
+        ("scenario-2", "scenario-2", BASE, distances),
+        ("crazyflie", "thrown", "as-printed", lambda p: [*first(p), *(p[key] for key in manoeuvre)]),
+    ):
+        f = find(flown, scenario, variant)
+        if f is None:
+            continue
+        try:
+            ours = [float(value) for value in get(flat(f.record.provenance.parameters))]
+        except KeyError:  # a record without these keys
+            continue
+        rows.append(settings(DRACBF, row, ours, [f], _RECORDED))
     return rows
 
 
-def _saved(item: str, quantity: str, published: float, found: Mapping[str, Any] | None) -> PaperRow:
+def _claims(flown: Sequence[Flown], times: Times) -> list[Measured]:
+    rows = [_saved("saved-qp", times, "general_qp_tick")]
+    rows += [_saved(f"saved-{n}", times, f"{n.replace('-', '_')}_tick") for n in ("rp-cbf", "cbf-qp", "mpc")]
+    base = find(flown, "scenario-1", BASE)
+    others = [f for name in ("mpc", "cbf-qp", "rp-cbf") if (f := find(flown, "scenario-1", name)) is not None]
+    if base is not None and others:
+        mine = _command_time(base)
+        ratios = [(f.variant, _command_time(f)) for f in others]
+        saved = [[name, 100 * (1 - mine / other)] for name, other in ratios if mine and other]
+        rows.append(measured("saved-command", "not comparable", [base, *others], saved=saved))
+    return [*rows, *stated(DRACBF, "figures-1-2")]
+
+
+def _saved(row: str, times: Times, key: str) -> Measured:
     """Judge a fraction of computing time saved: refuted when the interval lies below the published one."""
-    printed = f"{100 * published:.0f} %"
+    found = times.get("saved", {}).get(key)
     if found is None or found["value"] is None:
-        return missing(item, quantity, printed)
+        return _missing(row)
+    published = _limit(row)
     value, low, high = (None if found[k] is None else 100 * found[k] for k in ("value", "low", "high"))
-    assert value is not None
+    verdict: Verdict = "reproduced"
     if low is None or high is None:
-        verdict, why = "not comparable", "too few trials for an interval"
+        verdict = "not comparable"
     elif high < 100 * published - 0.5:
-        verdict, why = "refuted", "same ticks, same warning and manoeuvre, in turns, one process"
+        verdict = "refuted"
     elif low > 100 * published + 0.5:
-        verdict, why = "better", "we save more: our warning, which all filters share, costs less"
-    else:
-        verdict, why = "reproduced", "same ticks, same warning and manoeuvre, in turns, one process"
-    return PaperRow(
-        item, quantity, printed, f"{exact(value)} %", span(low, high, " %"), verdict, why
-    ).made_from(["times.json"])
+        verdict = "better"
+    return measured(row, verdict, [_TIMES], (low, high), value=value)
 
 
-def _equations(flown: Sequence[Flown]) -> list[PaperRow]:
+def _equations(flown: Sequence[Flown]) -> list[Measured]:
     horizon = 0.4
     limit = _core.recursive_speed(6.0, horizon)
     undershoot = stop(limit, horizon).undershoot_m
     fast = stop(8.0, horizon, 6.0).undershoot_m
     rows = [
-        PaperRow(
-            *("section III-A, (14) to (16)", "the barrier value does not decrease over H", "holds"),
-            f"falls by {exact(100 * undershoot / (limit * horizon))} % of v₀ H below 0 with the row followed "
-            f"exactly; by {exact(fast)} m from 8 m/s with |a| at most 6 m/s²",
-            *("exact", "refuted"),
-            "k₁ = 2/H and k₂ = 2/H² have complex poles; test_the_printed_gains_have_complex_poles",
-        ),
-        PaperRow(
-            *("section III-B, (20) to (22)", "the safe set stays forward invariant with 1 − α_i", "holds"),
-            "holds for one row and tick if the track's covariance is honest; budgets of ticks add up",
-            *("", "bounded"),
-            "Cantelli's inequality concerns one prediction; the risk table has whole flights",
-        ),
-        PaperRow(
-            *("section III-C", "the differentiator estimates an obstacle's acceleration in finite time"),
-            *("(23)", "equals (23), stepped at the rate of the tracks", "", "reproduced"),
-            "test_the_envelope_is_the_sliding_mode_differentiator",
-        ),
-        PaperRow(
-            *("section III-D", "the warning comes before a violation is imminent", "(25) to (28)"),
-            *("never below the CVaR of 8,000 samples; at the printed distance without noise", ""),
-            *("reproduced", "a closed form that is rounded up instead of N_s samples, which are not printed"),
-        ),
-        PaperRow(
-            *("section III-E", "the iteration reaches the feasible set", "15 iterations"),
-            *("a feasible point where it converges; it need not within 15 iterations", "", "bounded"),
-            "rows and faces of the box may meet at acute angles; the exact projection always ends",
-        ),
+        measured("invariance", "refuted", percent=100 * undershoot / (limit * horizon), fast_m=fast),
+        *stated(DRACBF, "cantelli", "envelope/differentiator", "trigger", "southwell/reaches"),
     ]
-    base = {s: find(flown, s, BASE) for s in ("scenario-1", "scenario-2")}
-    for item, name, quantity in (
-        ("(19) as printed", "eq-19", "risk shared with receding and distant obstacles: success of runs"),
-        ("(24) as printed", "eq-24", "envelope without forgetting and cap: success of runs"),
-        ("section IV-A", "safe-imm-on", "SAFE-IMM on instead of a standard IMM: success of runs"),
-        (
-            "all as printed",
-            "all-as-printed",
-            "with Gauss-Southwell, rows only in a manoeuvre: success of runs",
-        ),
+    for claim, variant in (
+        ("risk-shares", "eq-19"),
+        ("envelope", "eq-24"),
+        ("tracker", "safe-imm-on"),
+        ("as-printed", "all-as-printed"),
     ):
-        for scenario, reference in base.items():
-            f = find(flown, scenario, name)
+        for scenario in ("scenario-1", "scenario-2"):
+            row = f"{claim}/{scenario}"
+            f, reference = (find(flown, scenario, name) for name in (variant, BASE))
             if f is None or reference is None:
-                rows.append(missing(item, f"{quantity}, {scenario}", ""))
+                rows.append(_missing(row))
                 continue
             now, gap = success(f), paired(f, reference)
-            words = (
-                ""
-                if gap is None
-                else f"{text(gap.value)} points against ours ({span(gap.low, gap.high)}), paired"
-            )
-            published = "99.64 %" if scenario == "scenario-1" else "82.5 %"
-            verdict = (
-                "reproduced"
-                if scenario == "scenario-1" and now.ends[1] >= 99.64 >= now.ends[0]
-                else "bounded"
-            )
-            if (now.value or 0.0) < 77.6:
-                verdict = "refuted"
-            rows.append(
-                made_of(
-                    PaperRow(
-                        *(item, f"{quantity}, {scenario}", published, f"{exact(now.value)} %"),
-                        *(span(now.low, now.high, " %"), verdict, words),
-                    ),
-                    f,
-                    reference,
-                )
-            )
+            low, high = now.ends
+            is_same = scenario == "scenario-1" and low <= _limit(row) <= high
+            verdict = "refuted" if (now.value or 0.0) < _LOWEST else holds(is_same, "bounded")
+            apart = {} if gap is None else {"gap": gap.value, "gap_low": gap.low, "gap_high": gap.high}
+            rows.append(measured(row, verdict, [f, reference], now, value=now.value, **apart))
     return rows
 
 
-def _projection(flown: Sequence[Flown], times: Times) -> list[PaperRow]:
-    saved = times.get("saved", {}).get("general_qp_tick")
-    rows = [
-        _saved(
-            "section IV-C",
-            "computing saved by the projection against the QP, scenario 2 (t_cp 0.475 and 0.766 ms)",
-            1 - 0.475 / 0.766,
-            saved,
-        )
-    ]
-    rows.append(
-        PaperRow(
-            *("section IV-C", "t_cm with projection and with QP", "2.24 and 5.36 ms", "", ""),
-            *("not comparable", MATLAB),
-        )
+def _command_time(flown: Flown) -> float | None:
+    """Mean command time of the obstacles [s]; None where it was not measured."""
+    return mean_of(flown.timing("command_mean_s", i) for i in range(flown.obstacles))
+
+
+def _of_obstacles(f: Flown) -> Rate:
+    """Mean of the obstacles' success [%]; its interval resamples trials, because their obstacles depend."""
+    each = [mean_of(not m.collision for m in trial.obstacles or []) or 0.0 for trial in f.record.trials]
+    found = mean_estimate(each, bounds=(0.0, 1.0))
+    assert found is not None
+    assert found.low is not None
+    assert found.high is not None
+    return Rate(100 * found.value, 100 * found.low, 100 * found.high, found.n)
+
+
+def _success(row: str, f: Flown, obstacle: int | None) -> Measured:
+    """Judge a published success of one obstacle, or of the mean of all obstacles."""
+    now = _of_obstacles(f) if obstacle is None else success(f, obstacle)
+    low, high = now.ends
+    verdict: Verdict = "reproduced"
+    if not low <= _limit(row) <= high:
+        verdict = "not comparable" if _limit(row) < low else "refuted"
+    return measured(row, verdict, [f], now, value=now.value)
+
+
+def _mean(row: str, f: Flown, get: _Get, obstacle: int | None, published: float) -> Measured:
+    """Judge a published mean of a value over the obstacles with a warning."""
+    every = [trial.obstacles or [] for trial in f.record.trials]
+    each = [mean_of(get(m) for m in (met if obstacle is None else [met[obstacle]])) for met in every]
+    found = mean_estimate(values) if (values := [value for value in each if value is not None]) else None
+    if found is None:
+        return _missing(row)
+    inside = found.low is not None and found.high is not None and found.low <= published <= found.high
+    return measured(row, holds(inside, "not comparable"), [f], found, value=found.value)
+
+
+def _reaction(row: str, f: Flown, obstacle: int | None) -> Measured:
+    """Judge a reaction time: simulated time to the end of the first tick with another command."""
+    dt, published = f.dt_s, _limit(row)
+
+    def reaction(m: ObstacleResult) -> float | None:
+        return None if m.reaction_s is None else 1e3 * (round(m.reaction_s / dt) + 1) * dt
+
+    found = _mean(row, f, reaction, obstacle, published)
+    mean = milli(reaction_in_ticks(f))
+    if mean is None or not found.runs:
+        return _missing(row)
+    verdict: Verdict = "bounded"
+    if abs(mean - published) < 500 * dt:  # less than half a tick
+        verdict = "reproduced"
+    elif published > mean + 1e3 * dt:
+        verdict = "refuted"
+    return measured(row, verdict, [f], (found.low, found.high), **found.values)
+
+
+def _cell(row: str, f: Flown, obstacle: int | None) -> Measured:
+    """A cell of Tables I to III; the symbol is a part of its name."""
+    symbol = row.split("/")[2]
+    if symbol == "s":
+        return _success(row, f, obstacle)
+    if symbol == "t_r":
+        return _reaction(row, f, obstacle)
+    if symbol == "t_cm":
+        time = _command_time(f) if obstacle is None else f.timing("command_mean_s", obstacle)
+        return measured(row, "not comparable", [f], value=milli(time))
+    if symbol == "t_cp":
+        mean, std = (milli(f.timing(f"filter_{key}_s")) for key in ("mean", "std"))
+        return measured(row, "not comparable", [f], value=mean, std=std)
+    gets: dict[str, _Get] = {"v_cl": lambda m: m.closing_m_s, "d_s": lambda m: m.separation_m}
+    return _mean(row, f, gets[symbol], obstacle, _limit(row))
+
+
+_OBSTACLES = {"1": 0, "2": 1, "mean": None}
+_EACH = ("s", "v_cl", "t_r", "t_cm", "d_s")  # symbols of Tables I and III
+
+
+def _of_each(table: str, f: Flown | None) -> list[Measured]:
+    """The cells of Tables I and III: for each of the two obstacles, and their mean."""
+    if f is None:
+        return [_missing(f"{table}/{symbol}/mean") for symbol in _EACH]
+    return [_cell(f"{table}/{s}/{name}", f, i) for name, i in _OBSTACLES.items() for s in _EACH]
+
+
+def _table_1(flown: Sequence[Flown]) -> list[Measured]:
+    """Every method in scenario 1."""
+    rows = []
+    for name in DRACBF_PRINTED["table-1"]:
+        table, f = f"table-1/{name}", find(flown, "scenario-1", name)
+        rows += _of_each(table, f)
+        if f is None:
+            rows.append(_missing(f"{table}/t_cp"))
+            continue
+        every = [m.reaction_s for trial in f.record.trials for m in trial.obstacles or []]
+        ticks = [(round(r / f.dt_s) + 1) * f.dt_s for r in every if r is not None]
+        spread = 1e3 * statistics.pstdev(ticks) if ticks else None
+        rows += [
+            measured(f"{table}/t_r/spread", "not comparable", [f], value=spread),
+            measured(f"{table}/t_cm/spread", "not available here"),
+            _cell(f"{table}/t_cp", f, None),
+        ]
+    return rows
+
+
+def _table_2(flown: Sequence[Flown]) -> list[Measured]:
+    """Every setting in scenario 2, and what the text says of all of them."""
+    rows = []
+    order = ("s", "v_cl", "t_r", "t_cm", "t_cp", "d_s")
+    for name in SWEEP:
+        f = find(flown, "scenario-2", name)
+        names = [f"table-2/{name}/{symbol}" for symbol in (order if f is not None else (*_EACH, "t_cp"))]
+        rows += [_missing(row) if f is None else _cell(row, f, None) for row in names]
+    detection = [level for level in levels(flown) if level.axis == "detection"]
+    published = _limit("difficulty")
+    at = crossing(detection, BASE, published) if detection else None
+    if at is not None:
+        near = min(detection, key=lambda level: abs(mean_success(level.runs[BASE]) - published))
+        now = _of_obstacles(near.runs[BASE])
+        made_of = [level.runs[BASE] for level in detection]
+        rows.append(measured("difficulty", "bounded", made_of, now, at=at, near=near.value, value=now.value))
+    sweep = [f for name in SWEEP if (f := find(flown, "scenario-2", name)) is not None]
+    if sweep:
+        lowest = min(sweep, key=mean_success)
+        now = _of_obstacles(lowest)
+        row = "every-configuration"
+        verdict = above(now, _limit(row), "bounded")
+        rows.append(measured(row, verdict, sweep, now, value=now.value, lowest=lowest.variant))
+        rows.append(_over_sweep("steady-reaction", sweep, lambda m: m.reaction_s, 1e3))
+        rows.append(_over_sweep("steady-separation", sweep, lambda m: m.separation_m, 1.0))
+    return rows
+
+
+def _over_sweep(row: str, sweep: Sequence[Flown], get: _Get, factor: float) -> Measured:
+    """Judge that a value stays the same in every setting of Table II."""
+    found = []
+    for f in sweep:
+        values = [factor * v for t in f.record.trials for m in t.obstacles or [] if (v := get(m)) is not None]
+        if values and (mean := mean_estimate(values)) is not None:
+            found.append(mean)
+    if not found:
+        return _missing(row)
+    low, high = min(found, key=lambda e: e.value), max(found, key=lambda e: e.value)
+    apart = low.high is not None and high.low is not None and low.high < high.low
+    return measured(
+        row,
+        holds(not apart),
+        sweep,
+        least=low.value,
+        least_low=low.low,
+        least_high=low.high,
+        most=high.value,
+        most_low=high.low,
+        most_high=high.high,
     )
+
+
+def _table_3(flown: Sequence[Flown]) -> list[Measured]:
+    """Either trigger in scenario 2."""
+    late_rows = "trigger-simple-rows-late"
+    rows = [
+        *_of_each("table-3/on", find(flown, "scenario-2", BASE)),
+        *_of_each("table-3/off", find(flown, "scenario-2", late_rows)),
+    ]
+    gone = [cell for cell in collapse_cells(flown) if has_collapsed(cell)]
+    if gone:
+        on, off = gone[0].distributional, gone[0].simple
+        rows.append(
+            measured(
+                "collapse",
+                "bounded",
+                with_trigger=on.value,
+                with_low=on.low,
+                with_high=on.high,
+                without=off.value,
+                without_low=off.low,
+                without_high=off.high,
+                lag=gone[0].lag_s,
+                late=sum(cell.lag_s > 0 for cell in gone),
+                of=len(gone),
+            )
+        )
+    usual, longer = (find(flown, "scenario-2", name) for name in (late_rows, "trigger-simple-long"))
+    if usual is not None and longer is not None:
+        gap = paired(longer, usual)
+        verdict = above(gap, 0, "not comparable")
+        value = None if gap is None else gap.value
+        rows.append(measured("longer-horizons", verdict, [longer, usual], gap, gap=value))
+    return rows
+
+
+def _projection(flown: Sequence[Flown], times: Times) -> list[Measured]:
+    rows = [_saved("projection-time", times, "general_qp_tick"), *stated(DRACBF, "projection-command")]
     ours, other = (find(flown, "scenario-2", name) for name in ("dr-acbf-gs", "dr-acbf-qp"))
     gap = None if ours is None or other is None else paired(ours, other)
     if gap is not None and gap.low is not None and gap.high is not None:
         similar = gap.low <= 0 <= gap.high
-        rows.append(
-            made_of(
-                PaperRow(
-                    *("section IV-C", "success with projection and with QP", "similar"),
-                    *(f"{exact(gap.value)} points apart", span(gap.low, gap.high)),
-                    *("reproduced" if similar else "refuted", "paired trials of scenario 2"),
-                ),
-                *(ours, other),
-            )
-        )
+        rows.append(measured("projection-success", holds(similar), [ours, other], gap, gap=gap.value))
     return rows
+
+
+def _hardware(flown: Sequence[Flown]) -> list[Measured]:
+    """Tables IV and V, whose flights are simulated here."""
+    values: tuple[tuple[str, _Get, float], ...] = (
+        ("v_cl", lambda m: m.closing_m_s, 1.0),
+        ("t_a", lambda m: m.avoid_s, 1e3),
+        ("t_d", detection_time, 1e3),
+        ("d_s", lambda m: m.separation_m, 1.0),
+    )
+    rows = []
+    for key in DRACBF_PRINTED["hardware"]:
+        scenario, number = key.split("/")
+        f, i = find(flown, scenario, "as-printed"), int(number) - 1
+        for symbol, get, factor in values:
+            rows.append(_simulated(f"hardware/{key}/{symbol}", f, i, get, factor))
+        rows += stated(DRACBF, f"hardware/{key}/t_r", f"hardware/{key}/t_cm")
+        if f is not None:
+            row, now = f"hardware/{key}/safe", success(f, i)
+            verdict: Verdict = "bounded" if now.ends[1] >= _limit(row) else "refuted"
+            rows.append(measured(row, verdict, [f], now, value=now.value))
+    return [*rows, *stated(DRACBF, "hardware-setup")]
+
+
+def _simulated(row: str, f: Flown | None, obstacle: int, get: _Get, factor: float) -> Measured:
+    """A mean of the simulated counterpart of a flight of hardware, which is no such flight."""
+
+    def scaled(met: ObstacleResult) -> float | None:
+        value = get(met)
+        return None if value is None else factor * value
+
+    if f is None:
+        return _missing(row)
+    found = _mean(row, f, scaled, obstacle, math.nan)
+    values = {name: value for name, value in found.values.items() if name != "why"}
+    return measured(
+        row, "not available here", [f] if found.runs else [], (found.low, found.high), **values, why=HARDWARE
+    )

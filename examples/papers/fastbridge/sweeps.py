@@ -36,6 +36,16 @@ class Sweep:
     speed_m_s: float
     run: Run
 
+    @property
+    def file(self) -> str:
+        """Its log below the example's output folder."""
+        return f"{self.scene}/{self.variant}@{self.speed_m_s:g}.run.mcap"
+
+    @property
+    def flights(self) -> int:
+        """Number of flights."""
+        return len(self.run.record.trials)
+
     def values(self, get: Callable[[TrialResult], float | None]) -> FloatArray:
         """One value per trial, shape (trials,), NaN where there is none."""
         return np.array([get(trial) for trial in self.run.record.trials], np.float64)

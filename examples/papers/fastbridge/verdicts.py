@@ -1,37 +1,31 @@
-"""Every table, figure and number of FastBridge with ours beside it and a verdict, from sweeps of runs."""
+"""What was measured for every row of FastBridge, with a verdict, from sweeps of runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from alula import _core
+from alula.schemas.filter_options import ConeBackupParameters
+from alula.schemas.run import TrialResult
+from alula.schemas.vehicle import FASTBRIDGE as VEHICLE
+from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import Table
-from papers.fastbridge.rows import (
-    above,
-    ends_of,
-    flights_span,
-    goals,
-    outcomes,
-    row_of,
-    runs_of,
-    share,
-    span,
-)
+from alula.stages.verdict import wilson_interval
+from papers.compared import Measured, Verdict, measured
 from papers.fastbridge.sweeps import (
-    Comparison,
     Sweep,
     compare,
     find,
     realisation_error,
     speeds_of,
+    succeeded,
 )
 from papers.fastbridge.tables import BASELINE, SAME_RADIUS, TUNED
-from papers.fastbridge.theory import equations, propositions
-from papers.published import FASTBRIDGE
-from papers.settings import settings_rows
-from papers.verdicts import PaperRow, exact, lower_is_better
+from papers.papers import FASTBRIDGE
+from papers.verdicts import below, holds, settings, stated
 
 PRINTED = ("printed-ecbf-14-clf", "safer-splat-gated-3m")  # the paper's program, with the CLF and our lambda
 CONES = ("cone-ecbf", "safer-splat-gated-cones")
@@ -45,12 +39,29 @@ _LOOPS = (
     *("cone-ecbf-rates", "cone-backup-rates", "printed-backup-rates"),
     *("cone-ecbf-split", "cone-backup-split", "printed-backup-split"),
 )
-_HARDWARE = "needs the vehicle, its radio link and the motion capture"
-_OTHER_SCENE = "the paper's scene of 395,000 Gaussians is not public"
+_PROGRAMS = {  # readings that the paper leaves open
+    "ecbf-program/pole": [f"printed-ecbf-{name}" for name in ("4", "14", "20")],
+    "clf/all": [f"printed-ecbf-{name}-clf" for name in ("4", "14", "20")],
+    "clf/weak": ["printed-ecbf-14-clf-weak"],
+    "ecbf-program/cascade": ["printed-ecbf-14-difference", "printed-ecbf-14-difference-clf"],
+    "caps/printed": ["printed-backup-d", "printed-backup-d-clf"],
+    "caps/intended": ["printed-backup", "printed-backup-clf"],
+    "clf/ours": ["cone-di-clf", "cone-ecbf-clf", "cone-backup-clf"],
+}
+_SAFE = {
+    **dict.fromkeys(
+        ("safer-splat-gated", "safer-splat-gated-3m", "safer-splat-gated-cones", "safer-splat-gated-tuned"),
+        "no-collision-baseline",
+    ),
+    **dict.fromkeys((BASELINE, f"{BASELINE}-tuned"), "no-collision-baseline"),
+    **dict.fromkeys(("cone-ecbf", "cone-ecbf-tuned"), "no-collision"),
+    "printed-ecbf-14-clf": "no-collision-printed",
+}
+_FILTER_HZ = 30
 
 
-def verdict_rows(sweeps: Sequence[Sweep], scene: str, feasibility: Table) -> list[PaperRow]:
-    """List the published values, ours and the verdicts, in the order of the paper.
+def verdict_rows(sweeps: Sequence[Sweep], scene: str, feasibility: Table) -> list[Measured]:
+    """List what was measured with the verdicts, in the order of the paper.
 
     Args:
         sweeps: all runs.
@@ -59,405 +70,329 @@ def verdict_rows(sweeps: Sequence[Sweep], scene: str, feasibility: Table) -> lis
     """
     here = [sweep for sweep in sweeps if sweep.scene == scene]
     return [
-        *settings_rows("fastbridge"),
-        *equations(),
-        *propositions(feasibility),
+        *_settings(),
+        *stated(FASTBRIDGE, "linearization", "cone", "relative-degree"),
+        _at_rest(),
+        *stated(FASTBRIDGE, "reference", "invariant-set", "sensitivity", "braking-torque"),
+        *stated(FASTBRIDGE, "proposition-1", "proposition-2"),
+        *_proposition_3(feasibility),
+        *stated(FASTBRIDGE, "lemma-1", "hover"),
         *_gap(here),
         *_slow(here),
         *_comparison(here),
         *_limits(here),
         *_programs(here),
         *_hardware(here),
+        *stated(FASTBRIDGE, "overruns", "sitl", "scene", "figure-3-paths", "figure-1"),
     ]
 
 
-def _gap(here: Sequence[Sweep]) -> list[PaperRow]:
+def _settings() -> list[Measured]:
+    body, rotors, gains = VEHICLE.body, VEHICLE.rotors, VEHICLE.tracking
+    assert body is not None
+    assert rotors is not None
+    assert gains is not None
+    assert body.mass_kg is not None
+    vehicle = [body.mass_kg, abs(rotors.positions_m[0][0]), sum(rotors.max_thrust_n)]
+    return [
+        settings(FASTBRIDGE, "quantile", [sigma_of_confidence(0.99) ** 2]),
+        settings(FASTBRIDGE, "vehicle", vehicle),
+        settings(FASTBRIDGE, "gains", [gains.kp_per_s2, gains.kv_per_s]),
+        settings(FASTBRIDGE, "caps/eta", [ConeBackupParameters().eta_frac]),
+    ]
+
+
+def _at_rest(ellipsoids: int = 100) -> Measured:
+    """Evaluate both barriers at rest beside random ellipsoids."""
+    rng = np.random.default_rng(0)
+    rest = (0.0, 0.0, 0.0)
+    cones = [
+        _core.collision_cone(
+            rng.uniform(2, 5, 3).tolist(),
+            np.diag(rng.uniform(1, 100, 3)),
+            rest,
+            rest,
+            acceleration=rest,
+            jerk=rest,
+        )
+        for _ in range(ellipsoids)
+    ]
+    vanish, stay = sum(c["h"] == 0 for c in cones), sum(c["gamma"] > 0 for c in cones)
+    return measured("rest", holds(vanish == stay == ellipsoids), vanish=vanish, stay=stay, of=ellipsoids)
+
+
+def _share(row: str, good: int, of: int, **values: float) -> Measured:
+    """A statement about all of a number of states."""
+    low, high = wilson_interval(good, of)
+    return measured(row, holds(good == of), (), (100 * low, 100 * high), good=good, of=of, **values)
+
+
+def _proposition_3(feasibility: Table) -> list[Measured]:
+    printed = [row for row in feasibility.rows if "printed" in row[0]]
+    every = _share("proposition-3", sum(row[3] for row in printed), sum(row[2] for row in printed))
+    return [every, *(_share("feasible-point", row[4], row[2], alpha=row[1]) for row in printed)]
+
+
+def _ends(
+    here: Sequence[Sweep], variant: str, get: Callable[[TrialResult], float | None]
+) -> tuple[tuple[float, Estimate], tuple[float, Estimate]] | None:
+    """Mean of a value at the lowest and the highest speed of a variant."""
+    flown = sorted((s for s in here if s.variant == variant), key=lambda s: s.speed_m_s)
+    found = []
+    for sweep in flown[:1] + flown[-1:]:
+        values = sweep.values(get)
+        mean = mean_estimate(values[np.isfinite(values)])
+        if mean is None:
+            return None
+        found.append((sweep.speed_m_s, mean))
+    return (found[0], found[1]) if len(found) == 2 and found[0][0] < found[1][0] else None
+
+
+def _grows(low: Estimate, high: Estimate) -> bool:
+    """Whether the interval of one mean lies above that of another."""
+    return (high.value if high.low is None else high.low) > (low.value if low.high is None else low.high)
+
+
+def _runs(here: Sequence[Sweep], variants: Sequence[str], *speeds: float) -> list[Sweep]:
+    """Runs of variants, at all speeds or at some."""
+    return [s for s in here if s.variant in variants and (not speeds or s.speed_m_s in speeds)]
+
+
+def _gap(here: Sequence[Sweep]) -> list[Measured]:
     rows = []
-    for variant, claim in (
-        ("ideal-di", "0 by construction"),
-        ("cone-di", "grows rapidly with the speed"),
-        ("cone-ecbf", "near zero at every speed"),
-        ("cone-backup", "not in the figure"),
-    ):
-        ends = ends_of(here, variant, realisation_error)
+    for variant in ("ideal-di", "cone-di", "cone-ecbf", "cone-backup"):
+        ends = _ends(here, variant, realisation_error)
         if ends is None:
             continue
         (slow, low), (fast, high) = ends
-        grows = above(high, low)
-        verdict = {
-            "ideal-di": "reproduced" if high.value == 0 else "refuted",
-            "cone-di": "reproduced" if grows else "refuted",
-            "cone-ecbf": "refuted" if grows else "reproduced",
+        grows = _grows(low, high)
+        verdicts: dict[str, Verdict] = {
+            "ideal-di": holds(high.value == 0),
+            "cone-di": holds(grows),
+            "cone-ecbf": holds(not grows),
             "cone-backup": "not comparable",
-        }[variant]
-        why = {
-            "ideal-di": "",
-            "cone-di": "",
-            "cone-ecbf": _against(here, fast, high),
-            "cone-backup": "the paper measures two of its filters",
-        }[variant]
+        }
+        beside = find(here, here[0].scene, "cone-di", fast)
+        errors = beside.values(realisation_error) if beside is not None else np.empty(0)
+        mean = float(np.mean(errors[np.isfinite(errors)])) if len(errors) else None
         rows.append(
-            row_of(
-                "Figure 2, left",
-                f"peak |e_a| of {variant} [m/s²]",
-                claim,
-                f"{exact(low.value, '.3g')} at {slow:g} m/s, {exact(high.value, '.3g')} at {fast:g} m/s",
-                verdict,
-                why,
-                span(high),
-                flown=runs_of(here, variant, slow, fast),
+            measured(
+                f"figure-2-left/{variant}",
+                verdicts[variant],
+                _runs(here, [variant], slow, fast),
+                high,
+                slow=slow,
+                fast=fast,
+                slow_error=low.value,
+                fast_error=high.value,
+                percent=None if mean is None else 100 * (high.value / mean),
             )
         )
-    for variant, claim in (
-        ("cone-di", "almost no margin, never below 0"),
-        ("cone-ecbf", "above that of the double integrator, grows with the speed"),
-    ):
-        ends = ends_of(here, variant, lambda t: t.min_gamma)
+    for variant in ("cone-di", "cone-ecbf"):
+        ends = _ends(here, variant, lambda t: t.min_gamma)
         if ends is None:
             continue
         (slow, low), (fast, high) = ends
-        flown = [t.min_gamma for s in here if s.variant == variant for t in s.run.record.trials]
-        least = min(g for g in flown if g is not None)
-        if variant == "cone-di":
-            verdict, why = (
-                ("reproduced", "") if least >= 0 else ("refuted", "inside a grown ellipsoid at speed")
-            )
-        else:
-            verdict = "reproduced" if above(high, low) else "bounded"
-            why = "" if above(high, low) else "above that of cone-di; it does not grow with the speed"
+        runs = _runs(here, [variant])
+        least = min(t.min_gamma for s in runs for t in s.run.record.trials if t.min_gamma is not None)
+        verdict = holds(least >= 0) if variant == "cone-di" else holds(_grows(low, high), "bounded")
         rows.append(
-            row_of(
-                "Figure 2, right",
-                f"minimum γ of {variant}",
-                claim,
-                f"mean {exact(low.value, '.3g')} at {slow:g} m/s, {exact(high.value, '.3g')} at {fast:g} "
-                "m/s; "
-                f"of all {exact(least, '.3g')}",
+            measured(
+                f"figure-2-right/{variant}",
                 verdict,
-                why,
-                span(high),
-                flown=runs_of(here, variant),
+                runs,
+                high,
+                slow=slow,
+                fast=fast,
+                slow_gamma=low.value,
+                fast_gamma=high.value,
+                least=least,
             )
         )
     return rows
 
 
-def _slow(here: Sequence[Sweep]) -> list[PaperRow]:
+def _slow(here: Sequence[Sweep]) -> list[Measured]:
     """What the text says of the double integrator at low speed."""
-    ends = ends_of(here, "cone-di", realisation_error)
+    ends = _ends(here, "cone-di", realisation_error)
     if ends is None:
         return []
     (slow, low), (fast, high) = ends
     return [
-        row_of(
-            "IV-A",
-            "the error of the double integrator is small at low speed",
-            "below 1 m/s",
-            f"{exact(low.value, '.3g')} m/s² at {slow:g} m/s, {exact(low.value / high.value, '.2f')} of that "
-            "at "
-            f"{fast:g} m/s",
-            "bounded" if above(high, low) else "refuted",
-            "the slowest speed of the paper's sweep; it prints no error",
-            span(low),
-            flown=runs_of(here, "cone-di", slow, fast),
+        measured(
+            "slow-error",
+            "bounded" if _grows(low, high) else "refuted",
+            _runs(here, ["cone-di"], slow, fast),
+            low,
+            slow=slow,
+            fast=fast,
+            slow_error=low.value,
+            ratio=low.value / high.value,
         )
     ]
 
 
-def _comparison(here: Sequence[Sweep]) -> list[PaperRow]:
-    p = FASTBRIDGE["comparison"]
+def _limits_of(row: str) -> list[float]:
+    return FASTBRIDGE.row(row)[1].limits
+
+
+def _comparison(here: Sequence[Sweep]) -> list[Measured]:
     rows = []
-    if flown := runs_of(here, "cone-ecbf"):
-        low, high = (end(s.speed_m_s for s in flown) for end in (min, max))
-        rows.append(
-            row_of(
-                "IV-B",
-                "setting: peak speeds of the reference",
-                "1.1 to 5.1 m/s",
-                f"{exact(low)} to {exact(high)} m/s",
-                "reproduced" if (low, high) == (1.1, 5.1) else "not comparable",
-                f"{len(flown)} speeds",
-                flown=flown,
-            )
-        )
+    if flown := _runs(here, ["cone-ecbf"]):
+        ends = [end(s.speed_m_s for s in flown) for end in (min, max)]
+        verdict = holds(ends == _limits_of("sweep"), "not comparable")
+        rows.append(measured("sweep", verdict, flown, slowest=ends[0], fastest=ends[1], speeds=len(flown)))
     for pair, whose in _WHOSE.items():
         speeds = speeds_of(here, here[0].scene, pair) if here else []
         if not speeds:
             continue
         ours, theirs = ([s for w in speeds if (s := find(here, here[0].scene, v, w))] for v in pair)
         found = compare(ours, theirs)
-        at = f"{', '.join(f'{w:g}' for w in speeds)} m/s"
-        for words, value, published in (
-            ("mean jerk, ratio", found.mean_jerk, p["mean_jerk_ratio"]),
-            ("max jerk, ratio", found.max_jerk, p["max_jerk_ratio"]),
-        ):
-            if value is not None:
-                rows.append(
-                    row_of(
-                        "Abstract, Figure 3",
-                        words,
-                        f"× {published:g}",
-                        f"× {exact(value.value, '.2f')}",
-                        lower_is_better(value, published),
-                        f"{whose}; {at}",
-                        span(value),
-                        flown=[*ours, *theirs],
-                    )
-                )
+        of, at = [*ours, *theirs], ", ".join(f"{w:g}" for w in speeds)
+        for row, ratio in (("mean-jerk", found.mean_jerk), ("max-jerk", found.max_jerk)):
+            if ratio is not None:
+                verdict = below(ratio, *_limits_of(row))
+                rows.append(measured(row, verdict, of, ratio, value=ratio.value, whose=whose, speeds=at))
         if found.filter_time:
-            rows.append(_time_row(found, whose, p["time_ratio"], [*ours, *theirs]))
+            verdict = _time_verdict(found.filter_time, *_limits_of("filter-time"))
+            rows.append(measured("filter-time", verdict, of, value=found.filter_time, whose=whose))
     return rows
 
 
-def _time_row(found: Comparison, whose: str, published: float, flown: Sequence[Sweep]) -> PaperRow:
-    assert found.filter_time is not None
-    ratio, digit = found.filter_time, 0.005  # half of the last printed digit
+def _time_verdict(ratio: float, published: float) -> Verdict:
+    digit = 0.005  # half of the last printed digit
     if ratio > 1:
-        verdict = "refuted"
-    elif ratio > published + digit:
-        verdict = "bounded"
-    else:
-        verdict = "better" if ratio < published - digit else "reproduced"
-    return row_of(
-        "Abstract, Figure 3",
-        "time of the filter, ratio",
-        f"× {published:.2f} (2.25 times as fast)",
-        f"× {exact(ratio, '.2f')}",
-        verdict,
-        f"{whose}; both native, on one thread of one machine",
-        flown=flown,
-    )
+        return "refuted"
+    if ratio > published + digit:
+        return "bounded"
+    return "better" if ratio < published - digit else "reproduced"
 
 
-def _limits(here: Sequence[Sweep]) -> list[PaperRow]:
-    if not here:
-        return []
+def _limits(here: Sequence[Sweep]) -> list[Measured]:
     rows = []
-    p = FASTBRIDGE["comparison"]
-    top = max(s.speed_m_s for s in here)
-    for variant, key in (
-        ("safer-splat-gated-3m", "baseline_top_speed_m_s"),
-        (BASELINE, "baseline_top_speed_m_s"),
-        (f"{BASELINE}-tuned", "baseline_top_speed_m_s"),
-        ("cone-ecbf", "top_speed_m_s"),
-        ("cone-ecbf-tuned", "top_speed_m_s"),
-    ):
-        if (sweep := find(here, here[0].scene, variant, top)) is None:
+    top = max((s.speed_m_s for s in here), default=0.0)
+    for variant in ("safer-splat-gated-3m", BASELINE, f"{BASELINE}-tuned", "cone-ecbf", "cone-ecbf-tuned"):
+        if not here or (sweep := find(here, here[0].scene, variant, top)) is None:
             continue
+        whose = "" if variant.startswith("cone-ecbf") else "-baseline"
         found = mean_estimate(sweep.values(lambda t: t.max_speed_m_s))
         assert found is not None
         rows.append(
-            row_of(
-                "IV-B, Figure 3",
-                f"top speed of {variant} at a reference of {top:g} m/s",
-                f"{p[key]:g} m/s",
-                f"{exact(found.value, '.2f')} m/s",
+            measured(
+                f"top-speed{whose}",
                 "not comparable",
-                "a barrier on the distance bounds the speed by the free distance, which is the scene's",
-                span(found),
-                flown=[sweep],
+                [sweep],
+                found,
+                variant=variant,
+                top=top,
+                value=found.value,
             )
         )
-        good, count = goals(sweep)
+        good = sum(succeeded(t) for t in sweep.run.record.trials)
+        low, high = wilson_interval(good, sweep.flights)
         rows.append(
-            row_of(
-                "IV-B, Figure 3",
-                f"goals of {variant} at a reference of {top:g} m/s",
-                "none beyond about 5 m/s",
-                f"{good} of {count}",
-                "reproduced" if good == 0 else "better" if key == "top_speed_m_s" else "refuted",
-                "in time and without a collision",
-                share(good, count),
-                flown=[sweep],
+            measured(
+                f"incomplete{whose}",
+                holds(good == 0, "refuted" if whose else "better"),
+                [sweep],
+                (100 * low, 100 * high),
+                variant=variant,
+                top=top,
+                good=good,
+                of=sweep.flights,
             )
         )
-    for variant in (
-        *("safer-splat-gated", "safer-splat-gated-3m", "safer-splat-gated-cones", "safer-splat-gated-tuned"),
-        *(BASELINE, f"{BASELINE}-tuned"),
-        *("cone-ecbf", "cone-ecbf-tuned", "printed-ecbf-14-clf"),
-    ):
-        flown = [t for s in here if s.variant == variant for t in s.run.record.trials]
-        if not flown:
+    for variant, row in _SAFE.items():
+        runs = _runs(here, [variant])
+        if not runs:
             continue
-        hits = sum(t.collision for t in flown)
-        speeds = ", ".join(f"{w:g}" for w in sorted({s.speed_m_s for s in here if s.variant == variant}))
+        hits, of = sum(t.collision for s in runs for t in s.run.record.trials), sum(s.flights for s in runs)
+        low, high = wilson_interval(hits, of)
         rows.append(
-            row_of(
-                "IV-B",
-                f"collisions of {variant} at {speeds} m/s",
-                "none",
-                f"{hits} of {len(flown)} flights",
-                "reproduced" if hits == 0 else "refuted",
-                "exact clearance of the flown path",
-                share(hits, len(flown)),
-                flown=runs_of(here, variant),
+            measured(
+                row,
+                holds(hits == 0),
+                runs,
+                (100 * low, 100 * high),
+                variant=variant,
+                hits=hits,
+                of=of,
+                speeds=", ".join(f"{w:g}" for w in sorted({s.speed_m_s for s in runs})),
             )
         )
     return rows
 
 
-def _programs(here: Sequence[Sweep]) -> list[PaperRow]:
-    """The readings of the programs that the paper leaves open."""
-    rows = []
-    for item, quantity, variants in (
-        ("III-D, eq. 16", "λ of the triple pole, without the CLF", _printed("4", "14", "20")),
-        ("IV, CLF", "the same with the CLF of every program", _printed("4-clf", "14-clf", "20-clf")),
-        ("IV, CLF", "a weight of 1 instead of 1,000 on its slack", _printed("14-clf-weak")),
-        (
-            "III-D, eq. 14",
-            "finite-difference thrust cascade, without and with the CLF",
-            _printed("14-difference", "14-difference-clf"),
-        ),
-        (
-            "III-E, d",
-            "d = (2, 3, 0.3, 0.05) as printed, without and with the CLF",
-            ("printed-backup-d", "printed-backup-d-clf"),
-        ),
-        (
-            "III-E, d",
-            "d = (2, 0.3, 0.3, 0.05), without and with the CLF",
-            ("printed-backup", "printed-backup-clf"),
-        ),
-        ("IV, CLF", "ours with the CLF", ("cone-di-clf", "cone-ecbf-clf", "cone-backup-clf")),
-    ):
-        parts = [f"{v}: {words}" for v in variants if (words := outcomes(here, v))]
-        if parts:
-            rows.append(
-                row_of(
-                    item,
-                    quantity,
-                    "no number",
-                    "; ".join(parts),
-                    "not comparable",
-                    "the paper prints neither λ nor the CLF's weight, and no flight of either reading",
-                    flown=runs_of(here, variants),
-                )
-            )
-    return rows
+def _outcomes(here: Sequence[Sweep], variant: str) -> str:
+    """Goals and collisions of a variant by speed, in words; empty where it was not flown."""
+    parts = []
+    for sweep in sorted(_runs(here, [variant]), key=lambda s: s.speed_m_s):
+        trials = sweep.run.record.trials
+        good, hits = sum(succeeded(t) for t in trials), sum(t.collision for t in trials)
+        parts.append(f"{good} reached and {hits} collided of {len(trials)} at {sweep.speed_m_s:g} m/s")
+    return ", ".join(parts)
 
 
-def _hardware(here: Sequence[Sweep]) -> list[PaperRow]:
-    f = FASTBRIDGE["flight"]
-    found = next(
-        (s for s in sorted(here, key=lambda s: s.speed_m_s) if s.variant == "printed-backup-split"), None
-    )
-    rows = []
-    if found is not None:
-        trials = found.run.record.trials
-        ticks, infeasible = sum(t.steps for t in trials), sum(t.infeasible_steps for t in trials)
-        whose = f"simulated: the paper's backup program, 30/10/50 Hz, body rates, {found.speed_m_s:g} m/s"
-        clear = [t.scene_clearance_m for t in trials if t.scene_clearance_m is not None]
-        seconds = sum(t.duration_s for t in trials)
-        rows = [
-            row_of(
-                "Figure 4, table",
-                "feasible ticks",
-                f"{100 * f['feasible']:.1f} % of {f['ticks']:,.0f}",
-                f"{exact(100 * (ticks - infeasible) / ticks, '.1f')} % of {ticks:,}",
-                "not comparable",
-                f"{whose}; another scene and another path. Ticks of a flight are not independent",
-                flights_span([1 - t.infeasible_steps / t.steps for t in trials]),
-                flown=[found],
-            ),
-            row_of(
-                "Figure 4, table",
-                "minimum clearance",
-                f"{f['min_clearance_m']:g} m",
-                f"{exact(min(clear), '.3g')} m over {len(clear)} flights" if clear else "",
-                "not comparable",
-                f"{whose}; one flight against {len(clear)} through a furnished room",
-                flown=[found],
-            ),
-            row_of(
-                "Figure 4, table",
-                "mean and maximum speed",
-                f"{f['mean_speed_m_s']:g} and {f['max_speed_m_s']:g} m/s",
-                f"{exact(sum(t.path_length_m for t in trials) / seconds, '.3g')} and "
-                f"{exact(max(t.max_speed_m_s for t in trials), '.3g')} m/s",
-                "not comparable",
-                whose,
-                flown=[found],
-            ),
-        ]
-        mean, p99, most = (found.timing(f"tick_{key}_s") for key in ("mean", "p99", "max"))
-        if mean is not None and p99 is not None and most is not None:
-            rows.append(
-                row_of(
-                    "Figure 4, table",
-                    "loop mean, p99 and max",
-                    f"{f['loop_mean_us'] / 1e3:.1f}, {f['loop_p99_us'] / 1e3:.1f}, "
-                    f"{f['loop_max_us'] / 1e3:.1f} ms",
-                    f"{', '.join(exact(1e3 * value, '.2g') for value in (mean, p99, most))} ms",
-                    "bounded" if 1e3 * p99 < 1e3 / 30 else "refuted",
-                    "30 Hz leave 33 ms, which 99 % of the loops keep; other machines and another solver, so "
-                    "only the limit compares",
-                    flown=[found],
-                )
-            )
-    rows += [
-        row_of(
-            "Figure 4, IV-C",
-            "30 Hz filter, 10 Hz gate, 50 Hz controller, body rates",
-            "one flight, stopped by hand",
-            "; ".join(f"{v}: {words}" for v in _LOOPS if (words := outcomes(here, v))) or "not flown",
-            "not comparable",
-            "simulated; -rates: body rates at 100 Hz, -split: the rates of the hardware too",
-            flown=runs_of(here, _LOOPS),
-        ),
-        row_of(
-            "V",
-            "the backup filter flies without a collision in real time",
-            "one flight",
-            outcomes(here, "printed-backup-split") or "not flown",
-            "not comparable",
-            "ours is simulated, in another scene, with more flights; the paper's policy as printed",
-            flown=runs_of(here, "printed-backup-split"),
-        ),
-        row_of(
-            "Figure 4, table",
-            "loop overruns, termination",
-            "1 of 822, by hand",
-            "",
-            "not available here",
-            _HARDWARE,
-        ),
-        row_of(
-            "IV-C",
-            "backup CBF in SITL",
-            "omitted in the paper",
-            "",
-            "not available here",
-            "no number is printed",
-        ),
-        row_of(
-            "IV",
-            "scene of 395,000 Gaussians",
-            "trained by the authors",
-            "",
-            "not available here",
-            _OTHER_SCENE,
-        ),
-        row_of(
-            "Figure 3, left",
-            "paths from above",
-            "one pair of points",
-            "a figure of the report: one pair, three filters",
-            "not comparable",
-            _OTHER_SCENE,
-        ),
-        row_of("Figure 1", "architecture", "a drawing", "", "not comparable", "no number"),
+def _all_outcomes(here: Sequence[Sweep], variants: Sequence[str]) -> str:
+    return "; ".join(f"{v}: {words}" for v in variants if (words := _outcomes(here, v)))
+
+
+def _programs(here: Sequence[Sweep]) -> list[Measured]:
+    return [
+        measured(row, "not comparable", _runs(here, variants), flown=words)
+        for row, variants in _PROGRAMS.items()
+        if (words := _all_outcomes(here, variants))
     ]
+
+
+def _hardware(here: Sequence[Sweep]) -> list[Measured]:
+    split = _runs(here, ["printed-backup-split"])
+    rows = _as_in_flight(min(split, key=lambda s: s.speed_m_s)) if split else []
+    loops, alone = _all_outcomes(here, _LOOPS), _outcomes(here, "printed-backup-split")
+    return [
+        *rows,
+        measured("rates", "not comparable", _runs(here, _LOOPS), flown=loops or "not flown"),
+        measured("collision-free", "not comparable", split, flown=alone or "not flown"),
+    ]
+
+
+def _as_in_flight(sweep: Sweep) -> list[Measured]:
+    """The table of Figure 4, of the simulated loop."""
+    trials, speed = sweep.run.record.trials, sweep.speed_m_s
+    ticks, infeasible = sum(t.steps for t in trials), sum(t.infeasible_steps for t in trials)
+    each = mean_estimate([1 - t.infeasible_steps / t.steps for t in trials], bounds=(0.0, 1.0))
+    known = each is not None and each.low is not None and each.high is not None
+    clear = [t.scene_clearance_m for t in trials if t.scene_clearance_m is not None]
+    rows = [
+        measured(
+            "feasible",
+            "not comparable",
+            [sweep],
+            (100 * each.low, 100 * each.high) if known else None,  # type: ignore[union-attr, operator]
+            percent=100 * (ticks - infeasible) / ticks,
+            ticks=ticks,
+            speed=speed,
+        ),
+        measured(
+            "clearance",
+            "not comparable",
+            [sweep],
+            least_m=min(clear, default=None),
+            flights=len(clear),
+            speed=speed,
+        ),
+        measured(
+            "speed",
+            "not comparable",
+            [sweep],
+            mean_m_s=sum(t.path_length_m for t in trials) / sum(t.duration_s for t in trials),
+            most_m_s=max(t.max_speed_m_s for t in trials),
+            speed=speed,
+        ),
+    ]
+    times = [sweep.timing(f"tick_{key}_s") for key in ("mean", "p99", "max")]
+    known_times = [1e3 * value for value in times if value is not None]
+    if len(known_times) == len(times):
+        verdict: Verdict = "bounded" if known_times[1] < 1e3 / _FILTER_HZ else "refuted"
+        rows.append(measured("loop-times", verdict, [sweep], times=known_times))
     return rows
-
-
-def _printed(*names: str) -> tuple[str, ...]:
-    return tuple(f"printed-ecbf-{name}" for name in names)
-
-
-def _against(here: Sequence[Sweep], speed: float, high: Estimate) -> str:
-    other = next((s for s in here if (s.variant, s.speed_m_s) == ("cone-di", speed)), None)
-    if other is None:
-        return ""
-    values = other.values(realisation_error)
-    share = high.value / float(np.mean(values[np.isfinite(values)]))
-    return f"{100 * share:.0f} % of that of cone-di at this speed"

@@ -11,6 +11,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.reporting.table import Table, text
+from papers.compared import File
 from papers.published import GEOFENCING
 
 REGULATION, PROGRAM = "regulation", "backup-qp"
@@ -18,6 +19,7 @@ GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the gain of each rule; a larger
 PUSH = 2.0  # the constant command of the paper [rad/s^2]
 MICRO = " [us]"
 SOLVER = "solver "
+FILE = File("pendulum.json")  # of the times
 _CALM = 1.0  # maximum chatter of a calm flight [rad/s^2 per s]
 _ARRIVED = 0.95  # of the largest angle
 _TAIL = 1 / 3  # last part of a flight, at the boundary

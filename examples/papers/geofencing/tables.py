@@ -41,6 +41,16 @@ class Fenced:
     ticks: Ticks | None = None
 
     @property
+    def file(self) -> str:
+        """Its log below the example's output folder."""
+        return f"{self.scenario}/{self.variant}.run.mcap"
+
+    @property
+    def flights(self) -> int:
+        """Number of flights."""
+        return len(self.record.trials)
+
+    @property
     def results(self) -> list[FenceResult]:
         """Results of all flights for their fence."""
         return [trial.fence for trial in self.record.trials if trial.fence is not None]

@@ -1,12 +1,17 @@
-"""Every table, figure and number of PolyMerge, ours beside it, and a verdict."""
+"""What was measured for every row of PolyMerge, with a verdict: maps of our scenes, and flights in them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+from typing import Any
 
+from alula.schemas.filter_options import PolytopeCbfParameters
 from alula.stages.reporting.statistics import difference_estimate, ratio_estimate
 from alula.stages.reporting.table import text
-from alula.stages.verdict import wilson_interval
+from papers.compared import File, Measured, Verdict, measured
+from papers.papers import POLYMERGE
+from papers.polymerge.cells import published_interval
 from papers.polymerge.flights import (
     OURS,
     RULE,
@@ -16,22 +21,12 @@ from papers.polymerge.flights import (
     path_ratio,
     time_ratio,
 )
-from papers.polymerge.map_verdicts import (
-    column_rows,
-    curve_rows,
-    rows_without_coacd,
-    size_rows,
-    volume_rows,
-)
-from papers.polymerge.maps import SceneMaps
-from papers.published import (
-    POLYMERGE_FLIGHTS,
-)
-from papers.settings import settings_rows
-from papers.verdicts import PaperRow, exact
+from papers.polymerge.maps import Polytopes, SceneMaps
+from papers.published import POLYMERGE_FLIGHTS, POLYMERGE_SCENES, POLYMERGE_SIZES
+from papers.verdicts import above, holds, settings, stated
 
-_FLIGHTS_PUBLISHED = 10  # per number of hulls, in Table II
-_SPEED_UP = 100.0  # of polytopes over ellipsoids, section VI-D
+_FULL = 1e-9  # of the voxels' volume; the rounding of planes causes far smaller errors
+_FLASH_BYTES = 2**20  # of the microcontroller of a Crazyflie 2.1
 
 
 def verdict_rows(
@@ -39,7 +34,7 @@ def verdict_rows(
     figure_5: Sequence[Flights],
     table_2: Sequence[Flights],
     onboard_hz: float | None,
-) -> list[PaperRow]:
+) -> list[Measured]:
     """List the rows in the order of the paper.
 
     Args:
@@ -49,133 +44,214 @@ def verdict_rows(
         onboard_hz: rate of the filter with 150 hulls on an emulated Cortex-M4 of 168 MHz; None: not measured.
     """
     rows = [
-        *settings_rows("polymerge"),
-        *size_rows(scenes),
-        *column_rows(scenes),
-        *volume_rows(scenes),
-        *curve_rows(scenes),
-        *rows_without_coacd(scenes),
+        settings(POLYMERGE, "kappa", [PolytopeCbfParameters().kappa_per_m]),
+        *stated(POLYMERGE, "tolerance"),
+        *_sizes(scenes),
+        *_columns(scenes),
+        *_volumes(scenes),
+        *_curves(scenes),
+        *_without_coacd(scenes),
     ]
     for scene in dict.fromkeys(f.scene for f in figure_5):
-        here = [f for f in figure_5 if f.scene == scene]
-        rows += [*_run_time(scene, here), *_success(scene, here), *_paths(scene, here)]
-    return [*rows, *_figure_3(table_2), *_flights(table_2), *_rates(onboard_hz), *_rest()]
+        here = {f.method: f for f in figure_5 if f.scene == scene}
+        rows += _figure_5(scene, here)
+    return [
+        *rows,
+        *_figure_3(table_2),
+        *_table_2(table_2),
+        *_rates(onboard_hz),
+        *stated(POLYMERGE, "figures-1-2", "figure-3/photograph", "voxels", "sub-cover", "merging", "finer"),
+        *stated(POLYMERGE, "simulation", "clf", "crazyflie", "scenes/nine", "sugar", "theorem-1", "floaters"),
+    ]
 
 
-def _ends(low: float | None, high: float | None) -> str:
-    return "" if low is None or high is None else f"{exact(float(low))} to {exact(float(high))}"
+def _ours(scenes: Iterable[SceneMaps]) -> list[Polytopes]:
+    return [s.same_count["default"] for s in scenes]
 
 
-def _flown(row: PaperRow, what: str, *flown: Flights) -> PaperRow:
-    """The row with the flights that it is made from."""
-    return row.made_from([f"{f.scene}.{what}.json" for f in flown], sum(len(f.reached) for f in flown))
+def _coacd(scenes: Iterable[SceneMaps]) -> list[Polytopes]:
+    return [found for s in scenes if (found := s.same_count.get("coacd")) is not None]
 
 
-def _method(here: Sequence[Flights], name: str) -> Flights | None:
-    return next((f for f in here if f.method == name), None)
+def _over(
+    row: str, verdict: Verdict, maps: Sequence[Polytopes], values: Sequence[float], **words: Any
+) -> Measured:
+    """The range of values over our scenes; `most` is unknown where it reads as `least`."""
+    return measured(row, verdict, _maps(maps), **_range(values), **words)
 
 
-def _baselines(here: Sequence[Flights]) -> list[Flights]:
-    return [f for f in here if f.method not in (OURS, RULE)]
+def _maps(maps: Iterable[Polytopes]) -> list[File]:
+    """Maps as what a row is made from."""
+    return [File(m.file) for m in maps]
 
 
-def _run_time(scene: str, here: Sequence[Flights]) -> list[PaperRow]:
-    """Figure 5a."""
-    ours = _method(here, OURS)
+def _range(values: Sequence[float], ending: str = "") -> dict[str, float | None]:
+    low, high = float(min(values)), float(max(values))
+    return {f"least{ending}": low, f"most{ending}": None if text(low) == text(high) else high}
+
+
+def _sizes(scenes: Sequence[SceneMaps]) -> list[Measured]:
+    """Table I: ratios."""
+    maps = _ours(scenes)
+    whole = [s.scene_bytes / m.file_bytes for s, m in zip(scenes, maps, strict=True) if m.file_bytes]
+    geometry = [
+        40 * s.ellipsoids / m.onboard_bytes for s, m in zip(scenes, maps, strict=True) if m.onboard_bytes
+    ]
+    rows = [
+        _over("memory-ratio/files", "not comparable", maps, whole),
+        _over("memory-ratio/geometry", "not comparable", maps, geometry),
+    ]
+    for row, found, printed in (
+        ("planes-per-hull", maps, [planes / hulls for _, hulls, planes in POLYMERGE_SCENES]),
+        (
+            "planes-per-part",
+            _coacd(scenes),
+            [s[2] / p[1] for s, p in zip(POLYMERGE_SIZES, POLYMERGE_SCENES, strict=True)],
+        ),
+    ):
+        each = [m.half_planes / m.hulls for m in found]
+        if each:
+            overlap = min(printed) <= max(each) and min(each) <= max(printed)
+            outside: Verdict = "better" if max(each) < min(printed) else "refuted"
+            rows.append(_over(row, holds(overlap, outside), found, each))
+    each = [1.0 * m.onboard_bytes / m.half_planes for m in maps if m.onboard_bytes]
+    limit = POLYMERGE.row("bytes-per-plane")[1].limits[0]
+    return [*rows, _over("bytes-per-plane", "better" if max(each) < limit else "refuted", maps, each)]
+
+
+def _columns(scenes: Sequence[SceneMaps]) -> list[Measured]:
+    """The columns of Table I, which are of scenes that are not at hand, and what follows from them."""
+    made_of = _maps([*_ours(scenes), *_coacd(scenes)])
+    ours = [(s, s.same_count["default"]) for s in scenes]
+    theirs = [(s, found) for s in scenes if (found := s.same_count.get("coacd")) is not None]
+    columns: dict[str, tuple[list[tuple[SceneMaps, Polytopes]], Callable[[SceneMaps, Polytopes], float]]] = {
+        "ellipsoids": (ours, lambda s, m: s.ellipsoids),
+        "file of the ellipsoids [MB]": (ours, lambda s, m: s.scene_bytes / 1e6),
+        "hulls, the same for both": (ours, lambda s, m: m.hulls),
+        "half-planes, surface + CoACD": (theirs, lambda s, m: m.half_planes),
+        "file, surface + CoACD [MB]": (theirs, lambda s, m: (m.file_bytes or 0) / 1e6),
+        "half-planes, ours": (ours, lambda s, m: m.half_planes),
+        "file, ours [MB]": (ours, lambda s, m: (m.file_bytes or 0) / 1e6),
+    }
+    rows = [
+        measured(
+            f"table-1/{name}",
+            "not comparable",
+            made_of,
+            scenes=[[s.name, float(value(s, m))] for s, m in found],
+        )
+        for name, (found, value) in columns.items()
+    ]
+    if theirs:
+        both = [(s.same_count["default"], found) for s, found in theirs]
+        ratios = [m.half_planes / found.half_planes for m, found in both]
+        fewer = sum(ratio < 1 for ratio in ratios)
+        verdict: Verdict = "better" if fewer == len(ratios) else "bounded" if fewer else "reproduced"
+        pairs = [m for pair in both for m in pair]
+        rows.append(_over("more-planes", verdict, pairs, ratios, fewer=fewer, of=len(ratios)))
+    curves = [m for s in scenes for m in s.curves.get("default", ())]
+    small = [m for m in curves if m.onboard_bytes and 100 < m.hulls <= 150]
+    if small:
+        sizes = [m.onboard_bytes or 0 for m in small]
+        fits = max(sizes) < _FLASH_BYTES
+        rows.append(_over("flash", holds(fits), small, [size / 1024 for size in sizes]))
+    return rows
+
+
+def _volumes(scenes: Sequence[SceneMaps]) -> list[Measured]:
+    """Figure 4a."""
     rows = []
-    for theirs in [f for f in here if f.method.startswith(SAFER)]:
-        if ours is None:
+    maps, parts = _ours(scenes), _coacd(scenes)
+    if ours := [m.measure for m in maps if m.measure is not None]:
+        whole = all(m.filled >= 1 - _FULL for m in ours)
+        count = {"open": sum(m.open_voxels for m in ours), "voxels": sum(m.voxels for m in ours)}
+        rows.append(_over("figure-4a-ours", holds(whole), maps, [m.filled for m in ours], **count))
+    if theirs := [m.measure for m in parts if m.measure is not None]:
+        leaves_out = all(m.filled < 1 - _FULL for m in theirs)
+        rows.append(_over("figure-4a-coacd", holds(leaves_out), parts, [m.filled for m in theirs]))
+    each = [m.conservativeness for m in maps]
+    return [*rows, _over("figure-4a-volume", "not comparable", maps, each)]
+
+
+def _curves(scenes: Sequence[SceneMaps]) -> list[Measured]:
+    """Figure 4b."""
+    rows = []
+    for method, row in (("paper", "figure-4b/rule"), ("default", "figure-4b/ours")):
+        curves = [c for s in scenes if len(c := s.curves.get(method, ())) > 1]
+        if not curves:
             continue
-        ratio = time_ratio(theirs, ours)
-        if ratio is None:
-            continue
-        high = ratio.value if ratio.high is None else ratio.high
-        low = ratio.value if ratio.low is None else ratio.low
+        falls = all(b.conservativeness <= a.conservativeness for c in curves for a, b in pairwise(c))
+        first, last = ([c[end].conservativeness for c in curves] for end in (0, -1))
         rows.append(
-            _flown(
-                PaperRow(
-                    "Figure 5a",
-                    f"{scene}: filter time per flight, {theirs.method} over ours",
-                    "about 100",
-                    exact(ratio.value),
-                    _ends(ratio.low, ratio.high),
-                    "refuted" if high < _SPEED_UP else "better" if low > _SPEED_UP else "reproduced",
-                    "like for like: both filters native on one thread, ellipsoids in a tree; the paper times "
-                    f"programs on a GPU. Per step {text(theirs.filter_us)} and {text(ours.filter_us)} µs",
-                ),
-                "figure-5",
-                ours,
-                theirs,
+            measured(
+                row,
+                holds(falls),
+                _maps(m for c in curves for m in c),
+                **_range(first),
+                **_range(last, "_last"),
+                scenes=len(curves),
+                few=curves[0][0].hulls,
+                many=max(c[-1].hulls for c in curves),
             )
         )
     return rows
 
 
-def _success(scene: str, here: Sequence[Flights]) -> list[PaperRow]:
-    """Figure 5b."""
-    ours = _method(here, OURS)
-    rows = []
-    for theirs in _baselines(here):
-        if ours is None:
+def _without_coacd(scenes: Sequence[SceneMaps]) -> list[Measured]:
+    """The baseline where it found no parts."""
+    notes = "; ".join(f"{s.name}: {s.coacd_note}" for s in scenes if "coacd" not in s.same_count)
+    return [measured("scenes/coacd", "not available here", notes=notes)] if notes else []
+
+
+def _files(what: str, *flown: Flights) -> list[File]:
+    """Flights as what a row is made from."""
+    return [File(f"{f.scene}.{what}.json", len(f.reached)) for f in flown]
+
+
+def _figure_5(scene: str, here: dict[str, Flights]) -> list[Measured]:
+    ours = here.get(OURS)
+    if ours is None:
+        return []
+    times, rates, lengths = [], [], []
+    for method, theirs in here.items():
+        made_of, words = _files("figure-5", ours, theirs), {"scene": scene, "method": method}
+        ratio = time_ratio(theirs, ours) if method.startswith(SAFER) else None
+        if ratio is not None:
+            limit = POLYMERGE.row("figure-5a")[1].limits[0]
+            high, low = (ratio.value if end is None else end for end in (ratio.high, ratio.low))
+            verdict: Verdict = "refuted" if high < limit else "better" if low > limit else "reproduced"
+            us = {"theirs_us": theirs.filter_us, "ours_us": ours.filter_us}
+            times.append(measured("figure-5a", verdict, made_of, ratio, value=ratio.value, **us, **words))
+        if method in (OURS, RULE):
             continue
         more = difference_estimate(ours.succeeded, theirs.succeeded, bounds=(-1, 1))
-        if more is None or more.low is None or more.high is None:
-            continue
-        verdict = "reproduced" if more.low > 0 else "refuted" if more.high < 0 else "bounded"
-        rows.append(
-            _flown(
-                PaperRow(
-                    "Figure 5b",
-                    f"{scene}: success rate, ours minus {theirs.method} [points]",
-                    "above 0",
-                    f"{exact(ours.success.value)} % - {exact(theirs.success.value)} % = "
-                    f"{exact(100 * more.value)}",
-                    _ends(100 * more.low, 100 * more.high),
-                    verdict,
-                    f"{len(ours.reached)} pairs; {sum(ours.collided)} and {sum(theirs.collided)} collided "
-                    "with "
-                    f"an ellipsoid, {sum(ours.inside)} and {sum(theirs.inside)} began or ended inside the "
-                    "map",
-                ),
-                "figure-5",
-                ours,
-                theirs,
+        if more is not None and more.low is not None and more.high is not None:
+            rates.append(
+                measured(
+                    "figure-5b",
+                    above(more, 0, "bounded"),
+                    made_of,
+                    (100 * more.low, 100 * more.high),
+                    ours=ours.success.value,
+                    theirs=theirs.success.value,
+                    value=100 * more.value,
+                    pairs=len(ours.reached),
+                    **words,
+                    collided=sum(ours.collided),
+                    collided_theirs=sum(theirs.collided),
+                    inside=sum(ours.inside),
+                    inside_theirs=sum(theirs.inside),
+                )
             )
-        )
-    return rows
+        length = path_ratio(theirs, ours, (ours, theirs))
+        if length is not None:
+            values = {"value": length.value, "pairs": length.n}
+            verdict = above(length, 1, "bounded")
+            lengths.append(measured("figure-5c", verdict, made_of, length, **values, **words))
+    return [*times, *rates, *lengths]
 
 
-def _paths(scene: str, here: Sequence[Flights]) -> list[PaperRow]:
-    """Figure 5c."""
-    ours = _method(here, OURS)
-    rows = []
-    for theirs in _baselines(here):
-        ratio = path_ratio(theirs, ours, (ours, theirs)) if ours is not None else None
-        if ratio is None:
-            continue
-        verdict = "bounded"
-        if ratio.low is not None and ratio.high is not None:
-            verdict = "reproduced" if ratio.low > 1 else "refuted" if ratio.high < 1 else "bounded"
-        rows.append(
-            _flown(
-                PaperRow(
-                    "Figure 5c",
-                    f"{scene}: path length, {theirs.method} over ours",
-                    "above 1",
-                    exact(ratio.value),
-                    _ends(ratio.low, ratio.high),
-                    verdict,
-                    f"{ratio.n} pairs that both fly without a collision",
-                ),
-                "figure-5",
-                *([ours] if ours is not None else []),
-                theirs,
-            )
-        )
-    return rows
-
-
-def _figure_3(table_2: Sequence[Flights]) -> list[PaperRow]:
+def _figure_3(table_2: Sequence[Flights]) -> list[Measured]:
     """Figure 3: detours with few hulls."""
     if len(table_2) < 2:
         return []
@@ -184,206 +260,67 @@ def _figure_3(table_2: Sequence[Flights]) -> list[PaperRow]:
     ratio = ratio_estimate([coarse.path_m[i] for i in both], [fine.path_m[i] for i in both])
     if ratio is None:
         return []
-    longer = ratio.low is not None and ratio.low > 1
     return [
-        _flown(
-            PaperRow(
-                "Figure 3",
-                f"path length with {coarse.hulls} hulls over that with {fine.hulls}",
-                "detours around the hoops",
-                exact(ratio.value),
-                _ends(ratio.low, ratio.high),
-                "reproduced" if longer else "bounded" if ratio.high is None or ratio.high >= 1 else "refuted",
-                f"{len(both)} pairs that both fly; {sum(coarse.succeeded)} and {sum(fine.succeeded)} of "
-                f"{len(fine.reached)} arrive",
-            ),
-            "table-2",
-            coarse,
-            fine,
+        measured(
+            "figure-3/paths",
+            above(ratio, 1, "bounded"),
+            _files("table-2", coarse, fine),
+            ratio,
+            coarse=coarse.hulls,
+            fine=fine.hulls,
+            value=ratio.value,
+            both=len(both),
+            arrive=sum(coarse.succeeded),
+            arrive_fine=sum(fine.succeeded),
+            of=len(fine.reached),
         )
     ]
 
 
-def _flights(table_2: Sequence[Flights]) -> list[PaperRow]:
-    """Table II."""
+def _table_2(table_2: Sequence[Flights]) -> list[Measured]:
     rows = []
-    for n, _, success, distance in POLYMERGE_FLIGHTS:
+    for n, _, success, _ in POLYMERGE_FLIGHTS:
         f = next((f for f in table_2 if f.hulls is not None and 0.9 * n <= f.hulls <= n), None)
         if f is None:
             continue
-        low, high = wilson_interval(round(_FLIGHTS_PUBLISHED * success), _FLIGHTS_PUBLISHED)
-        found = f.success
+        low, high = published_interval(success)
+        found, made_of = f.success, _files("table-2", f)
         is_within = found.value is not None and low <= found.value / 100 <= high
-        rows.append(
-            _flown(
-                PaperRow(
-                    "Table II",
-                    f"success with {n} hulls [%]",
-                    f"{text(100 * success)} ({text(100 * low)} to {text(100 * high)}, ten flights)",
-                    exact(found.value),
-                    _ends(found.low, found.high),
-                    "reproduced" if is_within else "not comparable",
-                    f"{len(f.reached)} random pairs with an obstacle between them, {sum(f.inside)} with an "
-                    "end "
-                    f"inside the map; {sum(f.collided)} collided, {f.collided_outside} of them from outside "
-                    "the "
-                    "map; the paper's ten pairs are chosen by hand",
-                ),
-                "table-2",
-                f,
-            )
-        )
-        rows.append(
-            _flown(
-                PaperRow(
-                    "Table II",
-                    f"minimum distance with {n} hulls [m]",
-                    text(distance),
-                    f"{exact(nearest(f, f.distance_m))} to the ellipsoids"
-                    + (f", {exact(nearest(f, f.map_distance_m))} to 150 hulls" if f.map_distance_m else ""),
-                    "",
-                    "bounded" if f.collided_outside == 0 else "refuted",
-                    f"{len(f.outside)} flights with both ends outside the map, {f.collided_outside} below "
-                    "the "
-                    f"radius of {text(f.radius_m)} m; the value itself depends on the scene",
-                ),
-                "table-2",
-                f,
-            )
-        )
+        counts = {"inside": sum(f.inside), "collided": sum(f.collided), "outside": f.collided_outside}
+        rows += [
+            measured(
+                f"table-2/{n}/success",
+                holds(is_within, "not comparable"),
+                made_of,
+                found,
+                value=found.value,
+                flights=len(f.reached),
+                **counts,
+            ),
+            measured(
+                f"table-2/{n}/distance",
+                "bounded" if f.collided_outside == 0 else "refuted",
+                made_of,
+                ellipsoids_m=nearest(f, f.distance_m),
+                map_m=nearest(f, f.map_distance_m),
+                flights=len(f.outside),
+                outside=f.collided_outside,
+                radius_m=f.radius_m,
+            ),
+        ]
     if len(table_2) > 1:
-        distances = [nearest(f, f.map_distance_m or f.distance_m) for f in table_2]
-        first, last = distances[0], distances[-1]
+        first, last = (nearest(f, f.map_distance_m or f.distance_m) for f in (table_2[0], table_2[-1]))
         falls = first is not None and last is not None and first > last
-        rows.append(
-            _flown(
-                PaperRow(
-                    "Table II",
-                    "the distance falls with more hulls, first to last",
-                    "0.268 to 0.097 m",
-                    f"{exact(first)} to {exact(last)} m",
-                    "",
-                    "reproduced" if falls else "refuted",
-                    "minimum over the flights with both ends outside the map, to the 150 hulls as in the "
-                    "paper",
-                ),
-                "table-2",
-                *table_2,
-            )
-        )
+        rows.append(measured("trend", holds(falls), _files("table-2", *table_2), first=first, last=last))
     return rows
 
 
-def _rates(onboard_hz: float | None) -> list[PaperRow]:
+def _rates(onboard_hz: float | None) -> list[Measured]:
     rows = []
     for n, hz, *_ in POLYMERGE_FLIGHTS:
-        why = (
-            "worst tick of an emulated Cortex-M4 at 168 MHz with 150 hulls of 91 half-planes, which fewer "
-            "hulls "
-            "do not exceed, 2 cycles per instruction (onboard.md); no drone was flown"
-        )
-        verdict = "refuted" if n == POLYMERGE_FLIGHTS[-1][0] else "not comparable"
+        verdict: Verdict = "refuted" if n == POLYMERGE_FLIGHTS[-1][0] else "not comparable"
         if onboard_hz is None or onboard_hz > hz:
             verdict = "not available here" if onboard_hz is None else "better"
-        ours = "" if onboard_hz is None else exact(float(round(onboard_hz)))
-        rows.append(
-            PaperRow("Table II", f"control rate with {n} hulls [Hz]", text(hz), ours, "", verdict, why)
-        )
+        shown = None if onboard_hz is None else float(round(onboard_hz))
+        rows.append(measured(f"table-2/{n}/rate", verdict, hz=shown))
     return rows
-
-
-def _rest() -> list[PaperRow]:
-    return [
-        PaperRow(
-            *("Figures 1 and 2", "overview, and steps of the compression", "drawings", "", ""),
-            *("not comparable", "nothing is measured; every step is a command here"),
-        ),
-        PaperRow(
-            *("Figure 3", "photograph of the scene", "a photograph", "", "", "not available here"),
-            "the scene is not public",
-        ),
-        PaperRow(
-            *("section V-A, eqs. 6 to 9", "the grid has every voxel that an ellipsoid touches", "derived"),
-            *(
-                "exactly those, by an exact test",
-                "",
-                "reproduced",
-                "a test against a fine sample and a solver",
-            ),
-        ),
-        PaperRow(
-            *("section V-B, eqs. 10 and 11", "the sub-cover is a greedy weighted set cover", "derived"),
-            *("of clusters, covers every voxel", "", "reproduced", "tests; the default rule of ours differs"),
-        ),
-        PaperRow(
-            *("section V-C, eqs. 12 to 15", "one hull fewer in each step, down to the budget", "derived"),
-            *("never more hulls than the budget", "", "reproduced", "pairs whose boxes touch, as printed"),
-        ),
-        PaperRow(
-            *("section VI-D", "smaller voxels and smaller local covers reduce the volume further", "stated"),
-            *("", "", "not comparable", "the paper has no number; the comparison flies one size of each"),
-        ),
-        PaperRow(
-            *(
-                "section VI-A",
-                "setting: pairs, time step, tolerance",
-                "100 pairs, 0.01 s, 1 % of the distance",
-            ),
-            *("100 pairs in the full setting, 0.01 s, 1 %", "", "reproduced", "flights.py"),
-        ),
-        PaperRow(
-            "eq. 16, section VI-B",
-            "CLF controller on board",
-            "on the Crazyflie",
-            "position setpoints of the Crazyflie app: gain (p_goal - p), capped at v_max",
-            "",
-            "reproduced",
-            "the closed form of eq. 16 with c twice the gain; crazyflie_filter.c, checked tick by tick on "
-            "the host; not flown",
-        ),
-        PaperRow(
-            "section VI-B",
-            "flights of a Crazyflie 2.1+ under motion capture",
-            "ten pairs for each number of hulls",
-            "",
-            "",
-            "not available here",
-            "no hardware; Table II below is flown in simulation at the published rates",
-        ),
-        PaperRow(
-            "Table I, Figures 4 and 5",
-            "the nine mip-NeRF360 scenes",
-            "nine scenes",
-            "",
-            "",
-            "not available here",
-            "their splats are not at hand; other scenes are used",
-        ),
-        PaperRow(
-            "Table I, Figures 4 and 5",
-            "SuGaR's own meshes",
-            "regularised training, then Poisson",
-            "level set 0.3 of the density",
-            "",
-            "not available here",
-            "SuGaR trains on the photographs, which splat files do not hold; see density_mesh.py",
-        ),
-        PaperRow(
-            "section V-D, Theorem 1",
-            "every cover contains the ellipsoids",
-            "proved on paper",
-            "proved in integers for each file",
-            "",
-            "reproduced",
-            "alula verify; a cover that leaves a voxel out fails",
-        ),
-        PaperRow(
-            "section VI-B",
-            "voxels touched by fewer than 30 ellipsoids are dropped",
-            "30",
-            "1 by default: none is dropped",
-            "",
-            "bounded",
-            "voxelize --min-overlap 30 does as the paper, and the guarantee then says so",
-        ),
-    ]

@@ -2,7 +2,7 @@
 
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.table import Table
-from papers.command_line import this_machine, write_comparison
+from papers.comparison import this_machine, write_comparison
 
 TABLE = Table("t", "A table", ("who", "what"), (("x", 1 / 3),))
 READ = Table("t", "As read", ("who",), (("x",),))

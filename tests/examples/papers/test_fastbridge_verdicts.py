@@ -2,11 +2,11 @@
 
 import pytest
 
-from papers.fastbridge.claims import FASTBRIDGE_PAPER
 from papers.fastbridge.feasibility import feasibility_table
 from papers.fastbridge.verdicts import verdict_rows
+from papers.papers import FASTBRIDGE
 from papers.verdicts import verdict_table
-from support.claims import open_claims
+from support.claims import open_claims, said
 from support.sweeps import sweep, trial
 
 
@@ -16,9 +16,7 @@ def feasibility():
 
 
 def rows_of(sweeps, feasibility):
-    return {
-        (row.item, row.quantity, row.why): row for row in verdict_rows(sweeps, "room", feasibility)
-    }.values()
+    return said(FASTBRIDGE, verdict_rows(sweeps, "room", feasibility))
 
 
 def one(rows, quantity, why=""):
@@ -38,11 +36,11 @@ def test_a_page_without_flights_still_has_a_row_for_all_that_cannot_be_flown(fea
     rows = rows_of([], feasibility)
     lone = [sweep("cone-ecbf", 3.1, [trial(0)])]  # one speed shows no growth
     assert not [row for row in rows_of(lone, feasibility) if row.item == "Figure 2, left"]
-    assert "mean-jerk" in open_claims(FASTBRIDGE_PAPER, rows)
+    assert "mean-jerk" in open_claims(FASTBRIDGE, rows)
     assert one(rows, "loop overruns").verdict == "not available here"
     assert one(rows, "π_b meets").verdict == "reproduced"
     assert one(rows, "π_b is a feasible point of the program, α_R = 2/s").verdict == "refuted"
-    assert len(verdict_table(list(rows)).rows) == len(rows)
+    assert len(verdict_table(FASTBRIDGE, [row.found for row in rows]).rows) == len(rows)
 
 
 @pytest.mark.parametrize(("jerk", "verdict"), [(0.3, "better"), (0.53, "reproduced"), (0.9, "refuted")])
@@ -108,9 +106,9 @@ FLOWN = (
 
 def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim(feasibility):
     runs = [sweep(name, speed, [trial(i) for i in range(3)]) for name in FLOWN for speed in (1.1, 5.1)]
-    rows = verdict_rows(runs, "room", feasibility)
-    assert open_claims(FASTBRIDGE_PAPER, rows) == set()
+    rows = rows_of(runs, feasibility)
+    assert open_claims(FASTBRIDGE, rows) == set()
     gap = next(row for row in rows if row.quantity.startswith("peak |e_a| of cone-di"))
-    assert gap.runs == ("room/cone-di@1.1.run.mcap", "room/cone-di@5.1.run.mcap")
-    assert gap.flights == 6
+    assert gap.found.runs == ["room/cone-di@1.1.run.mcap", "room/cone-di@5.1.run.mcap"]
+    assert gap.found.flights == 6
     assert [n.value for n in gap.numbers if n.cell == "ours"] == [1.0, 1.0]  # the mean of 0.5, 1 and 1.5

@@ -11,14 +11,13 @@ from alula.schemas.errors import InputError
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.palette import variables
 from alula.stages.reporting.table import markdown_cell
-from papers.claims import claim_of, judged
-from papers.collected import PAPERS, collect
-from papers.compared import VERDICTS, Papers, read_comparison, write_comparison_record
-from papers.fastbridge.claims import FASTBRIDGE_PAPER
+from papers.claims import Claim, Paper, Row, judged, shown
+from papers.collected import Papers, collect
+from papers.compared import VERDICTS, Measured, read_comparison, write_comparison_record
 from papers.markdown import papers_markdown
 from papers.page import papers_page, sentence
+from papers.papers import FASTBRIDGE, PAPERS
 from papers.record import Made, command_of, comparison_record
-from papers.verdicts import PaperRow, exact
 from support.papers import PRODUCER, SVG, jerk_rows, record, value
 from support.paths import ROOT
 
@@ -68,25 +67,26 @@ def test_every_number_on_the_page_is_that_of_the_record():
     papers, html = page_of(record(jerk_rows()))
     again = msgspec.json.decode(write_comparison_record(papers), type=Papers)
     assert again == papers
-    shown = Values(html)
+    seen = Values(html)
     for paper in again.papers:
         for name, count in paper.counts.items():
-            assert shown.counts.get((paper.name, name.replace(" ", "-")), 0) == count
+            assert seen.counts.get((paper.name, name.replace(" ", "-")), 0) == count
         for claim in paper.claims:
-            known = shown.rows[f"{paper.name}-{claim.name}"]
+            known = seen.rows[f"{paper.name}-{claim.claim.name}"]
             assert len(known) == len(claim.rows)
-            assert shown.verdicts[f"{paper.name}-{claim.name}"] == claim.verdict.replace(" ", "-")
-            for cells, row in zip(known, claim.rows, strict=True):
-                texts = [text for text, _ in cells]
+            assert seen.verdicts[f"{paper.name}-{claim.claim.name}"] == claim.verdict.replace(" ", "-")
+            for cells, found in zip(known, claim.rows, strict=True):
+                row, texts = claim.texts(found), [text for text, _ in cells]
                 assert texts[:4] == [row.quantity, row.published, row.ours, row.interval]
-                assert all(words in texts[4] for words in (row.verdict, row.why, row.command))
+                assert all(words in texts[4] for words in (row.verdict, row.why, found.command))
                 for place, name in ((2, "ours"), (3, "interval")):
                     assert cells[place][1] == [n.value for n in row.numbers if n.cell == name]
-    jerk = next(claim for claim in again.papers[1].claims if claim.name == "mean-jerk")
-    assert [[n.value for n in row.numbers] for row in jerk.rows] == [[3.4567891, 3.1, 3.87654], [0.2]]
-    assert [(row.ours[n.at :][: len(n.shown)], n.shown) for row in jerk.rows for n in row.numbers[:1]] == [
+    jerk = next(claim for claim in again.papers[1].claims if claim.claim.name == "mean-jerk")
+    rows = [jerk.texts(found) for found in jerk.rows]
+    assert [[n.value for n in row.numbers] for row in rows] == [[3.4567891, 3.1, 3.87654], [0.2]]
+    assert [(row.ours[n.at :][: len(n.shown)], n.shown) for row in rows for n in row.numbers[:1]] == [
         ("3.46", "3.46"),
-        ("0.2", "0.2"),
+        ("0.20", "0.20"),
     ]
     assert 'data-flights="500"' in html
     assert "no flights" in html
@@ -95,7 +95,7 @@ def test_every_number_on_the_page_is_that_of_the_record():
 def test_a_claim_counts_once_and_as_its_least_favourable_measurement():
     papers, html = page_of(record(jerk_rows()))
     ours = papers.papers[1]
-    assert [c.verdict for c in ours.claims if c.name in ("mean-jerk", "proposition-1")] == [
+    assert [c.verdict for c in ours.claims if c.claim.name in ("mean-jerk", "proposition-1")] == [
         "reproduced",
         "refuted",
     ]
@@ -113,44 +113,39 @@ def test_what_no_record_judges_says_so_with_the_command_that_would():
         == papers.counts["not available here"]
         == sum(len(paper.claims) for paper in PAPERS)
     )
-    speed = next(claim for claim in papers.papers[3].claims if claim.name == "speed")
+    speed = next(claim for claim in papers.papers[3].claims if claim.claim.name == "speed")
     assert speed.rows[0].command == "make -C examples/geofencing page"
     assert "not in these records" in html
 
 
 def test_later_records_fill_what_the_first_leaves_open():
-    first = record([value("mean-jerk", "a"), value("loop-times", "loop mean")])
-    few = {"setting": "quick"}
-    second = record(
-        [
-            *(value("mean-jerk", "b", **few), value("max-jerk", "c", **few)),
-            *(value("loop-times", "loop mean", **few), value("loop-times", "loop max", **few)),
-        ],
-        setting="quick",
-    )
+    one, other = "table-1/mpc/s/1", "table-1/mpc/s/2"
+    first = record([value("saved-mpc"), value(one)], paper="dr-acbf")
+    names = ("saved-mpc", "saved-qp", one, other)
+    second = record([value(name, setting="quick") for name in names], paper="dr-acbf", setting="quick")
     papers, html = page_of(first, second)
-    rows = {c.name: [(r.quantity, r.setting) for r in c.rows] for c in papers.papers[1].claims}
-    assert rows["mean-jerk"] == [("a", "full")]
-    assert rows["max-jerk"] == [("c", "quick")]
-    assert rows["loop-times"] == [("loop mean", "full"), ("loop max", "quick")]  # a table, cell by cell
+    rows = {c.claim.name: [(r.row, r.setting) for r in c.rows] for c in papers.papers[2].claims}
+    assert rows["saved-mpc"] == [("saved-mpc", "full")]
+    assert rows["saved-qp"] == [("saved-qp", "quick")]
+    assert rows["table-1/mpc/s"] == [(one, "full"), (other, "quick")]  # a table, cell by cell
     assert "6 flights (quick setting)" in html
     with pytest.raises(InputError, match="'polly' is no known paper"):
         collect([record([], paper="polly")], PRODUCER)
-    with pytest.raises(InputError, match="'gone', which is no claim"):
-        collect([record([value("gone", "a")])], PRODUCER)
+    with pytest.raises(InputError, match="'gone' is the row of no claim"):
+        collect([record([value("gone")])], PRODUCER)
 
 
 def test_our_figures_stand_beside_theirs_in_words_and_in_the_colours_of_the_page():
     names = ("figure-2-room", "figure-3-room", "figure-3-paths-room")
     drawings = {("fastbridge", name): SVG for name in names}
     papers, html = page_of(record([], figures=names, setting="quick"), drawings=drawings)
-    figures = {c.name: [f.name for f in c.figures] for c in papers.papers[1].claims if c.figures}
+    figures = {c.claim.name: [f.name for f in c.figures] for c in papers.papers[1].claims if c.figures}
     assert figures == {
         "figure-2-left": ["figure-2-room"],
         "figure-3-paths": ["figure-3-paths-room"],
         "mean-jerk": ["figure-3-room"],
     }
-    right = next(c for c in papers.papers[1].claims if c.name == "figure-2-right")
+    right = next(c for c in papers.papers[1].claims if c.claim.name == "figure-2-right")
     assert right.see == "figure-2-left"  # one figure has both
     assert '<a href="#fastbridge-figure-2-left-drawn">the figure above</a>' in html
     assert html.count("stroke: var(--c0072b2)") == 3
@@ -159,7 +154,7 @@ def test_our_figures_stand_beside_theirs_in_words_and_in_the_colours_of_the_page
     assert "Peak error of the acceleration over the speed" in html
     for paper in papers.papers:
         for claim in paper.claims:
-            assert claim.kind != "figure" or claim.shows
+            assert claim.claim.kind != "figure" or claim.claim.shows
 
 
 def test_the_page_asks_for_nothing_and_escapes_what_it_shows():
@@ -184,42 +179,68 @@ def test_the_markdown_page_has_the_same_rows():
     rows = [row for row in cells if len(row) == 10 and row[0] not in ("where", "---")]
     assert len(rows) == sum(len(claim.rows) for paper in papers.papers for claim in paper.claims)
     jerk = next(row for row in rows if row[2] == "mean jerk, ratio")
-    assert jerk[3:7] == ["× 0.53", "× 3.46", "3.1 to 3.877", "refuted"]
+    assert jerk[3:7] == ["× 0.53", "× 3.46", "3.1 to 3.88", "refuted"]
     assert jerk[8] == "500"
     assert jerk[9].startswith("`make -C examples/fastbridge x")
 
 
 def test_a_row_names_the_command_of_its_runs_of_its_test_or_of_the_whole_comparison(tmp_path):
     made = Made("make -C examples/fastbridge QUICK=1", "out/quick", "fastbridge.html", "quick", "here")
-    flown = PaperRow("Abstract, Figure 3", "mean jerk, ratio", "", exact(2.0), "", "refuted", "")
-    runs = ("room/a@1.run.mcap", "room/b@1.run.mcap", "times.json")
+    runs = ["room/a@1.run.mcap", "room/b@1.run.mcap", "times.json"]
     rows = [
-        flown.made_from(runs, 4),
-        PaperRow("Proposition 1", "rates", "", "", "", "reproduced", ""),
-        PaperRow("Proposition 3", "a state", "", "", "", "reproduced", ""),
+        Measured(row="mean-jerk", verdict="refuted", values={"value": 2.0}, runs=runs, flights=4),
+        Measured(row="proposition-1", verdict="reproduced"),
+        Measured(row="proposition-3", verdict="reproduced"),
     ]
     figure = Figure("figure-2-room", "t", "words", SVG)
-    made_of = comparison_record(FASTBRIDGE_PAPER, rows, [figure], made, PRODUCER)
+    made_of = comparison_record(FASTBRIDGE, rows, [figure], made, PRODUCER)
     assert [row.command for row in made_of.rows] == [
         "make -C examples/fastbridge QUICK=1 out/quick/room/{a@1,b@1}.run.mcap out/quick/times.json",
         ".venv/bin/pytest tests/unit/filtering/test_equations_fastbridge.py -k realisation_gap",
         "make -C examples/fastbridge QUICK=1 out/quick/fastbridge.html",
     ]
     assert [row.setting for row in made_of.rows] == ["quick", "full", "quick"]  # a test is the same in both
-    one = flown.made_from(runs[:1], 2)
-    assert command_of(one, claim_of(FASTBRIDGE_PAPER, one.item, one.quantity), made).endswith(
-        "room/a@1.run.mcap"
-    )
+    one = Measured(row="mean-jerk", verdict="refuted", runs=runs[:1])
+    assert command_of(one, FASTBRIDGE.row("mean-jerk")[0], made).endswith("room/a@1.run.mcap")
     path = tmp_path / "r.json"
     path.write_text(write_comparison_record(made_of))
     assert read_comparison(path) == made_of
-    path.write_text(json.dumps({**json.loads(path.read_text()), "version": "2.0"}))
-    with pytest.raises(InputError, match="no alula/comparison of version 1"):
+    path.write_text(json.dumps({**json.loads(path.read_text()), "version": "1.0"}))
+    with pytest.raises(InputError, match="no papers/comparison of version 2"):
         read_comparison(path)
-    with pytest.raises(InputError, match="belongs to none"):
-        comparison_record(
-            FASTBRIDGE_PAPER, [PaperRow("x", "y", "", "", "", "better", "")], [], made, PRODUCER
-        )
+    with pytest.raises(InputError, match="'x' is the row of no claim"):
+        comparison_record(FASTBRIDGE, [Measured(row="x", verdict="better")], [], made, PRODUCER)
+
+
+def test_a_text_takes_what_was_measured_and_keeps_the_digits_that_it_rounds():
+    row = Row(
+        item="i",
+        quantity="of {count!s:,}",
+        ours=["{a:.1f} and {b}", " beside {others:{} ({})}", " of {gone}"],
+        interval="{low} to {high} %",
+        why={"refuted": "{a!t} or {word!s}"},
+    )
+    values = {"count": 12345, "a": 0.123456, "b": 20000.4, "others": [[1.5, "x"], [2.0, "y"]], "word": "so"}
+    found = Measured(row="r", verdict="refuted", values=values)
+    said = shown(row, found)
+    assert (said.quantity, said.ours) == ("of 12,345", "0.1 and 20,000 beside 1.5 (x), 2 (y)")
+    assert (said.interval, said.why) == ("", "0.1235 or so")  # its ends are not known
+    assert [said.ours[n.at :][: len(n.shown)] for n in said.numbers] == ["0.1", "20,000", "1.5", "2"]
+    assert [n.value for n in said.numbers] == [0.123456, 20000.4, 1.5, 2.0]
+    assert shown(row, msgspec.structs.replace(found, low=1.0, high=2.0)).interval == "1 to 2 %"
+    assert shown(row, msgspec.structs.replace(found, verdict="better")).why == ""
+
+
+def test_every_row_has_a_name_of_its_own_and_a_text_that_can_be_filled():
+    for paper in PAPERS:
+        for claim, row in paper.known.values():
+            assert claim.rows
+            assert row.quantity
+            found = Measured(row=row.name, verdict=row.verdict or "not comparable")
+            assert row.verdict is None or all(shown(row, found).cells[:2])
+    twice = Claim(name="a", where="", says="", rows=[Row(item="i", quantity="q")] * 2)
+    with pytest.raises(InputError, match="the same name"):
+        Paper("p", "", "", "", "", (twice,))
 
 
 def test_the_tests_that_claims_name_exist():

@@ -8,7 +8,7 @@ import pytest
 from alula.schemas.errors import InputError
 from alula.stages.reporting.table import HIGH, LOW
 from papers.compared import VERDICTS
-from papers.polymerge.claims import POLYMERGE_PAPER
+from papers.papers import POLYMERGE
 from papers.polymerge.figures import flights_figure
 from papers.polymerge.flights import (
     COACD,
@@ -23,7 +23,7 @@ from papers.polymerge.flights import (
 )
 from papers.polymerge.verdicts import verdict_rows
 from papers.verdicts import verdict_table
-from support.claims import open_claims
+from support.claims import open_claims, said
 from support.polymerge_maps import OURS as OURS_MAP
 from support.polymerge_maps import ROOM, TREE
 
@@ -48,7 +48,7 @@ def flights(method=OURS, *, hulls=300, good=10, close=0, n=10, path=2.0, us=1.0,
 
 
 def rows_of(figure_5=(), table=(), item=None, scenes=(ROOM, TREE), hz=None):
-    found = verdict_rows(list(scenes), list(figure_5), list(table), hz)
+    found = said(POLYMERGE, verdict_rows(list(scenes), list(figure_5), list(table), hz))
     return [row for row in found if item is None or row.item == item]
 
 
@@ -85,7 +85,7 @@ def test_the_tables_show_what_was_flown():
 def test_every_row_has_a_verdict_and_the_table_keeps_the_order():
     rows = rows_of([flights(), flights(SAFER, us=500.0)], [flights(hulls=10), flights(hulls=150)], hz=628.0)
     assert {row.verdict for row in rows} <= set(VERDICTS)
-    assert len(verdict_table(rows).rows) == len(rows)
+    assert len(verdict_table(POLYMERGE, [row.found for row in rows]).rows) == len(rows)
     items = [row.item for row in rows]
     for item in (
         "Table I",
@@ -173,10 +173,10 @@ def test_every_claim_of_the_paper_has_a_row_and_every_row_a_claim():
     table = [flights(hulls=n) for n in (10, 30, 50, 100, 150)]
     rows = rows_of([flights(), flights(COACD), flights(SAFER, us=500.0)], table, hz=628.0)
     # No map of the room has 100 to 150 hulls of a known size.
-    assert open_claims(POLYMERGE_PAPER, rows) == {"flash"}
-    assert "figure-5a" in open_claims(POLYMERGE_PAPER, rows_of())
+    assert open_claims(POLYMERGE, rows) == {"flash"}
+    assert "figure-5a" in open_claims(POLYMERGE, rows_of())
     (pair,) = (row for row in rows if row.item == "Figure 5a")
-    assert (pair.runs, pair.flights) == (("room.figure-5.json",), 20)
+    assert (pair.found.runs, pair.found.flights) == (["room.figure-5.json"], 20)
 
 
 def test_a_smaller_map_is_better_and_a_larger_one_refutes():
