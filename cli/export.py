@@ -79,8 +79,8 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
     from alula.stages.compression.onboard.layout import map_facts
-    from alula.stages.reporting.export import export, located
-    from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses
+    from alula.stages.export.export import export, located
+    from alula.stages.export.scene import SCENE_ENCODERS, written_losses
 
     if config.foxglove_layout:
         export_layout(artifact, common)

@@ -33,8 +33,8 @@ def export_model(source: Path, name: str, parameters: dict[str, Any], common: Co
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.kinds import COVER
-    from alula.stages.reporting.export import located
-    from alula.stages.reporting.export_bodies import gazebo, urdf
+    from alula.stages.export.bodies import gazebo, urdf
+    from alula.stages.export.export import located
 
     encode = {"urdf": urdf, "gazebo": gazebo}[name]
 

@@ -31,7 +31,7 @@ def export_bag(log: Path, common: Common) -> None:
     from alula.schemas.extras import require
     from alula.schemas.mcap_log import timed_messages
     from alula.schemas.run import open_log
-    from alula.stages.reporting.rosbag import METADATA, count_bag, write_bag
+    from alula.stages.export.rosbag import METADATA, count_bag, write_bag
 
     require("rosbags")
 
@@ -107,7 +107,7 @@ def export_layout(log: Path | None, common: Common) -> None:
     from alula.schemas.errors import UsageError
     from alula.schemas.mcap_log import messages
     from alula.schemas.run import open_log, read_run
-    from alula.stages.reporting.foxglove_layout import contents, foxglove_layout
+    from alula.stages.export.foxglove_layout import contents, foxglove_layout
 
     if common.output.suffix.lower() != ".json":
         raise UsageError(f"{common.output}: with --foxglove-layout the output must end in .json")

@@ -41,7 +41,7 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
             "stages.planning.verify.verify_plan",
             "stages.simulation.world.simulate.simulate_world",
             "stages.simulation.world.summary.world_summary",
-            "stages.reporting.export.export",
+            "stages.export.export.export",
         ),
     ),
     "Reading and writing files": (

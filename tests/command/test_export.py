@@ -262,7 +262,7 @@ def test_an_opaque_gaussian_gets_a_finite_logit(tmp_path):
     scene = make_scene(3)
     scene.arrays["opacity"][:] = [0.0, 0.5, 1.0]
     from alula.schemas.provenance import Provenance
-    from alula.stages.reporting.export import export as stage
+    from alula.stages.export.export import export as stage
 
     raw = b"".join(stage(scene, "ply", Provenance.now("alula/export", "1.0", {}, None, [])))
     body = raw[raw.index(b"end_header\n") + len(b"end_header\n") :]

@@ -13,7 +13,7 @@ from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.provenance import read_provenance
 from alula.stages.clearance import hull_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reporting.export_grids import geodetic
+from alula.stages.export.grids import geodetic
 from support.small_scenes import G, box_cover
 
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
 from alula.schemas.provenance import read_provenance
+from alula.stages.export.ros_messages import RosMessages
 from alula.stages.flight.recorder.log import FlightRecorder
-from alula.stages.reporting.ros_messages import RosMessages
 from support.flight_logs import head_of, record_of
 from support.flights import fly, mission
 

@@ -640,7 +640,7 @@ def preload() -> None:
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
         "alula.stages.simulation.world.simulate",
-        *("alula.stages.reconstruction.formats.registry", "alula.stages.reporting.export", "zstandard"),
+        *("alula.stages.reconstruction.formats.registry", "alula.stages.export.export", "zstandard"),
         *("alula.cli.simulate", "alula.cli.sources", "alula.stages.reporting.tables"),
         *(
             "alula.stages.alignment.transforms",

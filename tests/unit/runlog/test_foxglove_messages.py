@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from alula.schemas.artifact import Artifact
+from alula.stages.export.ros_messages import RosMessages
 from alula.stages.flight.recorder.channels import CHANNELS, FlightChannels, LineSample, StepSample
-from alula.stages.reporting.ros_messages import RosMessages
 from alula.stages.runlog import cloud
 from alula.stages.runlog.foxglove_schemas import FOXGLOVE_SCHEMAS
 from alula.stages.runlog.maps import world_message

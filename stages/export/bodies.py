@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import Provenance
-from alula.stages.reporting.export_pieces import ROUNDED, hull_color, pieces
+from alula.stages.export.pieces import ROUNDED, hull_color, pieces
 
 Files = Iterator[tuple[str, bytes]]
 

@@ -17,7 +17,7 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.provenance import Provenance
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reporting.export_pieces import hull_name
+from alula.stages.export.pieces import hull_name
 
 _DEPTH = 16  # of OctoMap's trees
 _HALF = 1 << (_DEPTH - 1)  # number of the voxel at the origin

@@ -6,8 +6,8 @@ import pytest
 from mcap.reader import make_reader
 
 from alula.cli.main import run
+from alula.stages.export.foxglove_layout import contents, foxglove_layout
 from alula.stages.flight.recorder.channels import CHANNELS
-from alula.stages.reporting.foxglove_layout import contents, foxglove_layout
 from alula.stages.runlog.schemas import FLIGHT_CHANNELS, SCHEMAS
 from support.fabricate import make_record, make_trial, write_run
 

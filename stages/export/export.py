@@ -14,9 +14,9 @@ from alula.schemas.manifest import map_origin
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import map_binary, map_c_header
-from alula.stages.reporting import export_bodies, export_grids
-from alula.stages.reporting.export_pieces import ROUNDED, hull_color, hull_name, pieces
-from alula.stages.reporting.export_scene import COPIED, SCENE_ENCODERS
+from alula.stages.export import bodies, grids
+from alula.stages.export.pieces import ROUNDED, hull_color, hull_name, pieces
+from alula.stages.export.scene import COPIED, SCENE_ENCODERS
 
 _UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # alula: z up; glTF: y up
 
@@ -185,17 +185,17 @@ ENCODERS: dict[str, dict[str, Encoder]] = {
         "obj": _cover_obj,
         "json": _cover_json,
         "stl": _cover_stl,
-        "mjcf": export_bodies.mjcf,
-        "usda": export_bodies.usda,
-        "geojson": export_grids.geojson,
-        "field": export_grids.field,
+        "mjcf": bodies.mjcf,
+        "usda": bodies.usda,
+        "geojson": grids.geojson,
+        "field": grids.field,
         "onboard": map_binary,
         "c-header": map_c_header,
     },
     "alula/voxels": {
-        "octomap": export_grids.octomap,
-        "ply": export_grids.voxels_ply,
-        "pcd": export_grids.voxels_pcd,
+        "octomap": grids.octomap,
+        "ply": grids.voxels_ply,
+        "pcd": grids.voxels_pcd,
     },
     "alula/scene": {**SCENE_ENCODERS, "glb": _scene_glb, "obj": _scene_obj},
 }

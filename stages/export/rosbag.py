@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from alula.stages.reporting.ros_messages import LATCHED, RosMessages
+from alula.stages.export.ros_messages import LATCHED, RosMessages
 
 METADATA = "metadata.yaml"  # written last
 _VERSION = 8  # of metadata.yaml; Humble and all later releases read it
