@@ -33,15 +33,19 @@ from alula.stages.compression.merge import merge
 
 _SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 _SCENARIO = """
+schema = "alula/scenario"
+version = "2.0"
 name = "pairs"
-[map]
-cover = "{cover}.cover.npz"
 [vehicle]
+type = "single-integrator"
 radius_m = 0.12
-[filter]
-name = "polytope-cbf"
-[trials]
-count = {trials}
+[world]
+cover = "{cover}.cover.npz"
+[safety]
+filters = ["polytope-cbf"]
+[rules]
+trials = {trials}
+logged = {trials}
 """
 _PATIENCE_MS = 120_000
 # Counts the calls that draw in WebGL, before the page's own code.

@@ -188,30 +188,21 @@ def _tiles(path: Path) -> Explained:
 
 
 def _toml(path: Path) -> Explained:
-    """Read a scenario of version 2, a vehicle, recognised by its `model`, or else a scenario of version 1."""
+    """Read a vehicle, recognised by its `model`, or else a scenario."""
     import msgspec
 
-    from alula.schemas.encounters import is_encounters, read_encounters
-    from alula.schemas.geofence import is_fence_scenario, read_fence_scenario
-    from alula.schemas.scenario import SCENARIO_SCHEMA, read_scenario
-    from alula.schemas.toml_file import has_key
+    from alula.schemas.toml_file import read_tree
     from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
-    from alula.schemas.world import is_world, plain, read_world
+    from alula.schemas.world import plain, read_world
+    from alula.schemas.world_tables import SCENARIO_SCHEMA
     from alula.stages.reporting.inspect import about
 
-    if is_world(path):
-        whole = plain(read_world(path))
-        del whole["schema"]
-        return {**about(SCENARIO_SCHEMA, whole.pop("version")), **whole}, None
-    if has_key(path, "model"):
+    if "model" in read_tree(path):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
-    if is_fence_scenario(path) or is_encounters(path):
-        reads = read_fence_scenario if is_fence_scenario(path) else read_encounters
-        scenario = msgspec.to_builtins(reads(path))
-        del scenario["schema"]
-        return {**about(SCENARIO_SCHEMA, scenario.pop("version")), **scenario}, None
-    return {**about(SCENARIO_SCHEMA, ""), **msgspec.to_builtins(read_scenario(path))}, None
+    whole = plain(read_world(path))
+    del whole["schema"]
+    return {**about(SCENARIO_SCHEMA, whole.pop("version")), **whole}, None
 
 
 def _splat(path: Path) -> Explained:

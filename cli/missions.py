@@ -166,6 +166,7 @@ class Mission:
         """
         import msgspec
 
+        from alula.schemas.filter_options import TABLES
         from alula.schemas.run import read_run
         from alula.schemas.vehicle import contents
         from alula.schemas.world import FILES
@@ -191,9 +192,9 @@ class Mission:
         # Without filters, those two say how encounters and flights in a fence are measured.
         told = scenario.safety.filters or ("dr-acbf", "geofence")
         safety = parameters["safety"]
-        parameters["safety"] = {name: safety[name] for name in ("filters", *told) if name in safety} | {
-            name: safety["others"][name] for name in told if name in safety["others"]
-        }
+        safety |= safety.pop("others")
+        shown = ("filters", *(TABLES.get(name, name) for name in told))
+        parameters["safety"] = {name: safety[name] for name in shown if name in safety}
         seed = parameters["rules"].pop("seed")
         return cls(scenario, vehicle, parameters, seed, paths, pairs, pairs_run)
 

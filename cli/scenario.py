@@ -15,7 +15,7 @@ EXAMPLES = """\b
 Examples:
   alula scenario room.toml
   alula scenario room.toml --set vehicle.type=crazyflie21 --set safety.cone-backup.horizon_s=2
-  alula scenario old.toml -o new.toml
+  alula scenario room.toml -o whole.toml
   alula scenario --keys safety.cone-backup
   alula scenario --example room-mocap -o balls.toml
 """
@@ -56,10 +56,9 @@ def command(
 ) -> None:
     """Show a scenario with all of its values and their sources.
 
-    FILE is a scenario (.toml) of version 2.0, or of version 1, which is upgraded. The result is a scenario of
-    version 2.0 that says everything: each line ends with the source of its value, which is the file, --set,
-    the vehicle, or a default. A scenario whose parts make no sense together is refused, and the message says
-    what would work instead.
+    FILE is a scenario (.toml). The result is a scenario that says everything: each line ends with the source
+    of its value, which is the file, --set, the vehicle, or a default. A scenario whose parts make no sense
+    together is refused, and the message says what would work instead.
     """
     from alula.cli.present import echo, print_json
 

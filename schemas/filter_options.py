@@ -359,6 +359,24 @@ FILTERS: dict[str, type[Options]] = {
 }
 """The parameters of each filter."""
 
+TABLES: dict[str, str] = {
+    "backup-qp": "geofence",
+    "cbf-qp": "dr-acbf",
+    "cone-backup": "cone-backup",
+    "cone-di": "cone-di",
+    "cone-ecbf": "cone-ecbf",
+    "dr-acbf-qp": "dr-acbf",
+    "mpc": "dr-acbf",
+    "rp-cbf": "dr-acbf",
+    "dr-acbf": "dr-acbf",
+    "geofence": "geofence",
+    "none": "none",
+    "polytope-cbf": "polytope-cbf",
+    "safer-splat": "safer-splat",
+    "shield": "shield",
+}
+"""The table of a scenario that has the parameters of each filter."""
+
 PARTS: dict[str, tuple[Part, ...]] = {
     "cone-backup": (
         Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),

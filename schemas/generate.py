@@ -48,18 +48,16 @@ def keyword_files() -> dict[str, str]:
 def documents() -> dict[str, bytes]:
     """The JSON Schema of the manifest or record of each kind, by file name."""
     # These modules depend on files that `main` writes first.
-    from alula.schemas.encounters import Encounters
-    from alula.schemas.geofence import FenceScenario
     from alula.schemas.kinds import KINDS
     from alula.schemas.manifest import VERSION
     from alula.schemas.mission import MISSION_SCHEMA, Mission
     from alula.schemas.parts import PARTS_SCHEMA, PARTS_VERSION, PartsIndex
     from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
-    from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
     from alula.schemas.tiles import TILES_SCHEMA, TILES_VERSION, TilesIndex
     from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
     from alula.schemas.world import WORLD_VERSION, WorldScenario
+    from alula.schemas.world_tables import SCENARIO_SCHEMA
 
     types: list[tuple[str, str, type[Any]]] = [
         *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
@@ -67,45 +65,19 @@ def documents() -> dict[str, bytes]:
         (RUN_SCHEMA, RUN_VERSION, RunRecord),
         (REPORT_SCHEMA, REPORT_VERSION, Report),
         (TILES_SCHEMA, TILES_VERSION, TilesIndex),
-        (SCENARIO_SCHEMA, VERSION, Scenario),
         (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),
-        (f"{SCENARIO_SCHEMA}-encounters", VERSION, Encounters),
-        (f"{SCENARIO_SCHEMA}-geofence", VERSION, FenceScenario),
         (VEHICLE_SCHEMA, VERSION, Vehicle),
         (MISSION_SCHEMA, VERSION, Mission),
     ]
     result = {}
     for name, version, struct in types:
         schema = msgspec.json.schema(struct)
-        if struct is Scenario:
-            _add_filter_parameters(schema)
         if struct is WorldScenario:
             _open_to_others(schema)
         schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
         text = msgspec.json.format(msgspec.json.encode(schema, order="sorted"), indent=2) + b"\n"
         result[f"{name.replace('/', '-')}-{version}.schema.json"] = text
     return result
-
-
-def _add_filter_parameters(schema: dict[str, Any]) -> None:
-    """Say which parameters each filter has that a scenario with a cover or a scene can name."""
-    from alula.schemas.filter_options import FILTERS
-    from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_FILTERS
-
-    definitions = schema["$defs"]
-    for name in SCENARIO_FILTERS:
-        (reference,), components = msgspec.json.schema_components(
-            [FILTERS[name]], ref_template="#/$defs/{name}"
-        )
-        definitions |= components
-        for key, value in components[FILTERS[name].__name__]["properties"].items():
-            if value.get("default", 0.0) in (float("inf"), None):
-                del components[FILTERS[name].__name__]["properties"][key]["default"]  # JSON has no infinity
-        named: dict[str, Any] = {"properties": {"name": {"const": name}}}
-        if name != DEFAULT_FILTER:
-            named["required"] = ["name"]
-        then = {"properties": {"parameters": reference}}
-        definitions["FilterTable"].setdefault("allOf", []).append({"if": named, "then": then})
 
 
 def _open_to_others(schema: dict[str, Any]) -> None:

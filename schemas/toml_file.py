@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,19 +14,6 @@ from alula.schemas.files import check_no_stream
 from alula.schemas.manifest import VERSION, parse_version
 
 Table = TypeVar("Table", bound=msgspec.Struct)
-
-
-def has_key(path: Path, key: str) -> bool:
-    """Test whether a file is a TOML file with a key at its top level.
-
-    Args:
-        path: the file; False when it cannot be read.
-        key: the key.
-    """
-    try:
-        return key in _decoded(path)
-    except (InputError, MalformedError):
-        return False
 
 
 def read_toml(path: Path, table: type[Table], schema: str) -> Table:
@@ -85,47 +70,6 @@ def _decoded(path: Path) -> dict[str, Any]:
     if not raw.strip():
         raise InputError(f"{path}: is empty")
     return decode_toml(raw)
-
-
-def read_changed(path: Path, table: type[Table], schema: str, changes: Mapping[str, Any] | None) -> Table:
-    """Read a file as `read_toml` does, replace some values, and check that all numbers are finite.
-
-    Args:
-        path: the file.
-        table: type of the struct.
-        schema: id of the file's schema, for messages.
-        changes: new values by their keys, with dots between the levels.
-
-    Raises:
-        InputError, VersionError, UsageError: as `read_toml`; UsageError also for a wrong change.
-    """
-    value = read_toml(path, table, schema)
-    if changes:
-        tree = msgspec.to_builtins(value)
-        for key, change in changes.items():
-            _set(tree, key, change)
-        try:
-            value = convert(tree, table)
-        except MalformedError as error:
-            raise UsageError(f"{path}: {error}") from error
-    if wrong := first_beyond(msgspec.to_builtins(value), "$", math.inf):
-        raise UsageError(f"{path}: {wrong} must be a finite number")
-    return value
-
-
-def _set(tree: Any, key: str, value: Any) -> None:
-    *parents, last = key.split(".")
-    at = tree
-    for part in parents:
-        if isinstance(at, list | tuple) and part.isdecimal() and int(part) < len(at):
-            at = at[int(part)]
-        elif isinstance(at, dict) and isinstance(at.get(part), dict | list | tuple):
-            at = at[part]
-        else:
-            raise UsageError(f"--set {key}: the scenario has no {part!r} there")
-    if not isinstance(at, dict):
-        raise UsageError(f"--set {key}: the scenario has no {last!r} there")
-    at[last] = value
 
 
 def first_beyond(value: Any, path: str, limit: float) -> str | None:

@@ -48,25 +48,24 @@ import msgspec
 
 from alula.schemas import world_ranges
 from alula.schemas.decode import MalformedError, convert
-from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.filter_options import FILTERS
+from alula.schemas.errors import UsageError, VersionError, WrongKindError
+from alula.schemas.filter_options import FILTERS, TABLES
 from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.manifest import parse_version
-from alula.schemas.scenario import SCENARIO_SCHEMA, FlyTable
 from alula.schemas.toml_file import read_tree
 from alula.schemas.world_presets import with_preset
 from alula.schemas.world_tables import (
+    SCENARIO_SCHEMA,
     EstimationTable,
+    FlyTable,
     MissionTable,
     RulesTable,
     SafetyTable,
-    Table,
     VehicleTable,
     WorldTable,
-    about,
     default_shield_map,
 )
-from alula.schemas.world_upgrade import upgraded_tree
+from alula.schemas.world_types import Table, about
 
 WORLD_VERSION = "2.0"
 
@@ -95,9 +94,8 @@ _ROWS = {"mission.waypoints_m": 3, "world.fence.faces": 4}  # lists of lists, wh
 ELSEWHERE = {
     ("polytope-cbf", "onboard"): "world.onboard",
     ("geofence", "tick_s"): "rules.dt_s * rules.filter_ticks",
-    ("backup-qp", "tick_s"): "rules.dt_s * rules.filter_ticks",
 }
-"""Parameters of filters, by filter and name, that follow from other keys of the scenario."""
+"""Parameters of filters, by table and name, that follow from other keys of the scenario."""
 
 
 class WorldScenario(Table, frozen=True, kw_only=True):
@@ -120,34 +118,20 @@ class Read(NamedTuple):
 
     Attributes:
         scenario: as read.
-        given: the keys of the file as it is written, or as it is upgraded.
+        given: the keys of the file.
         changed: keys that --set replaced, with dots between.
-        is_upgraded: whether the file is of version 1.
     """
 
     scenario: WorldScenario
     given: Mapping[str, Any]
     changed: Sequence[str]
-    is_upgraded: bool
-
-
-def is_world(path: Path) -> bool:
-    """Return whether a file is a scenario of version 2.
-
-    Args:
-        path: the file; False when it cannot be read.
-    """
-    try:
-        return _major(path, read_tree(path)) == parse_version(WORLD_VERSION)[0]
-    except (UsageError, VersionError, InputError):
-        return False
 
 
 _NEW_PLANS = ("replan_after_s", "replans")
 
 
 def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldScenario:
-    """Read a scenario of version 2, or upgrade one of version 1.
+    """Read a scenario.
 
     Args:
         path: the file.
@@ -158,7 +142,7 @@ def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldSce
 
     Raises:
         InputError: the file cannot be read or is not TOML.
-        VersionError: it was written for a later major version.
+        WrongKindError, VersionError: it is no scenario, or not one of version 2.
         UsageError: a key is unknown, of the wrong type or out of range; the message has its path.
     """
     return read_sources(path, changes).scenario
@@ -172,16 +156,12 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
         changes: as of `read_world`.
 
     Raises:
-        InputError, VersionError, UsageError: as `read_world`.
+        InputError, WrongKindError, VersionError, UsageError: as `read_world`.
     """
     tree = read_tree(path)
-    is_old = _major(path, tree) < parse_version(WORLD_VERSION)[0]
-    if is_old:
-        wanted = (changes or {}).get("safety.filters", ())
-        tree = upgraded_tree(path, [wanted] if isinstance(wanted, str) else wanted)
-    where = f"{path}, as upgraded to version {WORLD_VERSION}" if is_old else str(path)
+    _check_version(path, tree)
     given = msgspec.msgpack.decode(msgspec.msgpack.encode(tree))
-    return Read(changed(tree, where, changes), given, tuple(changes or ()), is_old)
+    return Read(changed(tree, str(path), changes), given, tuple(changes or ()))
 
 
 def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None = None) -> WorldScenario:
@@ -276,17 +256,22 @@ def value_at(tree: Any, path: str) -> Any:
     return tree
 
 
-def _major(path: Path, tree: Mapping[str, Any]) -> int:
-    version = str(tree.get("version", "1.0"))
+def _check_version(path: Path, tree: Mapping[str, Any]) -> None:
+    """Refuse files of another kind or version, before their keys, which may be unknown here."""
+    kind, version = tree.get("schema", SCENARIO_SCHEMA), tree.get("version")
+    if kind != SCENARIO_SCHEMA:
+        raise WrongKindError(f"{path}: is {kind}, but {SCENARIO_SCHEMA} is needed")
+    if version is None:
+        raise VersionError(
+            f'{path}: has no `version`; a scenario begins with schema = "{SCENARIO_SCHEMA}" and version = '
+            f'"{WORLD_VERSION}"'
+        )
     try:
-        major, _ = parse_version(version)
+        major, _ = parse_version(str(version))
     except ValueError as error:
         raise UsageError(f"{path}: `$.version`: {error}") from error
-    if major > parse_version(WORLD_VERSION)[0]:
-        raise VersionError(
-            f"{path}: {SCENARIO_SCHEMA} version {version} is newer than {WORLD_VERSION}; update alula"
-        )
-    return major
+    if major != parse_version(WORLD_VERSION)[0]:
+        raise VersionError(f"{path}: is {SCENARIO_SCHEMA} of version {version}; {WORLD_VERSION} is read")
 
 
 def _filters(tree: Mapping[str, Any]) -> set[str]:
@@ -297,7 +282,12 @@ def _filters(tree: Mapping[str, Any]) -> set[str]:
 
 def _gather(safety: dict[str, Any], where: str, known: set[str]) -> None:
     """Move the tables of other packages' filters to `others`."""
-    for name in [name for name in safety if name != "filters" and name not in FILTERS]:
+    tables = {"filters", *TABLES.values()}
+    for name in [name for name in safety if name not in tables]:
+        if name in TABLES:
+            raise UsageError(
+                f"{where}: `$.safety.{name}`: the parameters of {name} stand in the table {TABLES[name]}"
+            )
         if name not in known:
             names = ", ".join(name for name in FILTERS if name != NO_FILTER)
             raise UsageError(f"{where}: `$.safety.{name}`: no filter is called {name!r}; filters are {names}")
@@ -315,10 +305,10 @@ def _completed(scenario: WorldScenario, tree: Mapping[str, Any]) -> WorldScenari
     new: dict[str, Any] = {"filters": names}
     new["polytope_cbf"] = _with(safety, "polytope-cbf", onboard=world.onboard)
     tick_s = rules.dt_s * rules.filter_ticks
-    for name in ("geofence", "backup-qp"):
-        if name in names and not 1e-4 <= tick_s <= 0.1:
+    for name in names:
+        if TABLES.get(name) == "geofence" and not 1e-4 <= tick_s <= 0.1:
             raise UsageError(f"`$.rules.dt_s`: {name} runs every 0.0001 to 0.1 s, not every {tick_s:g} s")
-        new[_field(name)] = _with(safety, name, tick_s=tick_s)
+    new["geofence"] = _with(safety, "geofence", tick_s=tick_s)
     against = default_shield_map(has_ellipsoids=world.scene is not None, has_hulls=world.has_hulls)
     for name in ("cone-ecbf", "cone-backup", "shield"):
         if "shield_map" not in given.get(name, {}) and given.get(name, {}).get("shield", True):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from alula.schemas.encounters import ObstacleTable, interval
 from alula.schemas.filter_options import ConeBackupParameters, ConeEcbfParameters, ShieldParameters
 from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import WorldScenario
 from alula.schemas.world_defaults import completed
+from alula.schemas.world_moving import ObstacleTable, interval
 from alula.schemas.world_tables import COMMANDS
 
 FILTER_COMMANDS = {

@@ -21,9 +21,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "estimation": {
             "sensor": {"kind": "mocap", "rate_hz": 100.0, "position_sigma_m": 0.002, "max_range_m": 20.0}
         },
-        "safety": {"dr-acbf": _THROWN, "dr-acbf-qp": _THROWN},
+        "safety": {"dr-acbf": _THROWN},
     },
 }
+_COMPARED = frozenset({"mpc", "cbf-qp", "rp-cbf"})  # flown with the defaults of dr-acbf's table
 _INDOORS = ("crazyflie21",)  # vehicles that fly in rooms
 
 
@@ -50,7 +51,19 @@ def with_preset(tree: Mapping[str, Any]) -> dict[str, Any]:
     name = preset_of(tree)
     if name not in PRESETS:
         return dict(tree)
-    return _over(_over(PRESETS[name], {"estimation": {"preset": name}}), tree)
+    return _over(_over(preset_values(tree), {"estimation": {"preset": name}}), tree)
+
+
+def preset_values(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a scenario's preset; those for filters are left out where a compared method flies.
+
+    Args:
+        tree: plain values of the scenario.
+    """
+    values = dict(PRESETS.get(preset_of(tree) or "", {}))
+    if not _COMPARED.isdisjoint(tree.get("safety", {}).get("filters", ())):
+        values.pop("safety", None)
+    return values
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

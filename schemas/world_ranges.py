@@ -9,12 +9,11 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.encounters import LARGEST, check_moving, check_walls
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import GeofenceParameters
+from alula.schemas.filter_options import TABLES
 from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.geofence import FARTHEST_M, MOST_LATENCY, check_faces
 from alula.schemas.toml_file import first_beyond
+from alula.schemas.world_moving import interval
 from alula.schemas.world_tables import (
     EstimationTable,
     MissionTable,
@@ -23,6 +22,12 @@ from alula.schemas.world_tables import (
     VehicleTable,
     WorldTable,
 )
+from alula.schemas.world_types import LARGEST
+
+MOST_LATENCY = 32
+"""Ticks of the geofence's latency: ALULA_GEOFENCE_LATENCY of native/onboard."""
+FARTHEST_M = 1e4
+"""Bound of a fence [m]: ALULA_FENCE_FAR of native/onboard."""
 
 # Keys that may be infinite; parameters of filters may be so where their default is.
 _UNLIMITED = (
@@ -132,12 +137,21 @@ def check_world_table(table: WorldTable) -> None:
         fence = table.fence
         require(fence.box_m is not None or bool(fence.faces), "world.fence", "needs box_m or faces")
         _check_box("world.fence.box_m", fence.box_m, FARTHEST_M * (1 + 1e-12))
-        check_faces(fence.faces, "world.fence.faces", require)
+        for i, face in enumerate(fence.faces):
+            length, where = math.hypot(*face[:3]), f"world.fence.faces[{i}]"
+            require(1e-3 <= length <= 1e3, where, f"needs a normal, and n has the length {length:.4g}")
+            require(abs(face[3]) <= FARTHEST_M * length, where, f"is farther than {FARTHEST_M:g} m")
     for name in ("moving", "walls"):
         if wrong := first_beyond(msgspec.to_builtins(getattr(table, name)), f"$.world.{name}", LARGEST):
             raise UsageError(f"{wrong} must be below {LARGEST:g}")
-    check_walls(table.walls, "world.walls", require)
-    check_moving(table.moving, "world.moving", require)
+    for i, wall in enumerate(table.walls):
+        below = all(low < high for low, high in zip(wall.lower_m, wall.upper_m, strict=True))
+        require(below, f"world.walls[{i}].upper_m", "must be above lower_m on each axis")
+    for i, obstacle in enumerate(table.moving):
+        for key in ("azimuth_rad", "elevation_rad", "speed_m_s", "heading_rad", "acceleration_m_s2"):
+            low, high = interval(getattr(obstacle, key))
+            require(low <= high, f"world.moving[{i}].{key}", "must be a number, or two that increase")
+        require(interval(obstacle.speed_m_s)[0] >= 0, f"world.moving[{i}].speed_m_s", "must be >= 0")
 
 
 def _check_box(where: str, box: tuple[float, ...] | None, limit: float) -> None:
@@ -231,14 +245,12 @@ def check_safety_table(table: SafetyTable, dt_s: float) -> None:
         beta = table.polytope_cbf.beta
         words = f"must be at most 1 / dt_s = {1 / dt_s:g}, not {beta:g}"
         require(beta * dt_s <= 1 + 1e-12, "safety.polytope-cbf.beta", words)
-    for name in ("geofence", "backup-qp"):
-        values: Any = table.parameters(name)
-        assert isinstance(values, GeofenceParameters)
-        require(values.slow_m_s <= values.fast_m_s, f"safety.{name}.fast_m_s", "must not be below slow_m_s")
-        if name in names:
-            most = MOST_LATENCY * values.tick_s
-            words = f"is above {MOST_LATENCY} calls of the filter, {most:g} s"
-            require(values.latency_s <= most, f"safety.{name}.latency_s", words)
+    values = table.geofence
+    require(values.slow_m_s <= values.fast_m_s, "safety.geofence.fast_m_s", "must not be below slow_m_s")
+    if any(TABLES.get(name) == "geofence" for name in names):
+        most = MOST_LATENCY * values.tick_s
+        words = f"is above {MOST_LATENCY} calls of the filter, {most:g} s"
+        require(values.latency_s <= most, "safety.geofence.latency_s", words)
 
 
 def check_rules_table(table: RulesTable) -> None:

@@ -11,10 +11,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from alula.schemas.encounters import LARGEST, MOST_TRIALS, ObstacleTable, TrackerTable, WallTable
-from alula.schemas.encounters import SensorTable as DetectorTable
 from alula.schemas.filter_options import (
-    FILTERS,
+    TABLES,
     ConeBackupParameters,
     ConeDiParameters,
     ConeEcbfParameters,
@@ -25,45 +23,39 @@ from alula.schemas.filter_options import (
     ShieldParameters,
 )
 from alula.schemas.filters.values import Options
-from alula.schemas.geofence import MOST_FACES, Box, Face
-from alula.schemas.geofence import PilotTable as SticksTable
+from alula.schemas.world_moving import DetectorTable, ObstacleTable, TrackerTable, WallTable
+from alula.schemas.world_types import (
+    Box,
+    Delay,
+    FileName,
+    Gain,
+    Lag,
+    Length,
+    Limit,
+    NotNegative,
+    Positive,
+    Scale,
+    Share,
+    Sizes,
+    Speed,
+    Table,
+    Ticks,
+    Vector,
+    about,
+)
+
+SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
+
+MOST_TRIALS = 1_000_000
+MOST_FACES = 32  # ALULA_FENCE_FACES of native/onboard
+Face = tuple[float, float, float, float]  # n, d: n . p <= d is inside
 
 # What commands there are, from the outer to the inner loop; body rates with a throttle are sticks.
 COMMANDS = ("velocity", "acceleration", "wrench", "sticks")
 
-NotNegative = Annotated[float, Meta(ge=0)]
-Positive = Annotated[float, Meta(gt=0)]
-Length = Annotated[float, Meta(ge=0, le=1e3)]
-Limit = Annotated[float, Meta(gt=0)]  # inf: no limit
-Scale = Annotated[float, Meta(ge=0.01, le=100)]
-Share = Annotated[float, Meta(ge=0, lt=1)]
-Lag = Annotated[float, Meta(ge=0, le=1)]
-Delay = Annotated[float, Meta(ge=0, le=10)]
-Ticks = Annotated[int, Meta(ge=1, le=1000)]
-Gain = Annotated[float, Meta(ge=1e-6, le=1e6)]
-Speed = Annotated[float, Meta(ge=1e-3, le=1e3)]
-FileName = Annotated[str, Meta(min_length=1)]
-Coordinate = Annotated[float, Meta(gt=-LARGEST, lt=LARGEST)]
-Vector = tuple[Coordinate, Coordinate, Coordinate]
-Sizes = tuple[NotNegative, NotNegative, NotNegative]
-
 VehicleName = Literal["crazyflie21", "fastbridge", "racer7", "single-integrator", "double-integrator"]
 Interface = Literal["velocity", "acceleration", "wrench", "body-rates", "sticks"]
 MissionKind = Literal["pairs", "goal", "waypoints", "plan", "hover", "pilot"]
-
-
-def about(description: str, **limits: Any) -> Meta:
-    """Describe a key, for `alula scenario --keys` and the JSON Schema.
-
-    Args:
-        description: a phrase; it says what None stands for.
-        limits: of the value, as of `msgspec.Meta`.
-    """
-    return Meta(description=description, **limits)
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of the file: unknown keys are refused."""
 
 
 class DisturbanceTable(Table, frozen=True, kw_only=True):
@@ -235,7 +227,9 @@ class ControllerTable(Table, frozen=True, kw_only=True):
         Literal["none", "cone-di", "safer-splat"],
         about("filter of accelerations that changes the nominal command before the first filter gets it"),
     ] = "none"
-    guide_parameters: Annotated[dict[str, Any], about("parameters of the guide")] = {}
+    guide_parameters: Annotated[dict[str, Any], about("parameters of the guide")] = msgspec.field(
+        default_factory=dict
+    )
     catch_up_m_s: Annotated[
         Gain | None,
         about(
@@ -245,9 +239,25 @@ class ControllerTable(Table, frozen=True, kw_only=True):
     ] = None
 
 
-class PilotTable(SticksTable, frozen=True, kw_only=True):
+class PilotTable(Table, frozen=True, kw_only=True):
     """The simulated pilot, and an outage of its radio."""
 
+    kind: Annotated[
+        Literal["straight", "diagonal", "fall", "sticks", "aggressive", "silent", "repeated"],
+        about(
+            "straight, diagonal: tilted, permanently; fall: no throttle; sticks: random; "
+            "aggressive: random attitudes; silent: aggressive, then no radio; repeated: from wall to wall"
+        ),
+    ] = "straight"
+    heading_deg: Annotated[
+        float,
+        about("heading of straight and repeated; of diagonal 45 degrees to the left of it [deg]"),
+    ] = 0.0
+    tilt_deg: Annotated[float, about("tilt of straight, diagonal and repeated [deg]", ge=0, lt=90)] = 72.0
+    climb_m_s2: Annotated[float, about("vertical acceleration of diagonal [m/s^2]")] = 0.0
+    silent_after_s: Annotated[
+        NotNegative, about("minimum time until silent has no radio, at most twice as long [s]")
+    ] = 1.5
     radio_from_s: Annotated[NotNegative | None, about("time at which the radio fails; None: never [s]")] = (
         None
     )
@@ -437,9 +447,11 @@ class SafetyTable(
     kw_only=True,
     rename=lambda name: name if name in ("filters", "others") else name.replace("_", "-"),
 ):
-    """The filters in their order, and the parameters of each under its name.
+    """The filters in their order, and the parameters of each under the name of its table.
 
-    A file has no table `others`: the reader puts the tables of other packages' filters there.
+    Filters with the same parameters have one table, see `TABLES`: mpc is flown with those of `dr-acbf`, and
+    backup-qp with those of `geofence`. A file has no table `others`: the reader puts the tables of other
+    packages' filters there.
     """
 
     filters: Annotated[
@@ -453,13 +465,8 @@ class SafetyTable(
     cone_backup: ConeBackupParameters = ConeBackupParameters()
     shield: ShieldParameters = ShieldParameters()
     dr_acbf: MovingFilterParameters = MovingFilterParameters()
-    dr_acbf_qp: MovingFilterParameters = MovingFilterParameters()
-    mpc: MovingFilterParameters = MovingFilterParameters()
-    cbf_qp: MovingFilterParameters = MovingFilterParameters()
-    rp_cbf: MovingFilterParameters = MovingFilterParameters()
     geofence: GeofenceParameters = GeofenceParameters()
-    backup_qp: GeofenceParameters = GeofenceParameters()
-    others: dict[str, dict[str, Any]] = {}
+    others: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
 
     def parameters(self, name: str) -> Options | dict[str, Any]:
         """Parameters of a filter: complete of one of this package, as given of another's.
@@ -467,9 +474,9 @@ class SafetyTable(
         Args:
             name: of the filter.
         """
-        if name not in FILTERS:
+        if name not in TABLES:
             return self.others.get(name, {})
-        found: Options = getattr(self, name.replace("-", "_"))
+        found: Options = getattr(self, TABLES[name].replace("-", "_"))
         return found
 
 
@@ -498,3 +505,25 @@ class RulesTable(Table, frozen=True, kw_only=True):
         int, about("number of first flights in the log, besides the worst ones", ge=0, le=MOST_TRIALS)
     ] = 20
     log_rate_hz: Annotated[float, about("samples per second in the log [Hz]", ge=1e-3, le=1e5)] = 20.0
+
+
+class FlyTable(Table, frozen=True, kw_only=True):
+    """A real flight: its link, and options of `fly` by name."""
+
+    link: str | None = None
+    speed_m_s: float | None = None
+    rate_hz: float | None = None
+    margin_m: float | None = None
+    fence_m: tuple[float, float, float, float, float, float] | None = None
+    fence_map: bool | None = None
+    fence_reserve_m: float | None = None
+    latency_s: float | None = None
+    velocity_lag_s: float | None = None
+    frame_check: Literal["motion", "hand", "none"] | None = None
+    near_m: float | None = None
+    allow_blocked: bool | None = None
+    replan_after_s: float | None = None
+    replans: int | None = None
+    battery: float | None = None
+    stale_s: float | None = None
+    fallback_s: float | None = None

@@ -12,16 +12,16 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import msgspec
 
 from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.encounters import LARGEST
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS
-from alula.schemas.scenario import FlyTable
+from alula.schemas.filter_options import TABLES
 from alula.schemas.toml_file import toml_key, toml_value
 from alula.schemas.vehicle import Vehicle
 from alula.schemas.world import ELSEWHERE, FILES, Read, WorldScenario, plain, value_at
 from alula.schemas.world_defaults import completed
-from alula.schemas.world_presets import PRESETS
+from alula.schemas.world_presets import preset_values
 from alula.schemas.world_ranges import USED
+from alula.schemas.world_tables import FlyTable
+from alula.schemas.world_types import LARGEST
 
 _COMMENT_COLUMN = 48  # comments of shorter lines begin here
 
@@ -50,14 +50,13 @@ def values_of(read: Read, vehicle: Vehicle, file: str) -> list[Value]:
     """
     full = completed(read.scenario, vehicle)
     own = plain(read.scenario)
-    name = f"{file}, upgraded" if read.is_upgraded else file
-    preset = PRESETS.get(read.scenario.estimation.preset or "", {})
+    preset = preset_values(own)
 
     def source(path: str) -> str:
         if any(path == key or path.startswith(f"{key}.") for key in read.changed):
             return "--set"
         if value_at(read.given, path) is not None:
-            return name
+            return file
         if value_at(preset, path) is not None:
             return f"preset {read.scenario.estimation.preset}"
         is_own = value_at(own, path) is not None or path in ("vehicle.type", "vehicle.actuation_delay_s")
@@ -87,9 +86,10 @@ def _used(scenario: WorldScenario, read: Read) -> dict[str, Any]:
     for key in ("preset", "sensor", "tracker"):
         if not (scenario.world.moving or is_given(f"estimation.{key}")):
             tree["estimation"].pop(key, None)
-    for name in FILTERS:
-        if name not in safety.filters and not is_given(f"safety.{name}"):
-            tree["safety"].pop(name, None)
+    flown = {TABLES.get(name) for name in safety.filters}
+    for table in set(TABLES.values()) - flown:
+        if not is_given(f"safety.{table}"):
+            tree["safety"].pop(table, None)
     return tree
 
 

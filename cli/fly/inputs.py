@@ -70,7 +70,7 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
         return "cover" not in paths
     kind = filter_kind(name)
     if name in TRACKING or kind == "sticks":
-        raise UsageError(f"{name} is simulated only, in a scenario of version 2.0; see alula scenario")
+        raise UsageError(f"{name} is simulated only, in a scenario; see alula scenario")
     if kind != "velocity":
         if "scene" not in paths and not (name in FLIES_AMONG_HULLS and "cover" in paths):
             raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")

@@ -12,7 +12,7 @@ from typing import Any
 from alula.cli.options import option_of
 from alula.cli.pages.tables import code, table
 from alula.schemas import configs
-from alula.schemas.filter_options import FILTERS
+from alula.schemas.filter_options import FILTERS, TABLES
 from alula.schemas.filters.values import Entry, entries
 from alula.schemas.world_check import FILTER_COMMANDS
 
@@ -31,7 +31,7 @@ def filters_page() -> str:
         """# Filter parameters
 
 Look up every parameter of every safety filter here, with its default, its limits and its meaning. Set one by
-`--set safety.NAME.PARAMETER=VALUE` or in the table `[safety.NAME]` of a scenario.
+`--set safety.NAME.PARAMETER=VALUE` or in the table `[safety.NAME]` of a scenario, with the NAME of the table.
 [One filter at a time](../theory/each-filter.md) says what each filter guarantees, and
 [Choose a filter](../howto/choose-a-filter.md) which one fits.
 """
@@ -46,6 +46,8 @@ Look up every parameter of every safety filter here, with its default, its limit
         body = (
             table(("parameter", "default", "limits", "meaning"), rows) if rows else "It has no parameters.\n"
         )
+        if TABLES[name] != name:
+            body = f"Its parameters are those of {code(TABLES[name])}, in one table.\n"
         parts.append(f"## {name}\n\n{takes}\n\n{body}")
     return "\n".join(parts)
 

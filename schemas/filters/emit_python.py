@@ -32,7 +32,10 @@ def module(structs: dict[str, Struct]) -> str:
         out += _struct(struct)
     out += ["", "FILTERS: dict[str, type[Options]] = {"]
     out += [f'    "{name}": {_class(struct)},' for name, struct in filters(structs).items()]
-    out += ["}", '"""The parameters of each filter."""', "", "PARTS: dict[str, tuple[Part, ...]] = {"]
+    out += ["}", '"""The parameters of each filter."""', "", "TABLES: dict[str, str] = {"]
+    out += [f'    "{name}": "{struct.filter}",' for name, struct in filters(structs).items()]
+    out += ["}", '"""The table of a scenario that has the parameters of each filter."""', ""]
+    out += ["PARTS: dict[str, tuple[Part, ...]] = {"]
     for struct in structs.values():
         if struct.filter and struct.cpp and not struct.parameters_of:
             out += [f'    "{struct.filter}": (', *(f"        {part}," for part in _parts(struct)), "    ),"]

@@ -8,9 +8,8 @@ from typing import Any
 import msgspec
 
 from alula import _core
-from alula.schemas.encounter_filter import native_options
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS, MovingFilterParameters
+from alula.schemas.filter_options import FILTERS, NATIVE_NAMES, NATIVE_VALUES, MovingFilterParameters
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.obstacles import union_of
 from alula.stages.filtering.protocol import FilterWorld
@@ -69,6 +68,26 @@ def moving_options(world: FilterWorld, parameters: MovingFilterParameters) -> di
         "dt_s": world.dt_s,
     }
     return {key: float(value) for key, value in options.items()}
+
+
+def native_options(parameters: MovingFilterParameters) -> dict[str, float]:
+    """The parameters as options of `alula._core.moving_filter`.
+
+    Args:
+        parameters: of a scenario; what they leave to the vehicle is left out.
+
+    Returns:
+        Numbers by native name, those of a nested table with its name before theirs.
+    """
+    names, numbers = NATIVE_NAMES["dr-acbf"], NATIVE_VALUES["dr-acbf"]
+    options: dict[str, float] = {}
+    values: dict[str, Any] = msgspec.structs.asdict(parameters)
+    for name, value in values.items():
+        if isinstance(value, msgspec.Struct):
+            options |= {f"{name}_{key}": float(own) for key, own in msgspec.structs.asdict(value).items()}
+        elif value is not None:
+            options[names.get(name, name)] = float(numbers[name][value] if name in numbers else value)
+    return options
 
 
 def _factory(name: str) -> Callable[[FilterWorld, Mapping[str, Any]], NativeFilter]:

@@ -9,16 +9,16 @@ from typing import Any
 import msgspec
 
 from alula import _core
-from alula.schemas.encounters import ObstacleTable, SensorTable, TrackerTable, interval
 from alula.schemas.errors import UsageError
 from alula.schemas.run import ObstacleResult
+from alula.schemas.world_moving import DetectorTable, ObstacleTable, TrackerTable, interval
 
 _EVENTS = ("separation_m", "closing_m_s", "detected_s", "warned_s", "reaction_s", "avoid_s")
 
 
 def moving_spec(
     obstacles: Sequence[ObstacleTable],
-    sensor: SensorTable,
+    sensor: DetectorTable,
     tracker: TrackerTable,
     *,
     yaw_rate_rad_s: float,
@@ -34,7 +34,7 @@ def moving_spec(
     Raises:
         UsageError: values are inconsistent; the message has the path of their key.
     """
-    detector = {key: getattr(sensor, key) for key in SensorTable.__struct_fields__}
+    detector = {key: getattr(sensor, key) for key in DetectorTable.__struct_fields__}
     options = _made(_core.TrackerOptions, msgspec.structs.asdict(tracker), "estimation.tracker")
     _made(_core.Tracker, {"options": options}, "estimation.tracker")  # its constructor checks the options
     try:

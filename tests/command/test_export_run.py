@@ -19,25 +19,40 @@ from support.flight_logs import head_of, record_of
 from support.flights import fly, mission
 
 SCENARIO = """
+schema = "alula/scenario"
+version = "2.0"
 name = "small"
-[encounter]
-goal_m = [100, 0, 10]
-[[obstacles]]
+[vehicle]
+type = "double-integrator"
+radius_m = 0.15
+max_speed_m_s = 12.0
+max_acceleration_m_s2 = 6.0
+max_jerk_m_s3 = 60.0
+[[world.moving]]
 motion = "accelerating"
 position_m = [60, 1, 10]
 velocity_m_s = [-6, 0, 0]
-acceleration_m_s2 = [0, 1e-9]
+acceleration_m_s2 = [0, 1e-09]
 radius_m = 0.2
-[[walls]]
+[[world.walls]]
 lower_m = [20, 5, 9]
 upper_m = [21, 8, 11]
-[sensor]
+[mission]
+kind = "goal"
+start_m = [0.0, 0.0, 10.0]
+goal_m = [100.0, 0.0, 10.0]
+start_speed_m_s = 4.0
+speed_m_s = 4.0
+receded_s = 1.0
+[estimation.sensor]
 kind = "ideal"
 position_sigma_m = 0.01
-[filter]
-name = "dr-acbf"
-[trials]
-count = 2
+[safety]
+filters = ["dr-acbf"]
+[rules]
+plant_steps = 10
+trials = 2
+max_time_s = 14.0
 logged = 2
 """
 

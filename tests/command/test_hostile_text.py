@@ -65,9 +65,11 @@ def test_notes_and_keys_of_an_output_cannot_write_to_the_terminal(capsys, tmp_pa
 @pytest.mark.parametrize(
     "text",
     [
-        '"a\\u001b[2J" = 1\n[map]\ncover = "c"\n',
-        '[map]\ncover = "c"\n[filter]\nname = "\\u001b[2J"\n',
-        '[map]\ncover = "c"\nscene = "\\u009b2J"\n[fly]\nframe_check = "\\u001b"\n',
+        'version = "2.0"\n"a\\u001b[2J" = 1\n[world]\ncover = "c"\n',
+        'version = "2.0"\n[world]\ncover = "c"\n[safety]\nfilters = ["\\u001b[2J"]\n',
+        'version = "2.0"\n[world]\nscene = "\\u009b2J"\n[fly]\nframe_check = "\\u001b"\n',
+        'version = "\\u001b[2J"\n',
+        'schema = "\\u001b[2J"\n',
     ],
 )
 def test_errors_about_a_scenario_cannot_write_to_the_terminal(tmp_path, capsys, text):

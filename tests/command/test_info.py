@@ -29,7 +29,7 @@ def folder(tmp_path) -> Path:
     write_artifact(tmp_path / "a.voxels.npz", make_voxels())
     write_artifact(tmp_path / "a.plan.npz", make_plan())
     write_run(tmp_path / "a.run.mcap", make_record([make_trial(0), make_trial(1, "stuck")]))
-    (tmp_path / "a.toml").write_text('[map]\ncover = "a.cover.npz"\n[trials]\ncount = 7\n')
+    (tmp_path / "a.toml").write_text('version = "2.0"\n[world]\ncover = "a.cover.npz"\n[rules]\ntrials = 7\n')
     return tmp_path
 
 
@@ -84,8 +84,8 @@ def test_a_run_is_explained(folder, capsys):
 def test_a_scenario_is_explained(folder, capsys):
     facts, _ = info(folder / "a.toml", capsys)
     assert facts["kind"] == "alula/scenario"
-    assert facts["map"]["cover"] == "a.cover.npz"
-    assert facts["trials"]["count"] == 7
+    assert facts["world"]["cover"] == "a.cover.npz"
+    assert facts["rules"]["trials"] == 7
     (folder / "bad.toml").write_text("[map\n")
     info(folder / "bad.toml", capsys, code=3)
 

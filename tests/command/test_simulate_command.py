@@ -165,9 +165,10 @@ def test_a_scenario_flies_and_options_replace_its_values(cover, tmp_path, capsys
     folder.mkdir()
     scenario = folder / "s.toml"
     scenario.write_text(
-        'name = "mine"\n[map]\ncover = "../two.cover.npz"\n[vehicle]\nradius_m = 0.15\n'
-        "[trials]\ncount = 2\nseed = 5\nbounds_m = [0, 0, 0, 4, 4, 2]\n"
-        "[filter]\nparameters = { beta = 4.0 }\n"
+        'schema = "alula/scenario"\nversion = "2.0"\nname = "mine"\n[world]\ncover = "../two.cover.npz"\n'
+        '[vehicle]\ntype = "single-integrator"\nradius_m = 0.15\n[mission]\nbounds_m = [0, 0, 0, 4, 4, 2]\n'
+        '[safety]\nfilters = ["polytope-cbf"]\n[safety.polytope-cbf]\nbeta = 4.0\n'
+        "[rules]\ntrials = 2\nseed = 5\n"
     )
     out = tmp_path / "r.run.mcap"
     assert (
@@ -181,10 +182,10 @@ def test_a_scenario_flies_and_options_replace_its_values(cover, tmp_path, capsys
     assert parameters["safety"]["polytope-cbf"]["beta"] == 4.0
     assert parameters["mission"]["controller"]["gain_per_s"] == 2.0
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scenario"]
-    scenario.write_text('[map]\ncover = "../two.cover.npz"\n[run]\ndt_s = 0\n')
+    scenario.write_text('version = "2.0"\n[world]\ncover = "../two.cover.npz"\n[rules]\ndt_s = 0\n')
     assert run(["simulate", str(scenario), "-o", str(out), "-f"]) == 2
     error = capsys.readouterr().err
-    assert f"{scenario}, as upgraded to version 2.0: " in error
+    assert f"{scenario}: " in error
     assert "`$.rules.dt_s`" in error
 
 

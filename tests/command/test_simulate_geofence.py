@@ -23,33 +23,52 @@ FASTBRIDGE = RACER.with_name("fastbridge.toml")
 # The paper's flight: 40 m to a wall, pitched by 72 degrees.
 WALL = """
 schema = "alula/scenario"
-version = "1.0"
+version = "2.0"
 name = "wall at 100 km/h"
-[fence]
-box_m = [-100, -100, 0.5, 40, 100, 100]
 [vehicle]
 file = "vehicles/racer7.toml"
-[filter]
-parameters = { reserve_m = 0.25 }
-[trials]
-start_m = [0, 0, 20]
-[run]
-duration_s = 5
+interface = "sticks"
+[world.fence]
+box_m = [-100.0, -100.0, 0.5, 40.0, 100.0, 100.0]
+[mission]
+kind = "pilot"
+start_m = [0.0, 0.0, 20.0]
+[safety]
+filters = ["geofence"]
+[safety.geofence]
+reserve_m = 0.25
+[rules]
+dt_s = 0.0025
+plant_steps = 4
+trials = 1
+max_time_s = 5.0
+log_rate_hz = 50.0
 """
 ROOM = """
-[fence]
-box_m = [-20, -20, 0.5, 20, 20, 40]
-faces = [[1, 1, 0, 35]]
+schema = "alula/scenario"
+version = "2.0"
 [vehicle]
 file = "vehicles/racer7.toml"
-[pilot]
+interface = "sticks"
+[world.fence]
+box_m = [-20.0, -20.0, 0.5, 20.0, 20.0, 40.0]
+faces = [[1.0, 1.0, 0.0, 35.0]]
+[mission]
+kind = "pilot"
+start_box_m = [-15.0, -15.0, 3.0, 15.0, 15.0, 35.0]
+start_speed_m_s = 10.0
+start_tilt_deg = 57.3
+[mission.pilot]
 kind = "aggressive"
-[trials]
-count = 9
-start_box_m = [-15, -15, 3, 15, 15, 35]
-[run]
-duration_s = 1
-traces = 2
+[safety]
+filters = ["geofence"]
+[rules]
+dt_s = 0.0025
+plant_steps = 4
+trials = 9
+max_time_s = 1.0
+logged = 2
+log_rate_hz = 50.0
 """
 WORDS = ["simulate", "room.toml", "-o", "r.run.mcap"]
 JOURNAL = Path("r.run.mcap.journal")
@@ -190,19 +209,29 @@ def test_a_fence_that_is_left_fails_the_check(here, capsys):
 def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
     shutil.copy(pipeline / "tiny.cover.npz", here)
     text = """
-    [fence]
-    cover = "tiny.cover.npz"
-    [vehicle]
-    file = "vehicles/racer7.toml"
-    radius_m = 0.1
-    [pilot]
-    heading_deg = 90
-    tilt_deg = 20
-    [trials]
-    start_m = [2, 1.5, 1]
-    [run]
-    duration_s = 3
-    """
+schema = "alula/scenario"
+version = "2.0"
+[vehicle]
+file = "vehicles/racer7.toml"
+interface = "sticks"
+radius_m = 0.1
+[world]
+cover = "tiny.cover.npz"
+[mission]
+kind = "pilot"
+start_m = [2.0, 1.5, 1.0]
+[mission.pilot]
+heading_deg = 90
+tilt_deg = 20
+[safety]
+filters = ["geofence"]
+[rules]
+dt_s = 0.0025
+plant_steps = 4
+trials = 1
+max_time_s = 3.0
+log_rate_hz = 50.0
+"""
     Path("walls.toml").write_text(text)
     assert run(["simulate", "walls.toml", "-o", "r.run.mcap", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)["summary"]["fence"]
@@ -318,8 +347,8 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
 def test_the_run_can_be_explained_and_reported(here, capsys):
     assert run(["info", "room.toml", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["fence"]["faces"] == [[1, 1, 0, 35]]
-    assert facts["filter"]["parameters"]["beta"] == 1.5
+    assert facts["world"]["fence"]["faces"] == [[1, 1, 0, 35]]
+    assert facts["safety"]["geofence"]["beta"] == 1.5
     assert run([*WORDS, "-q"]) == 0
     assert run(["simulate", "wall.toml", "-o", "wall.run.mcap", "-q"]) == 0
     assert run(["info", "r.run.mcap", "--json"]) == 0

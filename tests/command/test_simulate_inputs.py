@@ -175,14 +175,16 @@ def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, messag
             2,
             "`$.world.confidence` sets sigma; give one",
         ),
-        (["BOTH"], 2, "`$.map.confidence`: sets sigma; give one of the two"),
+        (["BOTH"], 2, "both.toml: `$.world.confidence` sets sigma; give one of the two"),
         (["SCENE", "--filter", "none", "--pairs-from", "SCENE"], 3, "is not an MCAP log; it is an artifact"),
         (["RUN"], 3, "is not an alula artifact; it is a run, which report, view, info and"),
         (["SCENE", "--filter", "none", "--pairs-from", "absent.run.mcap"], 3, "cannot read"),
     ],
 )
 def test_inputs_that_do_not_fit_are_one_line(maps, tmp_path, capsys, words, code, message):
-    (tmp_path / "both.toml").write_text('[map]\nscene = "x"\nsigma = 2\nconfidence = 0.9\n')
+    (tmp_path / "both.toml").write_text(
+        'version = "2.0"\n[world]\nscene = "x"\nsigma = 2\nconfidence = 0.9\n'
+    )
     (tmp_path / "own.run.mcap").write_bytes(MAGIC)
     names = {
         "COVER": maps / "two.cover.npz",

@@ -25,32 +25,64 @@ from alula.stages.simulation.world.chunks import FlownChunk
 
 # What is random is too small to matter: what comes out can be reckoned.
 SMALL = """
+schema = "alula/scenario"
+version = "2.0"
 name = "small"
-[encounter]
-goal_m = [100, 0, 10]
-[[obstacles]]
+[vehicle]
+type = "double-integrator"
+radius_m = 0.15
+max_speed_m_s = 12.0
+max_acceleration_m_s2 = 6.0
+max_jerk_m_s3 = 60.0
+[[world.moving]]
 motion = "accelerating"
 position_m = [60, 1, 10]
 velocity_m_s = [-6, 0, 0]
-acceleration_m_s2 = [0, 1e-9]
+acceleration_m_s2 = [0, 1e-09]
 radius_m = 0.2
-[sensor]
+[mission]
+kind = "goal"
+start_m = [0.0, 0.0, 10.0]
+goal_m = [100.0, 0.0, 10.0]
+start_speed_m_s = 4.0
+speed_m_s = 4.0
+receded_s = 1.0
+[estimation.sensor]
 kind = "ideal"
 position_sigma_m = 0.01
-[filter]
-name = "none"
-[trials]
-count = 6
+[rules]
+plant_steps = 10
+trials = 6
+max_time_s = 14.0
 logged = 2
 """
 LONG = """
-[[obstacles]]
+schema = "alula/scenario"
+version = "2.0"
+[vehicle]
+type = "double-integrator"
+radius_m = 0.15
+max_speed_m_s = 12.0
+max_acceleration_m_s2 = 6.0
+max_jerk_m_s3 = 60.0
+[[world.moving]]
 distance_m = 30
-[[obstacles]]
+[[world.moving]]
 distance_m = 35
 azimuth_rad = [0.3, 0.6]
-[trials]
-count = 800
+[mission]
+kind = "goal"
+start_m = [0.0, 0.0, 10.0]
+goal_m = [200.0, 0.0, 10.0]
+start_speed_m_s = 4.0
+speed_m_s = 4.0
+receded_s = 1.0
+[safety]
+filters = ["dr-acbf"]
+[rules]
+plant_steps = 10
+trials = 800
+max_time_s = 14.0
 logged = 1
 """
 EAGER = (
@@ -144,7 +176,8 @@ def test_options_and_settings_replace_keys(here):
     [
         (["--set", "safety.dr-acbf.clearance=2"], "unknown field `clearance` - at `$.safety.dr-acbf`"),
         (["--set", "estimation.sensor.rate_hz=-4"], "at `$.estimation.sensor.rate_hz`"),
-        (["--filter", "mpc", "--set", "safety.mpc.h_max_s=0.01"], "small.toml: `$.safety.mpc`"),
+        (["--filter", "mpc", "--set", "safety.dr-acbf.h_max_s=0.01"], "small.toml: `$.safety.dr-acbf`"),
+        (["--set", "safety.mpc.h_max_s=0.4"], "the parameters of mpc stand in the table dr-acbf"),
         (["--set", "safety.dr-acbf.h_max_s=0.01"], "small.toml: `$.safety.dr-acbf`"),
         (["--filter", "cone-di"], "cone-di needs ellipsoids; set world.scene"),
         (["--beta", "3"], "No such option '--beta'"),
@@ -170,8 +203,8 @@ def test_a_scheduler_that_does_not_answer_ends_the_run(here, capsys):
 def test_the_run_can_be_explained_and_reported(here, capsys):
     assert run(["info", "small.toml", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["encounter"]["goal_m"] == [100, 0, 10]
-    assert facts["obstacles"][0]["radius_m"] == 0.2
+    assert facts["mission"]["goal_m"] == [100, 0, 10]
+    assert facts["world"]["moving"][0]["radius_m"] == 0.2
     assert run(["simulate", "small.toml", "-o", "r.run.mcap", "-q"]) == 0
     assert run(["info", "r.run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["summary"]["trials"] == 6
@@ -180,7 +213,7 @@ def test_the_run_can_be_explained_and_reported(here, capsys):
 
 
 def test_flights_into_walls_fail_the_check(here, capsys):
-    wall = "[[walls]]\nlower_m = [20, -1, 9]\nupper_m = [21, 1, 11]\n"
+    wall = "[[world.walls]]\nlower_m = [20, -1, 9]\nupper_m = [21, 1, 11]\n"
     Path("wall.toml").write_text(SMALL + wall)
     assert run(["simulate", "wall.toml", "-o", "r.run.mcap", "-q"]) == 0  # nothing was promised
     assert record().summary["static_collisions"] == 6
@@ -244,7 +277,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 640
 
 
-@pytest.mark.parametrize("where", ["simulate.write_flights", "missions.Mission.summary_of"])
+@pytest.mark.parametrize("where", ["verbs.runs.write_run", "missions.Mission.summary_of"])
 def test_an_interruption_after_the_last_flight_keeps_all_flights(here, where, monkeypatch, capsys):
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     words = [*WORDS, "--trials", "20"]

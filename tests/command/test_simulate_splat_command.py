@@ -207,10 +207,10 @@ def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
     (tmp_path / "f.scene.npz").write_bytes(scene.read_bytes())
     (tmp_path / "v.toml").write_bytes((VEHICLES / "fastbridge.toml").read_bytes())
     scenario.write_text(
-        'name = "mine"\n[map]\nscene = "f.scene.npz"\nsigma = 1.2\n'
-        '[vehicle]\nfile = "v.toml"\nradius_m = 0.1\n'
-        '[filter]\nname = "cone-backup"\nparameters = { horizon_s = 1.0, nodes = 10 }\n'
-        "[trials]\ncount = 2\nseed = 5\n[run]\nmax_time_s = 4\n"
+        'version = "2.0"\nname = "mine"\n[world]\nscene = "f.scene.npz"\nsigma = 1.2\n'
+        '[vehicle]\nfile = "v.toml"\nradius_m = 0.1\n[safety]\nfilters = ["cone-backup"]\n'
+        "[safety.cone-backup]\nhorizon_s = 1.0\nnodes = 10\n"
+        "[rules]\ntrials = 2\nseed = 5\nmax_time_s = 4\n"
     )
     assert run(["simulate", str(scenario), "-o", str(out), "--set", "safety.cone-backup.nodes=12", "-q"]) == 0
     record = read_run(out)
@@ -264,10 +264,10 @@ def test_a_scenario_names_guide_pairs_and_solver(scene, tmp_path):
     scenario, out = tmp_path / "s.toml", tmp_path / "r.run.mcap"
     (tmp_path / "f.scene.npz").write_bytes(scene.read_bytes())
     text = (
-        '[map]\nscene = "f.scene.npz"\n[filter]\nname = "cone-backup"\n'
-        'parameters = { solver = "interpolation" }\n'
-        '[controller]\nguide = "safer-splat"\nguide_parameters = { alpha = 3, beta = 2 }\n'
-        'catch_up_m_s = 0.4\n[trials]\ncount = 1\npairs = "blocked"\n[run]\nmax_time_s = 2\n'
+        'version = "2.0"\n[world]\nscene = "f.scene.npz"\n[safety]\nfilters = ["cone-backup"]\n'
+        '[safety.cone-backup]\nsolver = "interpolation"\n[mission]\nwhich = "blocked"\n'
+        '[mission.controller]\nguide = "safer-splat"\nguide_parameters = { alpha = 3, beta = 2 }\n'
+        "catch_up_m_s = 0.4\n[rules]\ntrials = 1\nmax_time_s = 2\n"
     )
     scenario.write_text(text)
     words = ["simulate", str(scenario), "-o", str(out), "-q"]

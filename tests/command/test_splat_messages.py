@@ -56,7 +56,7 @@ def check_fits(value, schema, where):
 
 
 def test_sigma_replaces_the_confidence_of_a_scenario(scene, tmp_path):
-    text = f'[map]\nscene = "{scene}"\nconfidence = 0.99\n[filter]\nname = "none"\n[trials]\ncount = 1\n'
+    text = f'version = "2.0"\n[world]\nscene = "{scene}"\nconfidence = 0.99\n[rules]\ntrials = 1\n'
     (tmp_path / "s.toml").write_text(text)
     for words, sigma in (
         ([], 3.368),

@@ -92,15 +92,17 @@ def write_pipeline(folder: Path) -> None:
 
 
 SCENARIO = """
-[map]
-cover = "tiny.cover.npz"
-
+schema = "alula/scenario"
+version = "2.0"
 [vehicle]
+type = "single-integrator"
 radius_m = 0.1
-
-[filter]
-name = "polytope-cbf"
-
-[trials]
-count = 3
+max_speed_m_s = 1.0
+[world]
+cover = "tiny.cover.npz"
+[safety]
+filters = ["polytope-cbf"]
+[rules]
+trials = 3
+logged = 3
 """

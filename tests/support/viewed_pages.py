@@ -26,36 +26,62 @@ from support.paths import VEHICLES
 
 RED = (200, 30, 30)
 FENCED = f"""
-[fence]
-box_m = [-125, -125, 0.5, 125, 125, 120]
+schema = "alula/scenario"
+version = "2.0"
 [vehicle]
 file = "{VEHICLES / "racer7.toml"}"
-[pilot]
+interface = "sticks"
+[world.fence]
+box_m = [-125.0, -125.0, 0.5, 125.0, 125.0, 120.0]
+[mission]
+kind = "pilot"
+start_box_m = [-15.0, -15.0, 3.0, 15.0, 15.0, 35.0]
+start_speed_m_s = 10.0
+start_tilt_deg = 57.3
+[mission.pilot]
 kind = "aggressive"
-[trials]
-count = 2
-start_box_m = [-15, -15, 3, 15, 15, 35]
-[run]
-duration_s = 2
-traces = 2
+[safety]
+filters = ["geofence"]
+[rules]
+dt_s = 0.0025
+plant_steps = 4
+trials = 2
+max_time_s = 2.0
+logged = 2
+log_rate_hz = 50.0
 """
 MOVING = """
+schema = "alula/scenario"
+version = "2.0"
 name = "moving"
-[encounter]
-goal_m = [40, 0, 10]
-[[obstacles]]
+[vehicle]
+type = "double-integrator"
+radius_m = 0.15
+max_speed_m_s = 12.0
+max_acceleration_m_s2 = 6.0
+max_jerk_m_s3 = 60.0
+[[world.moving]]
 motion = "accelerating"
 position_m = [25, 0.5, 10]
 velocity_m_s = [-6, 0, 0]
-acceleration_m_s2 = [0, 1e-9]
+acceleration_m_s2 = [0, 1e-09]
 radius_m = 0.8
-[sensor]
+[mission]
+kind = "goal"
+start_m = [0.0, 0.0, 10.0]
+goal_m = [40.0, 0.0, 10.0]
+start_speed_m_s = 4.0
+speed_m_s = 4.0
+receded_s = 1.0
+[estimation.sensor]
 kind = "ideal"
 position_sigma_m = 0.01
-[filter]
-name = "dr-acbf"
-[trials]
-count = 2
+[safety]
+filters = ["dr-acbf"]
+[rules]
+plant_steps = 10
+trials = 2
+max_time_s = 14.0
 logged = 2
 """
 

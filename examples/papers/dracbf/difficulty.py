@@ -147,7 +147,7 @@ def tried(flown: Sequence[Flown], method: str) -> list[Tried]:
     for name in sorted(groups, key=_order):
         runs = groups[name]
         values = flat(runs[0].record.provenance.parameters)
-        keys = [f"safety.{method}.{key}" for key in (*SHARED, GAINS[method])]
+        keys = [f"safety.{BASE}.{key}" for key in (*SHARED, GAINS[method])]
         options = tuple(f"{key}={values[key]:g}" for key in keys)
         result.append(
             Tried(method, options, rate(not trial.collision for f in runs for trial in f.record.trials))
@@ -176,7 +176,7 @@ def tuning_table(flown: Sequence[Flown]) -> Table | None:
             continue
         best = chosen(runs, method)
         lowest = min(every, key=lambda each: each.success.value or 0.0)
-        words = ", ".join(option.removeprefix(f"safety.{method}.") for option in best.options)
+        words = ", ".join(option.removeprefix(f"safety.{BASE}.") for option in best.options)
         rows.append(
             (
                 *(method, len(every), every[0].success.n, *every[0].success.cells),

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from alula.schemas.filter_options import TABLES
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
@@ -120,7 +121,7 @@ def changed(flown: Flown, base: Flown | None) -> str:
     keys = sorted(
         key for key in ours.keys() | theirs.keys() if key != "name" and ours.get(key) != theirs.get(key)
     )
-    own = f"safety.{flown.record.filter}."
+    own = f"safety.{TABLES.get(flown.record.filter, flown.record.filter)}."
     return ", ".join(f"{key.removeprefix(own)} {text(ours.get(key))}" for key in keys)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.schemas.filter_options import TABLES
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
@@ -63,7 +64,7 @@ def realisation_error(trial: TrialResult) -> float | None:
 
 
 def filter_parameters(run: Run) -> dict[str, Any]:
-    """Parameters of the last filter of a run; of a scenario of version 2.0 those under its name.
+    """Parameters of the last filter of a run, from its table.
 
     Args:
         run: any.
@@ -73,7 +74,7 @@ def filter_parameters(run: Run) -> dict[str, Any]:
     if not isinstance(safety, dict):
         return dict(parameters.get("filter_parameters", {}))
     names = safety.get("filters") or [None]
-    return dict(safety.get(names[-1], {}))
+    return dict(safety.get(TABLES.get(names[-1], names[-1]), {}))
 
 
 def changed_parameters(sweep: Sweep, base: Sweep) -> str:

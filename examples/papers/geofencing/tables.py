@@ -87,9 +87,8 @@ class Fenced:
         return float(self.of_filter("reserve_m") or 0.0)
 
     def of_filter(self, name: str) -> Any:
-        """A parameter of the filter; without a filter, of the geofence that judges."""
-        table = BASE if self.record.filter == FREE else self.record.filter
-        return self.parameters.get(f"safety.{table}.{name}")
+        """A parameter of the filter, from its table; without a filter, of the geofence that judges."""
+        return self.parameters.get(f"safety.{BASE}.{name}")
 
     def steps(self, *names: str) -> int:
         """Number of ticks with one of some statuses, over all flights."""

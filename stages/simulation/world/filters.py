@@ -11,6 +11,7 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import TABLES
 from alula.schemas.filters.values import Options
 from alula.schemas.flight_defaults import NO_FILTER
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
@@ -120,7 +121,7 @@ def safety_filters(
         UsageError: a parameter is wrong, or a filter is unknown.
     """
     controller, safety = scenario.mission.controller, scenario.safety
-    wanted = [(name, safety.parameters(name), f"safety.{name}") for name in safety.filters]
+    wanted = [(name, safety.parameters(name), f"safety.{TABLES.get(name, name)}") for name in safety.filters]
     if controller.guide != "none":
         wanted.insert(
             0, (controller.guide, controller.guide_parameters, "mission.controller.guide_parameters")

@@ -14,9 +14,9 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
 from alula.schemas.filter_options import FILTERS, GeofenceParameters
-from alula.schemas.geofence import FARTHEST_M
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.world import WorldScenario
+from alula.schemas.world_ranges import FARTHEST_M
 from alula.schemas.world_tables import MissionTable
 from alula.stages.clearance import is_collision
 from alula.stages.filtering.fence_filters import native_geofence
@@ -63,7 +63,7 @@ def pilots_geofence(scenario: WorldScenario, world: FilterWorld) -> _core.Geofen
             name, world, parameters, has_regulation=is_flown and name == "geofence", keeps_out=True
         )
     except UsageError as error:
-        raise UsageError(f"`$.safety.{name}`: {str(error).removeprefix(f'{name}: ')}") from error
+        raise UsageError(f"`$.safety.geofence`: {str(error).removeprefix(f'{name}: ')}") from error
 
 
 def fence_filter_of(scenario: WorldScenario) -> str | None:

@@ -23,7 +23,7 @@ def of_rate(scenario, variant, good, count=20, **parameters):
 
 
 def setting(method, condition, name, good, braking, clearance, gain):
-    own = f"safety__{method.replace('-', '_')}__"
+    own = "safety__dr_acbf__"
     names = [own + key.replace(".", "__") for key in (*difficulty.SHARED, difficulty.GAINS[method])]
     values = dict(zip(names, (braking, clearance, gain), strict=True))
     return of_rate("tune", f"{method}_{condition}_{name}", good, **values)
@@ -64,9 +64,9 @@ def test_tuning_takes_the_highest_success_over_all_conditions_and_the_default_of
     ]
     best = difficulty.chosen(runs, "mpc")
     assert best.options == (
-        "safety.mpc.obstacle_braking_m_s2=0",
-        "safety.mpc.clearance_m=3",
-        "safety.mpc.mpc.step_s=0.04",
+        "safety.dr-acbf.obstacle_braking_m_s2=0",
+        "safety.dr-acbf.clearance_m=3",
+        "safety.dr-acbf.mpc.step_s=0.04",
     )
     assert best.success.value == pytest.approx(62.5)
     # 24 of 40 for the first two: the first of equals is the default.

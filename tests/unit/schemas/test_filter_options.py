@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.encounter_filter import native_options
 from alula.schemas.filter_options import FILTERS, NATIVE_NAMES, PARTS
 from alula.schemas.filters import source
 from alula.schemas.filters.values import complaint, defaults, entries
 from alula.schemas.generate import PAGES, filter_files
+from alula.stages.filtering.moving_filters import native_options
 from support.paths import ROOT
 
 NAMES = (
@@ -93,19 +93,19 @@ def test_one_changed_default_is_found_everywhere(tmp_path):
     assert "| `beta` | 1.75 | 1/s |" in (tree / "docs/theory/geofence.md").read_text()
     assert "| `simple_quantile` | 1.875 |" in (tree / "docs/theory/moving.md").read_text()
 
-    def in_schema(name, struct, parameter):
-        raw = (tree / f"schemas/json/alula-scenario{name}-1.0.schema.json").read_bytes()
+    def in_schema(struct, parameter):
+        raw = (tree / "schemas/json/alula-scenario-2.0.schema.json").read_bytes()
         return msgspec.json.decode(raw)["$defs"][struct]["properties"][parameter]["default"]
 
-    assert in_schema("", "PolytopeCbfParameters", "beta") == 2.625
-    assert in_schema("", "ConeDiParameters", "swell") == 0.0375
-    assert in_schema("-geofence", "GeofenceParameters", "beta") == 1.75
-    assert in_schema("-encounters", "MovingFilterParameters", "simple_quantile") == 1.875
+    assert in_schema("PolytopeCbfParameters", "beta") == 2.625
+    assert in_schema("ConeDiParameters", "swell") == 0.0375
+    assert in_schema("GeofenceParameters", "beta") == 1.75
+    assert in_schema("MovingFilterParameters", "simple_quantile") == 1.875
 
     (tree / "ask.py").write_text(
         "from alula.schemas.filter_options import FILTERS, NATIVE_NAMES\n"
         "from alula.stages.filtering.registry import complete_parameters\n"
-        "from alula.schemas.encounter_filter import native_options\n"
+        "from alula.stages.filtering.moving_filters import native_options\n"
         "print(FILTERS['polytope-cbf']().beta, FILTERS['geofence']().beta,"
         " complete_parameters('cone-di', {})['swell'], native_options(FILTERS['mpc']())['simple_quantile'])\n"
     )

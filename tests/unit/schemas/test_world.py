@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula.schemas.decode import decode_toml
-from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.filter_options import FILTERS
+from alula.schemas.errors import InputError, UsageError, VersionError, WrongKindError
+from alula.schemas.filter_options import TABLES
 from alula.schemas.toml_file import toml_value
 from alula.schemas.vehicle import check_vehicle, read_vehicle
 from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import FILES, decoded, is_world, plain, read_sources, read_world
+from alula.schemas.world import FILES, decoded, plain, read_sources, read_world
 from alula.schemas.world_defaults import completed, interface_of, vehicle_of
 from alula.schemas.world_ranges import USED
 from alula.schemas.world_tables import MissionTable
@@ -103,21 +103,22 @@ def test_a_file_with_nothing_is_a_scenario(write):
     assert read_world(write(HEAD)) == decoded({}, "")
 
 
-def test_only_version_two_is_recognised(write):
-    assert is_world(write(HEAD))
-    assert not is_world(write("[map]\ncover = 'a'"))
-    assert not is_world(write("version = '3.0'"))
-    assert not is_world(write("no toml"))
-    with pytest.raises(VersionError, match=r"version 3\.0 is newer than 2\.0"):
-        read_world(write("version = '3.0'"))
-    with pytest.raises(InputError, match="is not TOML"):
-        read_world(write("no toml"))
-
-
-@pytest.mark.parametrize("text", ["# cut here", "name = 'x'", "[world]\ncover = 'room.cover'"])
-def test_a_scenario_without_version_and_map_is_told_what_is_missing(write, text):
-    with pytest.raises(UsageError, match="has neither `version` nor `map`; a scenario"):
+@pytest.mark.parametrize(
+    ("text", "error", "words"),
+    [
+        ("version = '1.0'\n[map]\ncover = 'a'", VersionError, r"of version 1\.0; 2\.0 is read$"),
+        ("version = '3.0'", VersionError, r"is alula/scenario of version 3\.0; 2\.0 is read$"),
+        ("[map]\ncover = 'a'", VersionError, "has no `version`; a scenario begins with schema ="),
+        ("# cut here", VersionError, "has no `version`"),
+        ("version = 'new'", UsageError, r"`\$\.version`: "),
+        ("schema = 'alula/vehicle'\nversion = '1.0'", WrongKindError, "is alula/vehicle, but alula/scen"),
+        ("no toml", InputError, "is not TOML"),
+    ],
+)
+def test_other_files_are_refused_before_their_keys_are_read(text, error, words, write):
+    with pytest.raises(error, match=words) as raised:
         read_world(write(text))
+    assert "\n" not in str(raised.value)
 
 
 CHANGES = [
@@ -299,9 +300,9 @@ def test_every_key_is_listed_and_explained():
     assert [key.path for key in keys if not key.about] == []
     listed = {key.path for key in keys}
     assert set(FILES) <= listed
-    assert {f"safety.{name}" for name in FILTERS} <= {".".join(path.split(".")[:2]) for path in listed} | {
-        "safety.none"
-    }
+    assert {f"safety.{name}" for name in TABLES.values()} <= {
+        ".".join(path.split(".")[:2]) for path in listed
+    } | {"safety.none"}
     assert {key.path for key in keys_of("rules")} == {path for path in listed if path.startswith("rules.")}
     assert keys_of("safety.cone-backup.horizon_s")[0].default == "1.5"
     with pytest.raises(UsageError, match="no part or key is called 'wings'; parts are "):

@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 from alula import _core
-from alula.schemas.encounters import ObstacleTable, SensorTable, TrackerTable
 from alula.schemas.filter_options import MovingFilterParameters
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.schemas.vehicles import VEHICLES
+from alula.schemas.world_moving import DetectorTable, ObstacleTable, TrackerTable
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry
 from alula.stages.filtering.moving_filters import moving_options
@@ -211,7 +211,7 @@ BALLS = (
 
 
 def among_balls():
-    sensor = SensorTable(kind="mocap", rate_hz=100.0, position_sigma_m=0.002)
+    sensor = DetectorTable(kind="mocap", rate_hz=100.0, position_sigma_m=0.002)
     tracker = TrackerTable(confirm_hits=2, confirm_scans=3)
     return moving_spec(BALLS, sensor, tracker, yaw_rate_rad_s=1.0)
 

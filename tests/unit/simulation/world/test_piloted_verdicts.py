@@ -217,4 +217,4 @@ def test_a_gain_that_is_too_high_matters_only_to_the_regulation_function():
     with pytest.raises(UsageError, match=r"beta = 1000 takes over too late"):
         fly(late | {"safety.geofence.beta": 1000.0})
     fly(late | {"safety.geofence.beta": 1000.0, "safety.filters": []})
-    fly(late | {"safety.backup-qp.beta": 1000.0, "safety.filters": ["backup-qp"]})
+    fly(late | {"safety.geofence.beta": 1000.0, "safety.filters": ["backup-qp"]})

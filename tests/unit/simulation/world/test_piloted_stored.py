@@ -1,4 +1,4 @@
-"""Runs by a pilot in a fence: stored verdicts on the flights of scenarios of version 1.0."""
+"""Runs by a pilot in a fence: stored verdicts on the flights of an earlier stage."""
 
 from typing import NamedTuple
 
@@ -21,8 +21,8 @@ OTHERS = {
     "vehicle.thrust_scale": 0.85,
     "vehicle.rate_gain_scale": 0.7,
     "estimation.delay_s": 0.02,
-    "safety.backup-qp.latency_s": 0.02,
-    "safety.backup-qp.reserve_m": 1.0,
+    "safety.geofence.latency_s": 0.02,
+    "safety.geofence.reserve_m": 1.0,
 }
 GUSTS = {
     "vehicle.disturbance.quadratic_drag_n_s2_m2": [0.012, 0.012, 0.02],
@@ -151,7 +151,7 @@ BLOCKS = (((30, 20, 0), (40, 30, 28)), ((55, 5, 0), (60, 20, 28)), ((-20, -20, -
 
 
 @pytest.mark.parametrize("stored", STORED, ids=lambda row: f"{row.file}-{row.filter}")
-def test_flights_are_those_that_scenarios_of_version_1_had(stored):
+def test_flights_are_those_that_an_earlier_stage_flew(stored):
     has_cover = stored.file == "combined.toml"
     changes = {
         "safety.filters": [stored.filter] if stored.filter else [],
