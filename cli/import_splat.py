@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from alula.cli import grouped, options, parted, runner
+from alula.cli import grouped, options, parted
 from alula.cli.addresses import Address, Limits, limited
 from alula.cli.import_parts import import_parts, inputs_of, names_of
 from alula.cli.options import Common
@@ -19,7 +19,6 @@ from alula.cli.progress import shown_progress
 from alula.schemas.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
 from alula.schemas.errors import AlulaError, InputError, UsageError
 from alula.schemas.files import printable
-from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
 Examples:
@@ -80,36 +79,14 @@ def command(
         return
     if options.is_given(context, "part_gaussians"):
         raise UsageError("--part-gaussians goes with a folder as the output, such as -o NAME.scene")
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.kinds import SCENE
-    from alula.stages.progress import share
-    from alula.stages.reconstruction.formats.capture import joined
-    from alula.stages.reconstruction.import_splat import import_splat
-    from alula.stages.reconstruction.pieces import find_splats
+    from alula.cli.verbs.import_splat import Splats
+    from alula.cli.verbs.verb import run_step
 
     with local_copies(splats, limits, common) as paths:
-        found = find_splats(paths, config.format, config.lod)
         shown = _shown(splats, paths)
-        names = [
-            printable("-" if str(splats[0]) == "-" else shown.get(one.path, one.path.name)) for one in found
-        ]
-
-        def build(progress: Progress) -> Artifact:
-            read = joined(
-                [
-                    (name, one.decode(share(progress, k / len(found), (k + 1) / len(found))))
-                    for k, (name, one) in enumerate(zip(names, found, strict=True))
-                ]
-            )
-            try:
-                return import_splat(config, read)
-            except InputError as error:
-                more = f" and {len(found) - 1} more" if len(found) > 1 else ""
-                raise InputError(f"{splats[0]}{more}: {error}") from error
-
-        roles = inputs_of(found)
-        inputs = {role: path for files in roles for role, path in files.items()}
-        runner.run_stage(common, SCENE, config, inputs, build, names=names_of(found, roles, shown))
+        known_as = {paths[0]: "-"} if str(splats[0]) == "-" else shown
+        found = Splats(paths, config.format, config.lod, known_as)
+        run_step(common, found.step(config), names=names_of(found.found, inputs_of(found.found), shown))
 
 
 def _shown(splats: Sequence[Path | Address], paths: Sequence[Path]) -> dict[Path, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,9 +21,9 @@ Examples:
 
 @grouped.command("import-voxels", epilog=EXAMPLES)
 @click.argument("source", metavar="FILE", type=options.input_path())
-@options.from_config(ImportVoxelsConfig)
+@options.fields_of(ImportVoxelsConfig)
 @options.output(".voxels.npz")
-def command(source: Path, config: ImportVoxelsConfig, common: options.Common) -> None:
+def command(source: Path, fields: dict[str, Any], common: options.Common) -> None:
     """Mark every voxel that a mesh, a cloud or an OctoMap touches.
 
     FILE is a mesh (.obj, .stl, .glb, .ply with faces), a point cloud (.ply without faces, .pcd, .xyz, .pts,
@@ -38,19 +39,7 @@ def command(source: Path, config: ImportVoxelsConfig, common: options.Common) ->
     Memory: 72 bytes per triangle, or 24 per point, and what voxelize takes per voxel; 12 times the bytes of a
     text. An estimate of voxels far above --max-voxels ends the command before the work.
     """
-    from alula.cli.runner import run_stage
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
-    from alula.schemas.kinds import VOXELS
-    from alula.schemas.progress import Progress
-    from alula.stages.compression.import_voxels import import_voxels
-    from alula.stages.compression.imported_files import read_imported
+    from alula.cli.verbs.import_voxels import import_voxels
+    from alula.cli.verbs.verb import run_step
 
-    def build(progress: Progress) -> Artifact:
-        found = read_imported(source)
-        try:
-            return import_voxels(config, found, jobs=common.jobs, progress=progress)
-        except (ArtifactError, InputError, InfeasibleError) as error:
-            raise error.reworded(f"{source}: {error}") from error
-
-    run_stage(common, VOXELS, config, {"source": source}, build)
+    run_step(common, import_voxels.step(source, jobs=common.jobs, **fields))

@@ -246,12 +246,17 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
 
 def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
-    from alula.cli.library.verbs import splats_of
+    from alula.cli.verbs.import_splat import Splats
+    from alula.cli.verbs.verb import made_by
     from alula.schemas.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
-    read = splats_of(*splats, lod=lod)
+    found = Splats(splats, lod=lod)
     fields: dict[str, Any] = {} if lod is None else {"lod": lod}
+
+    def read(config: ImportSplatConfig) -> Scene:
+        return made_by("import_splat", found.step(config))
+
     try:
         whole = read(ImportSplatConfig(**fields))
     except InputError as error:
@@ -323,7 +328,7 @@ def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, st
 
 def _aligned(scene: Scene, up: Up, scale: float, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene in metres with z up, on its floor if there is one, and the options that make it."""
-    from alula.cli.library.verbs import align
+    from alula.cli.verbs.align import align
 
     words = f"--scale {scale!r} --up {' '.join(map(repr, up.direction))}"
     try:

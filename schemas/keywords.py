@@ -26,6 +26,21 @@ class ImportSplatFields(TypedDict, total=False):
     drop_floaters: bool
 
 
+class ImportVoxelsFields(TypedDict, total=False):
+    """Fields of `ImportVoxelsConfig`."""
+
+    size_m: float
+    margin_m: float
+    solid: bool
+    min_points: int
+    unknown: Literal["free", "occupied"]
+    crop: Sequence[float] | NDArray[Any] | None
+    scale: float
+    up: Literal["auto", "y", "z"]
+    map_origin: Sequence[float] | NDArray[Any] | None
+    max_voxels: int
+
+
 class MergeFields(TypedDict, total=False):
     """Fields of `MergeConfig`."""
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -12,10 +11,7 @@ from alula.cli import runner
 from alula.cli.library.bar import shown
 from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.results import RESULTS, Cover, File, Plan, Result, Scene, Seen, Voxels
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import CheckError, InfeasibleError, InputError, UsageError, WrongKindError
 from alula.schemas.provenance import Provenance
@@ -23,9 +19,7 @@ from alula.schemas.provenance import Provenance
 if TYPE_CHECKING:
     from alula.cli.verbs.runs import Run
     from alula.schemas.keywords import (
-        ImportSplatFields,
         MergeFields,
-        ScaleAlignFields,
         VoxelizeFields,
     )
     from alula.stages.compression.verify import Certificate
@@ -66,122 +60,6 @@ def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
     return found  # type: ignore[no-any-return]
 
 
-@keywords(ImportSplatConfig)
-def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> Scene:
-    """Read Gaussian splat files into a scene.
-
-    Args:
-        *splats: files, or the output folder of a trainer; several that share one frame become one scene.
-        **fields: as in the signature.
-
-    Raises:
-        InputError: a file cannot be read, or no Gaussian is left.
-    """
-    if not splats:
-        raise UsageError("import_splat needs a splat file")
-    config = configured("import_splat", ImportSplatConfig, fields)
-    return splats_of(*splats, format=config.format, lod=config.lod)(config)
-
-
-def splats_of(
-    *splats: str | Path, format: str = "auto", lod: int | None = None
-) -> Callable[[ImportSplatConfig], Scene]:
-    """Read Gaussian splat files once, to make scenes of them with several configurations.
-
-    Args:
-        *splats: as of `import_splat`.
-        format: of the files.
-        lod: level of detail of a streamed splat.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    from alula.cli.import_parts import inputs_of
-    from alula.schemas.files import printable
-    from alula.stages.progress import share
-    from alula.stages.reconstruction.formats.capture import joined
-    from alula.stages.reconstruction.import_splat import import_splat as stage
-    from alula.stages.reconstruction.pieces import find_splats
-
-    found = find_splats([Path(path).expanduser() for path in splats], format, lod)
-    inputs = {role: File.at(path) for files in inputs_of(found) for role, path in files.items()}
-    with shown("import_splat") as progress:
-        whole = joined(
-            [
-                (
-                    printable(one.path.name),
-                    one.decode(share(progress, k / len(found), (k + 1) / len(found))),
-                )
-                for k, one in enumerate(found)
-            ]
-        )
-    return lambda config: Scene(_named(splats[0], lambda: stage(config, whole)), inputs)
-
-
-@keywords(ScaleAlignConfig, without=("distances",))
-def align(
-    scene: Source,
-    *,
-    distances: Sequence[tuple[Sequence[float], Sequence[float], float]] = (),
-    colmap: str | Path | None = None,
-    cameras: str | Path | None = None,
-    reference: str | Path | None = None,
-    poses: str | Path | None = None,
-    nerfstudio: str | Path | None = None,
-    correspondences: str | Path | None = None,
-    cloud: str | Path | None = None,
-    initial: str | Path | None = None,
-    transform: str | Path | None = None,
-    seed: int = 0,
-    **fields: Unpack[ScaleAlignFields],
-) -> Scene:
-    """Give a scene metric scale and a named world frame, as `alula scale-align`.
-
-    Args:
-        scene: of `import_splat`.
-        distances: two points of the scene and their distance in metres, each.
-        colmap: COLMAP model with cameras in the scene's frame.
-        cameras: CSV of cameras in the scene's frame.
-        reference: CSV of the same cameras in the world, in metres or by latitude and longitude.
-        poses: CSV of the same cameras with their orientations.
-        nerfstudio: run folder whose training frame the scene has.
-        correspondences: CSV of points in both frames.
-        cloud: surveyed cloud in metres.
-        initial: first guess for the cloud.
-        transform: JSON of a similarity.
-        seed: of all randomness.
-        **fields: as in the signature.
-
-    Raises:
-        UsageError: there is no evidence, or pieces of it contradict one another.
-        CheckError: the alignment does not hold.
-    """
-    from alula.cli.scale_align import Files, check_evidence, evidence_of
-    from alula.stages.alignment.scale_align import scale_align
-
-    pairs = [(*start, *end, metres) for start, end, metres in distances]
-    config = configured("align", ScaleAlignConfig, fields)
-    points = tuple(
-        ((float(a), float(b), float(c)), (float(d), float(e), float(f)), float(metres))
-        for a, b, c, d, e, f, metres in pairs
-    )
-    config = dataclasses.replace(config, distances=points)
-    given = {
-        "colmap": colmap, "cameras": cameras, "reference": reference, "poses": poses,
-        "nerfstudio": nerfstudio, "correspondences": correspondences, "cloud": cloud,
-        "initial": initial, "transform": transform,
-    }  # fmt: skip
-    files = Files(**{role: Path(path).expanduser() for role, path in given.items() if path is not None})
-    check_evidence(config, files)
-    source = Scene.of(scene)
-    inputs = {"scene": source} | {role: File.at(path) for role, path in files.inputs().items()}
-    with shown("align"):
-        artifact = scale_align(
-            config, source.artifact, evidence_of(config, files), seed, lambda alignment: None
-        )
-    return Scene(artifact, inputs, seed=seed)
-
-
 @keywords(VoxelizeConfig)
 def voxelize(
     scene: Source,
@@ -212,31 +90,6 @@ def voxelize(
     with shown("voxelize") as progress:
         how: dict[str, Any] = {"tile_m": tile_m, "scheduler": scheduler, "jobs": jobs, "progress": progress}
         return Voxels(_named(scene, lambda: stage(config, source.artifact, **how)), {"scene": source})
-
-
-@keywords(ImportVoxelsConfig)
-def import_voxels(source: str | Path, *, jobs: int = 0, **fields: Any) -> Voxels:
-    """Mark every voxel that a mesh, a point cloud or the octree of an OctoMap touches.
-
-    Args:
-        source: the file.
-        jobs: threads; 0 is all processors.
-        **fields: as in the signature.
-
-    Raises:
-        InputError: the file cannot be read, a mesh is not watertight, or there are far more voxels than
-            `max_voxels`.
-        InfeasibleError: nothing of it touches the crop.
-    """
-    from alula.stages.compression.import_voxels import import_voxels as stage
-    from alula.stages.compression.imported_files import read_imported
-
-    config = configured("import_voxels", ImportVoxelsConfig, fields)
-    path = Path(source).expanduser()
-    inputs = {"source": File.at(path)}
-    with shown("import_voxels") as progress:
-        read_in = read_imported(path)
-        return Voxels(_named(source, lambda: stage(config, read_in, jobs=jobs, progress=progress)), inputs)
 
 
 @keywords(MergeConfig)

@@ -9,8 +9,8 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
         "`help` lists them.",
         (
             "cli.library.verbs.read",
-            "cli.library.verbs.import_splat",
-            "cli.library.verbs.align",
+            "cli.verbs.import_splat.import_splat",
+            "cli.verbs.align.align",
             "cli.library.verbs.voxelize",
             "cli.library.verbs.merge",
             "cli.library.verbs.verify",

@@ -86,14 +86,23 @@ def verb(
     def decorate(function: Callable[P, Makes[T]]) -> Verb[P, T]:
         @functools.wraps(function)
         def made(*args: P.args, **kwargs: P.kwargs) -> T:
-            step = function(*args, **kwargs)
-            with shown(function.__name__) as progress:
-                return step.make(progress)
+            return made_by(function.__name__, function(*args, **kwargs))
 
         made.step = function  # type: ignore[attr-defined]
         return cast(Verb[P, T], made if config is None else keywords(config, without=without)(made))
 
     return decorate
+
+
+def made_by(name: str, step: Makes[T]) -> T:
+    """What a step makes, with a bar in a notebook and on a terminal.
+
+    Args:
+        name: of the verb.
+        step: its step.
+    """
+    with shown(name) as progress:
+        return step.make(progress)
 
 
 def run_step(common: Common, step: Step[Any], *, names: Mapping[str, str] | None = None) -> None:

@@ -8,6 +8,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal
 
 from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.configs.report import ReportConfig
@@ -18,6 +19,7 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 # Configurations, and their fields that are no such arguments.
 CONFIGS: dict[type[Any], tuple[str, ...]] = {
     ImportSplatConfig: (),
+    ImportVoxelsConfig: (),
     MergeConfig: (),
     PlanConfig: (),
     ReportConfig: (),

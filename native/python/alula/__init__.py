@@ -18,14 +18,14 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from alula.cli.library.verbs import (
         Proof,
-        align,
-        import_splat,
-        import_voxels,
         merge,
         read,
         verify,
         voxelize,
     )
+    from alula.cli.verbs.align import align
+    from alula.cli.verbs.import_splat import import_splat
+    from alula.cli.verbs.import_voxels import import_voxels
     from alula.cli.verbs.pages import Page
     from alula.cli.verbs.plan import plan
     from alula.cli.verbs.report import report
@@ -37,14 +37,15 @@ if TYPE_CHECKING:
     from alula.stages.filtering import public as filtering
 
 _PLACES = {
-    "cli.library.verbs": (
-        *("read", "import_splat", "import_voxels", "align", "voxelize", "merge", "verify", "Proof"),
-    ),
+    "cli.library.verbs": (*("read", "voxelize", "merge", "verify", "Proof"),),
     "cli.verbs.runs": ("Run",),
     "cli.verbs.simulate": ("simulate",),
     "cli.verbs.pages": ("Page",),
     "cli.verbs.report": ("report",),
     "cli.verbs.view": ("view",),
+    "cli.verbs.align": ("align",),
+    "cli.verbs.import_splat": ("import_splat",),
+    "cli.verbs.import_voxels": ("import_voxels",),
     "cli.verbs.plan": ("plan",),
     "cli.verbs.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
     "schemas.errors": ("AlulaError", "UsageError", "InputError", "CheckError", "InfeasibleError"),
