@@ -7,7 +7,6 @@ everywhere. Ceiling and walls nearest to the viewer are left out, so that one se
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,25 +39,17 @@ _FENCE = (0.8, 0.475, 0.655)  # of its faces
 _AROUND = 0.12  # of the extent of the flights: what is shown of a fence beyond them
 
 
-@dataclass(frozen=True, slots=True)
-class _Sight:
-    """Parallel projection: `along` points away from the viewer, `right` and `up` span the picture."""
-
-    right: FloatArray
-    up: FloatArray
-    along: FloatArray
-
-    def flat(self, points: FloatArray) -> FloatArray:
-        """Project points, shape (n, 3), to the picture, shape (n, 2) [m]."""
-        return np.column_stack([points @ self.right, points @ self.up])
+# Parallel projection: _ALONG points away from the viewer, _RIGHT and _UP span the picture.
+_RIGHT = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
+_ALONG = -np.array(
+    [np.cos(_ELEVATION) * np.cos(_AZIMUTH), np.cos(_ELEVATION) * np.sin(_AZIMUTH), np.sin(_ELEVATION)]
+)
+_UP = np.cross(-_ALONG, _RIGHT)
 
 
-def _sight() -> _Sight:
-    to_viewer = np.array(
-        [np.cos(_ELEVATION) * np.cos(_AZIMUTH), np.cos(_ELEVATION) * np.sin(_AZIMUTH), np.sin(_ELEVATION)]
-    )
-    right = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
-    return _Sight(right, np.cross(to_viewer, right), -to_viewer)
+def _flat(points: FloatArray) -> FloatArray:
+    """Project points, shape (n, 3), to the picture, shape (n, 2) [m]."""
+    return np.column_stack([points @ _RIGHT, points @ _UP])
 
 
 def still(material: Material) -> Figure | None:
@@ -70,29 +61,28 @@ def still(material: Material) -> Figure | None:
     world = _world(material)
     if not lines and not len(world):
         return None
-    sight = _sight()
     top = max([float(line[:, 2].max()) for line in lines] + ([_height(world)] if len(world) else []))
     shapes = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
     shapes = list({shape.corners_world.tobytes(): shape for shape in shapes}.values())
     faces = [face for shape in shapes for face in faces_near(shape, lines)] if lines else []
     frame_top = top if material.scene is not None else np.inf
     shown = lines + [face for face, _ in faces]
-    low, high = _frame(sight, shown, world, frame_top, fenced=bool(faces))
+    low, high = _frame(shown, world, frame_top, fenced=bool(faces))
     size = high - low
     height = float(np.clip(_WIDTH * size[1] / size[0], _MIN_HEIGHT, _MAX_HEIGHT))
     words: list[str] = []
     with drawing(_WIDTH, height) as (axes, render):
         axes.set_axis_off()
-        parts, said = _world_parts(sight, material, top)
+        parts, said = _world_parts(material, top)
         if parts:
-            _draw_world(axes, sight, parts, low, high, height)
+            _draw_world(axes, parts, low, high, height)
         words += [said] if said else []
         if faces:
-            _draw_fence(axes, sight, faces)
+            _draw_fence(axes, faces)
             words.append("the fence")
-        _draw_paths(axes, sight, flown, planned, [run.label for run in material.runs])
+        _draw_paths(axes, flown, planned, [run.label for run in material.runs])
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        _draw_scale(axes, sight, low, high)
+        _draw_scale(axes, low, high)
         if lines:
             axes.legend(loc="upper left", fontsize="medium", handlelength=1.6)
         svg = render()
@@ -125,7 +115,7 @@ def _height(world: FloatArray) -> float:
 
 
 def _frame(
-    sight: _Sight, lines: Sequence[FloatArray], world: FloatArray, top: float, *, fenced: bool
+    lines: Sequence[FloatArray], world: FloatArray, top: float, *, fenced: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Lower and upper corner of the picture: the world, or in a fence the flights with room around them."""
     shown = list(lines)
@@ -134,7 +124,7 @@ def _frame(
         high[2] = min(high[2], top)
         corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
         shown.append(corners)
-    flat = sight.flat(np.concatenate(shown))
+    flat = _flat(np.concatenate(shown))
     low, high = flat.min(axis=0), flat.max(axis=0)
     pad = 0.03 * (high - low).max() if len(world) and not fenced else 0.08 * (high - low).max()
     low, high = low - max(pad, 1e-3), high + max(pad, 1e-3)
@@ -146,49 +136,47 @@ def _frame(
     return middle - 0.5 * size, middle + 0.5 * size
 
 
-def _is_inside(sight: _Sight, points: FloatArray, top: float) -> NDArray[np.bool_]:
+def _is_inside(points: FloatArray, top: float) -> NDArray[np.bool_]:
     """Mark the points below `top` that are not at the sides of the world that face the viewer."""
     low, high = np.percentile(points[:, :2], [0.5, 99.5], axis=0) if len(points) else np.zeros((2, 2))
     band = _WALL * (high - low).max()
     keep = points[:, 2] <= top
     for axis in range(2):
-        if sight.along[axis] > 0:
+        if _ALONG[axis] > 0:
             keep &= points[:, axis] >= low[axis] + band
         else:
             keep &= points[:, axis] <= high[axis] - band
     return keep
 
 
-def _world_parts(sight: _Sight, material: Material, top: float) -> tuple[list[Part], str]:
+def _world_parts(material: Material, top: float) -> tuple[list[Part], str]:
     """Splat or hulls without ceiling and near walls, and what they are in words."""
     if material.scene is not None:
-        return _gaussians(sight, material.scene, top)
-    return ([], "") if material.cover is None else _hulls(sight, material.cover, top)
+        return _gaussians(material.scene, top)
+    return ([], "") if material.cover is None else _hulls(material.cover, top)
 
 
-def _gaussians(sight: _Sight, scene: Artifact, top: float) -> tuple[list[Part], str]:
+def _gaussians(scene: Artifact, top: float) -> tuple[list[Part], str]:
     choice = chosen(scene, _MOST_GAUSSIANS)
-    is_inside = _is_inside(sight, np.asarray(scene["mean"], np.float64), top)
+    is_inside = _is_inside(np.asarray(scene["mean"], np.float64), top)
     inside = int(is_inside.sum())
     shown = choice.of(is_inside[choice.row])
     words = f"{len(shown.row):,} Gaussians" + (f" of {inside:,}" if inside > len(shown.row) else "")
     return [gaussians("splat", scene, shown)], words
 
 
-def _hulls(sight: _Sight, cover: Artifact, top: float) -> tuple[list[Part], str]:
+def _hulls(cover: Artifact, top: float) -> tuple[list[Part], str]:
     solids = solids_of_cover(cover)
     low, high = solids.bounds()
     # a hull is left out where its far side is, seen from the viewer: a near wall, or a ceiling
-    far = np.where(sight.along > 0, high, low)
+    far = np.where(_ALONG > 0, high, low)
     far[:, 2] = low[:, 2]
-    keep = _is_inside_hulls(sight, far, low, high, top)
+    keep = _is_inside_hulls(far, low, high, top)
     words = f"{int(keep.sum()):,} of {len(solids):,} hulls"
     return drawn("hulls", *solids.of(keep), _HULL_COLOR, opacity=1.0), words
 
 
-def _draw_world(
-    axes: Any, sight: _Sight, parts: list[Part], low: FloatArray, high: FloatArray, height: float
-) -> None:
+def _draw_world(axes: Any, parts: list[Part], low: FloatArray, high: FloatArray, height: float) -> None:
     """Draw splat or hulls as an image between two corners of the picture."""
     size = high - low
     columns, rows = (round(inch * _PX_PER_INCH) for inch in (_WIDTH, height))
@@ -196,8 +184,8 @@ def _draw_world(
     image = translucent(
         model_of(parts),
         Sight(
-            R_camera_world=np.stack([sight.right, -sight.up, sight.along]),
-            position=middle[0] * sight.right + middle[1] * sight.up,
+            R_camera_world=np.stack([_RIGHT, -_UP, _ALONG]),
+            position=middle[0] * _RIGHT + middle[1] * _UP,
             focal=columns / float(size[0]),
             columns=columns,
             rows=rows,
@@ -210,16 +198,14 @@ def _draw_world(
     axes.imshow(image, extent=box, aspect="equal", zorder=1)
 
 
-def _is_inside_hulls(
-    sight: _Sight, far: FloatArray, low: FloatArray, high: FloatArray, top: float
-) -> NDArray[np.bool_]:
+def _is_inside_hulls(far: FloatArray, low: FloatArray, high: FloatArray, top: float) -> NDArray[np.bool_]:
     if not len(far):
         return np.empty(0, np.bool_)
     world_low, world_high = low.min(axis=0), high.max(axis=0)
     band = 2 * _WALL * (world_high - world_low)[:2].max()
     keep = far[:, 2] < top
     for axis in range(2):
-        if sight.along[axis] > 0:
+        if _ALONG[axis] > 0:
             keep &= far[:, axis] > world_low[axis] + band
         else:
             keep &= far[:, axis] < world_high[axis] - band
@@ -255,14 +241,14 @@ def faces_near(shape: FenceShape, paths: Sequence[FloatArray]) -> list[tuple[Flo
     return faces
 
 
-def _draw_fence(axes: Any, sight: _Sight, faces: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+def _draw_fence(axes: Any, faces: Sequence[tuple[FloatArray, FloatArray]]) -> None:
     """Draw the faces of a fence, those behind the flights darker."""
     from matplotlib.collections import PolyCollection
 
     axes.add_collection(
         PolyCollection(
-            [sight.flat(face) for face, _ in faces],
-            facecolors=[(*_FENCE, 0.16 if normal @ sight.along > 0 else 0.07) for _, normal in faces],
+            [_flat(face) for face, _ in faces],
+            facecolors=[(*_FENCE, 0.16 if normal @ _ALONG > 0 else 0.07) for _, normal in faces],
             edgecolors=PURPLE,
             linewidths=1.2,
             label="fence",
@@ -308,7 +294,6 @@ def _clipped(polygon: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
 def _draw_paths(
     axes: Any,
-    sight: _Sight,
     flown: Sequence[tuple[int, Path]],
     planned: FloatArray,
     labels: Sequence[str],
@@ -336,7 +321,7 @@ def _draw_paths(
         name = f"{label} ({len(lines)})" if label != "planned" else label
         thick = width * (1.6 if len(lines) == 1 and len(flown) > 1 else 1)
         drawn = LineCollection(
-            [sight.flat(line) for line in lines],
+            [_flat(line) for line in lines],
             linewidths=thick,
             colors=color,
             linestyles=dash,
@@ -347,7 +332,7 @@ def _draw_paths(
         if few or len(lines) == 1:
             drawn.set_path_effects([Stroke(linewidth=thick + 1.6, foreground="white", alpha=0.75), Normal()])
         axes.add_collection(drawn)
-        ends = [sight.flat(line[[0, -1]]) for line in lines]
+        ends = [_flat(line[[0, -1]]) for line in lines]
         dot = 30 if few or len(lines) == 1 else 9
         for row, marker, face in ((0, "o", "white"), (1, "X", color)):
             points = np.array([end[row] for end in ends])
@@ -362,7 +347,7 @@ def _draw_paths(
             )
 
 
-def _draw_scale(axes: Any, sight: _Sight, low: FloatArray, high: FloatArray) -> None:
+def _draw_scale(axes: Any, low: FloatArray, high: FloatArray) -> None:
     """Draw a bar of a round length; the projection is parallel, so it holds everywhere along it."""
     wanted = 0.16 * (high[0] - low[0])
     power = 10.0 ** np.floor(np.log10(wanted))
