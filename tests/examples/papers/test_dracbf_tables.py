@@ -10,6 +10,7 @@ from alula.stages.verdict import wilson_interval
 from papers.dracbf import analysis as dracbf_analysis
 from papers.dracbf import figures as dracbf_figures
 from papers.dracbf import tables as dracbf
+from papers.published import DRACBF, DRACBF_PRINTED
 from support.encounter_runs import flown, met, row_of, trial
 
 FREE = flown(
@@ -63,6 +64,12 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
     assert second["d_s, avoidance window [m]"] == pytest.approx((1.5 + 1.5 + 2.5) / 3)
     assert second["d_cpa, whole run [m]"] == pytest.approx((3 * 2.0 + 0.1) / 4)
     assert second["published: d_s"] == 6.64
+
+
+def test_a_published_value_is_the_same_in_our_tables_and_in_the_paper_s():
+    closing = {name: row["v_cl"][1] for name, row in DRACBF_PRINTED["table-1"].items()}
+    assert {name: row["closing_2"] for name, row in DRACBF["scenario-1"].items()} == closing
+    assert closing["cbf-qp"] == 11
 
 
 def test_a_table_without_two_runs_is_left_out():
