@@ -112,11 +112,7 @@ class RunParameters(msgspec.Struct, frozen=True):
     """Parameters of a run."""
 
     world: WorldShape | None = None
-
-    fence: FenceShape | tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = (
-        None  # box of `fly`
-    )
-    run: dict[str, Any] | None = None
+    fence: tuple[_Number, _Number, _Number, _Number, _Number, _Number] | None = None  # box of `fly`
     filter_parameters: dict[str, Any] | None = None
 
 

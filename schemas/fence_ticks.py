@@ -71,16 +71,10 @@ class _Answer(msgspec.Struct, gc=False, rename={"regulation": "lambda"}):
     time_s: float
     throttle_safe: float
     status_name: str
-    margin: float | None = None  # the distance, in logs of scenarios before version 2.0
     fence_distance_m: float | None = None
     regulation: float | None = None
     h_m: float | None = None
     throttle_nom: float | None = None
-
-    @property
-    def distance_m(self) -> float | None:
-        """True distance to the fence [m]."""
-        return self.margin if self.fence_distance_m is None else self.fence_distance_m
 
 
 def read_ticks(log: Path) -> dict[int, Ticks]:
@@ -104,7 +98,7 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
                 states.setdefault(state.trial, []).append(state)
             else:
                 answer = decode_answer(data)
-                if answer.distance_m is None:
+                if answer.fence_distance_m is None:
                     raise DamagedError(f"{log}: a message of the filter has no distance to a fence")
                 answers.setdefault(answer.trial, []).append(answer)
     if {k: len(v) for k, v in states.items()} != {k: len(v) for k, v in answers.items()}:
@@ -115,10 +109,7 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
 def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
     states.sort(key=lambda state: state.time_s)
     answers.sort(key=lambda answer: answer.time_s)
-    if (
-        answers[-1].fence_distance_m is not None
-    ):  # such a log ends with the end of the flight, which is no tick
-        states, answers = states[:-1], answers[:-1]
+    states, answers = states[:-1], answers[:-1]  # the log ends with the end of the flight, which is no tick
 
     def known(values: list[float | None]) -> FloatArray:
         return np.array(values, np.float64)  # None becomes NaN
@@ -131,7 +122,7 @@ def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
         tilt_rad=np.array([math.acos(max(-1.0, min(1.0, c))) for c in upright]),
         regulation=known([a.regulation for a in answers]),
         h_i_m=known([a.h_m for a in answers]),
-        distance_m=known([a.distance_m for a in answers]),
+        distance_m=known([a.fence_distance_m for a in answers]),
         throttle=np.stack(
             [known([a.throttle_nom for a in answers]), [a.throttle_safe for a in answers]], axis=1
         ),

@@ -277,7 +277,7 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
 
 
 def _start(message: _Map) -> _Stamp:
-    """Log time of the start of a flight: that of its map. In logs of earlier versions both are 0."""
+    """Log time of the start of a flight: that of its map."""
     return message.entities[0].timestamp if message.entities else _Stamp(0, 0)
 
 
@@ -337,19 +337,13 @@ def _flight(
         margin_unit=_unit(safety[0]) if safety else "m",
         status=tuple(answer.status_name for answer in safety),
         regulation=_known([a.regulation for a in safety]),
-        fence_distance_m=_known([_fence_distance(a) for a in safety]),
+        fence_distance_m=_known([a.fence_distance_m for a in safety]),
         quat_world_body_wxyz=attitudes(states),
         moving=moving([bodies.get(i) for i in order]) if bodies else None,
         commands=commands_of(safety),
         each_status={name: tuple(one.status_name for one in own) for name, own in answered.items()},
         active={name: np.array(numbers, np.int64) for name, numbers in active.items()},
     )
-
-
-def _fence_distance(answer: _Safety) -> float | None:
-    """The distance to a fence; logs before version 2.0 of scenarios had it as margin, beside lambda."""
-    old = answer.regulation is not None and answer.margin_unit == "m"
-    return answer.margin if answer.fence_distance_m is None and old else answer.fence_distance_m
 
 
 def _known(values: list[float | None]) -> NDArray[np.float64] | None:

@@ -11,7 +11,6 @@ from alula.schemas.errors import UsageError
 from alula.schemas.world_tables import COMMANDS
 
 ENTRY_POINTS = "alula.filters"
-_FORMER = "alula.splat_filters"  # the group of filters among ellipsoids in former versions
 _provided: dict[str, Any] = {}
 
 
@@ -49,10 +48,6 @@ def foreign_filter(name: str, known: Sequence[str] = ()) -> Any:
     if name in _provided:
         return _provided[name]
     points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == name]
-    if not points and any(point.name == name for point in entry_points(group=_FORMER)):
-        raise UsageError(
-            f"filter {name!r}: its package has it in the group {_FORMER}; that is {ENTRY_POINTS} now"
-        )
     if not points:
         raise UsageError(f"no filter is called {name!r}" + (f"; known: {', '.join(known)}" if known else ""))
     try:

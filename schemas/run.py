@@ -34,8 +34,6 @@ Outcome = Literal[
     "timeout",
     "refused",
     "passed",
-    "inside",
-    "outside",
     "stopped",
     "missed-via",
     "off-plan",
@@ -182,8 +180,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     Encounters with moving obstacles: "passed" means that all obstacles have receded, `map_clearance_m` is
     that of static walls, and `collision` is one with an obstacle or a wall. Flights in a geofence:
-    `goal_m` is the last position. Of scenarios before version 2.0, `outcome` was "inside" or "outside", and
-    `map_clearance_m` the minimum distance to the fence, faces and hulls.
+    `goal_m` is the last position.
 
     Attributes:
         index: number of the trial.
@@ -228,7 +225,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         fence: only of a pilot in a fence.
         plan: only along a plan.
         fence_clearance_m: minimum clearance inside the faces of a fence; this and what follows only of
-            scenarios of version 2.0 [m].
+            simulated flights [m].
         moving_clearance_m: minimum clearance of moving obstacles [m].
         stale_steps: the last measurement was too old.
         certified_moving_steps: that manoeuvre was also clear of the tubes of all tracks.
@@ -423,8 +420,7 @@ def _check_record(record: RunRecord) -> None:
     if any(trial.fence is not None for trial in record.trials):
         if "worst_trial" not in record.summary:
             raise ValueError("`summary` has no `worst_trial`")
-        # Scenarios before version 2.0 had the figures of a fence beside the others.
-        contents.check(record.summary.get("fence", record.summary), FenceSummary, "summary.fence")
+        contents.check(record.summary.get("fence"), FenceSummary, "summary.fence")
     contents.check(record.provenance.parameters, RunParameters, "parameters")
     if wild := contents.first_wild(msgspec.to_builtins(record.trials), "trials"):
         raise ValueError(f"`{wild}` is too large to be measured")

@@ -47,7 +47,6 @@ _ENDS = {
     "stopped": "were stopped",
     "missed-via": "missed a via point",
     "off-plan": "left the plan",
-    "outside": "left the fence",
 }
 
 

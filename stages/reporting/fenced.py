@@ -30,9 +30,8 @@ def is_fenced(run: Run) -> bool:
 
 
 def fence_figures(run: Run) -> dict[str, Any]:
-    """Figures of the fence in a run's summary; before scenarios of version 2.0 they stood beside others."""
-    summary = run.record.summary
-    found: dict[str, Any] = summary.get("fence", summary)
+    """Figures of the fence in a run's summary."""
+    found: dict[str, Any] = run.record.summary["fence"]
     return found
 
 
@@ -101,8 +100,8 @@ class FenceShape:
 
 def fence_shape(run: Run) -> FenceShape | None:
     """Box and faces in which a run was flown; None where its parameters have no fence."""
-    parameters = run.record.provenance.parameters
-    table = parameters.get("world", parameters).get("fence")
+    world = run.record.provenance.parameters.get("world")
+    table = world.get("fence") if isinstance(world, Mapping) else None
     if not isinstance(table, Mapping) or not is_fenced(run):
         return None
     faces = fence_faces(table.get("box_m"), table.get("faces") or ())

@@ -197,10 +197,6 @@ def _clearances(material: Material, run: Run, flight: Flight) -> tuple[Curve, ..
             apart = np.where(np.isfinite(apart), apart, np.inf).min(axis=1) - radius
             found.append(Curve("moving obstacles", time_s, np.where(np.isfinite(apart), apart, np.nan)))
     to_fence = flight.fence_distance_m
-    if (
-        to_fence is None and is_fenced(run) and flight.margin_unit == "m"
-    ):  # logs before version 2.0 of scenarios
-        to_fence = flight.margin
     if to_fence is not None and np.isfinite(to_fence).any():
         found.append(Curve("fence", flight.margin_time_s, to_fence))
     return tuple(found)

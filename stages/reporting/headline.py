@@ -84,9 +84,7 @@ def _verdicts(runs: Sequence[Run]) -> list[str]:
 def _settings(run: Run) -> str:
     """Parameters of a run's filter as text; empty where the record has none."""
     parameters = run.record.provenance.parameters
-    table = parameters.get("filter")
-    inner = table.get("parameters") if isinstance(table, dict) else None
-    return repr((parameters.get("filter_parameters"), inner, parameters.get("safety")))
+    return repr((parameters.get("filter_parameters"), parameters.get("safety")))
 
 
 def _waits(run: Run) -> bool:

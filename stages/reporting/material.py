@@ -17,14 +17,12 @@ OUTCOMES = (
         "reached",
         "passed",
         "held",
-        "inside",
         "stuck",
         "timeout",
         "refused",
         "stopped",
         "missed-via",
         "off-plan",
-        "outside",
     ),
     "collision",
 )
@@ -72,7 +70,7 @@ class Material:
 
 
 def is_composed(trial: TrialResult) -> bool:
-    """Whether a trial is of a scenario of version 2.0, whose parts are chosen each on its own.
+    """Whether a trial is simulated, in a world whose parts are chosen each on its own.
 
     Args:
         trial: its verdict.
@@ -81,11 +79,8 @@ def is_composed(trial: TrialResult) -> bool:
 
 
 def outcome_of(trial: TrialResult) -> str:
-    """Outcome of a trial as the report counts it: a collision overrides the flight's end.
-
-    Runs before version 2.0 of scenarios ended outside a fence, or inside.
-    """
-    return "collision" if trial.collision and trial.outcome != "outside" else trial.outcome
+    """Outcome of a trial as the report counts it: a collision overrides the flight's end."""
+    return "collision" if trial.collision else trial.outcome
 
 
 def clearance_of(trial: TrialResult) -> float | None:

@@ -134,7 +134,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
 
 
 def _composed(run: Run) -> dict[str, Any]:
-    """Rows that only scenarios of version 2.0 have; empty for others."""
+    """Rows that only simulated flights have; empty for others."""
     summary = run.record.summary
     if not any(map(is_composed, run.record.trials)):
         return {}
@@ -180,11 +180,10 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
 
 
 def _guide(run: Run) -> Any:
-    """Name of the guide; in scenarios of version 2.0 it belongs to the mission."""
-    parameters = run.record.provenance.parameters
-    mission = parameters.get("mission")
+    """Name of the mission's guide."""
+    mission = run.record.provenance.parameters.get("mission")
     controller = mission.get("controller") if isinstance(mission, dict) else None
-    return controller.get("guide") if isinstance(controller, dict) else parameters.get("guide")
+    return controller.get("guide") if isinstance(controller, dict) else None
 
 
 def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:

@@ -18,10 +18,9 @@ class EntryPoint:
         return self.made
 
 
-def provide(monkeypatch, filters, former=None):
-    """Let other packages provide filters, by their names; `former` in the group of former versions."""
-    groups = {"alula.filters": filters, "alula.splat_filters": former or {}}
-    points = {group: [EntryPoint(*item) for item in given.items()] for group, given in groups.items()}
+def provide(monkeypatch, filters):
+    """Let other packages provide filters, by their names."""
+    points = {foreign_filters.ENTRY_POINTS: [EntryPoint(*item) for item in filters.items()]}
     monkeypatch.setattr(foreign_filters, "entry_points", lambda group: points[group])
 
 

@@ -17,7 +17,7 @@ from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
 from alula.stages.reporting.table import flat, text
 
-_PREFIX = re.compile(r"^(filter_parameters|safety\.(?!filters)[^.]*)\.")  # of a filter's parameter
+_PREFIX = re.compile(r"^(safety\.(?!filters)[^.]*)\.")  # of a filter's parameter
 _ROUNDING_M_S2 = 1e-9  # of an acceleration; the rounding error in flight is about 1e-15
 
 
@@ -69,10 +69,7 @@ def filter_parameters(run: Run) -> dict[str, Any]:
     Args:
         run: any.
     """
-    parameters = run.record.provenance.parameters
-    safety = parameters.get("safety")
-    if not isinstance(safety, dict):
-        return dict(parameters.get("filter_parameters", {}))
+    safety = run.record.provenance.parameters["safety"]
     names = safety.get("filters") or [None]
     return dict(safety.get(TABLES.get(names[-1], names[-1]), {}))
 

@@ -156,7 +156,9 @@ def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
     own = {"policy": "brake", "shield": False, "count": 16}
     bare = {"safety": {"filters": ["cone-ecbf"], "cone-ecbf": own}, "name": "mine"}
     other = sweep("ecbf-bare", 1.0, [trial(0)], parameters=bare, filter_name="cone-ecbf")
-    foreign = sweep("cone-di", 1.0, [trial(0)], parameters={"filter_parameters": {"alpha": 3.0}})
+    foreign = sweep(
+        "cone-di", 1.0, [trial(0)], parameters={"safety": {"filters": ["cone-di"], "cone-di": {"alpha": 3.0}}}
+    )
     flights, loops = flight_tables([base, other, foreign], "a", "A", bases=[base])
     assert [row["changed"] for row in records_of(flights)] == ["–", "count 16, shield no", None]
     fractions = [(row["on the backup, fraction"], row["certified, fraction"]) for row in records_of(loops)]

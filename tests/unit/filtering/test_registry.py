@@ -156,7 +156,7 @@ def test_filters_among_moving_obstacles_see_tracks_from_python():
 @pytest.fixture
 def elsewhere(monkeypatch):
     known = {"passing": Passing, "unkind": lambda world, parameters: None}
-    provide(monkeypatch, known, former={"former": Passing})
+    provide(monkeypatch, known)
 
 
 def test_a_filter_of_another_package_is_in_the_one_group(elsewhere):
@@ -165,8 +165,6 @@ def test_a_filter_of_another_package_is_in_the_one_group(elsewhere):
     assert isinstance(registry.make_filter("passing", WORLD, {}), Passing)
     with pytest.raises(UsageError, match="'unkind': its factory needs an attribute `kind`, of velocity, acc"):
         registry.filter_kind("unkind")
-    with pytest.raises(UsageError, match=r"in the group alula\.splat_filters; that is alula\.filters now"):
-        registry.make_filter("former", WORLD, {})
 
 
 def test_what_a_filter_in_python_returns_is_checked():

@@ -27,24 +27,19 @@ from alula.stages.runlog.maps import SHOWN_BEYOND_M
 FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 
 
-def trial(index, distance, version=1):
+def trial(index, distance):
     fence = FenceResult(
         passed_steps=60, blended_steps=30, backup_steps=10, no_pilot_steps=0, hand_over_steps=0,
         refused_steps=0, interventions=1, altered_passes=0, out_of_range=0, longest_backup_s=0.1,
         min_lambda=0.0, min_h_i_m=-0.1, brake_distance_m=6.0, stop_distance_m=None,
     )  # fmt: skip
-    found = TrialResult(
-        index=index, start_m=[0, 0, 5], goal_m=[9, 0, 5], outcome="outside" if distance < 0 else "inside",
+    return TrialResult(
+        index=index, start_m=[0, 0, 5], goal_m=[9, 0, 5], outcome="held",
         collision=distance < 0, steps=100, duration_s=1.0, path_length_m=9.5, straight_length_m=9.0,
-        map_clearance_m=distance, scene_clearance_m=None, max_speed_m_s=10.0, filtered_steps=40,
+        map_clearance_m=None, scene_clearance_m=None, max_speed_m_s=10.0, filtered_steps=40,
         shortened_steps=0, infeasible_steps=0, fallback_steps=10, mean_jerk_m_s3=1.0, max_jerk_m_s3=2.0,
-        fence=fence,
+        fence=fence, fence_clearance_m=distance, stale_steps=0,
     )  # fmt: skip
-    if version == 1:
-        return found
-    return msgspec.structs.replace(
-        found, outcome="held", map_clearance_m=None, fence_clearance_m=distance, stale_steps=0
-    )
 
 
 def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
@@ -52,26 +47,24 @@ def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
     place = np.column_stack([end * time, 0.1 * time, 5 + time])
     return Flight(
         time_s=time, position_world=place, speed_m_s=10 * time, margin_time_s=time, margin=10 - place[:, 0],
-        margin_unit="m", status=status, regulation=np.array([1, 0.5, 0, 0, 0.5]),
+        margin_unit="of h", status=status, regulation=np.array([1, 0.5, 0, 0, 0.5]),
+        fence_distance_m=10 - place[:, 0],
     )  # fmt: skip
 
 
-def run_of(distances, fence=FENCE, flights=None, version=1):
-    """A run; `version` is that of its scenario."""
-    trials = [trial(index, distance, version) for index, distance in enumerate(distances)]
+def run_of(distances, fence=FENCE, flights=None):
+    trials = [trial(index, distance) for index, distance in enumerate(distances)]
     out = sum(t.collision for t in trials)
-    summary = {
-        "violations": out, "min_distance_m": min(distances), "worst_trial": int(np.argmin(distances)),
-        "success_rate": 1 - out / len(trials), "success_interval": [0.1, 0.9], "passed": 60 * len(trials),
-        "backup": 10 * len(trials), "ticks": 100 * len(trials), "max_speed_km_h": 36.0,
-        "interventions": len(trials), "engaged_trials": len(trials), "collisions": out,
+    figures = {
+        "violations": out, "min_distance_m": min(distances), "passed": 60 * len(trials),
+        "backup": 10 * len(trials), "max_speed_km_h": 36.0, "interventions": len(trials),
+        "engaged_trials": len(trials),
     }  # fmt: skip
-    parameters = {"fence": fence}
-    if version == 2:
-        others = ("success_rate", "success_interval", "collisions", "worst_trial")
-        figures = {key: value for key, value in summary.items() if key not in (*others, "ticks")}
-        summary = {key: summary[key] for key in others} | {"fence": figures}
-        parameters = {"world": {"fence": fence}, "safety": {"filters": ["geofence"]}}
+    summary = {
+        "success_rate": 1 - out / len(trials), "success_interval": [0.1, 0.9], "collisions": out,
+        "worst_trial": int(np.argmin(distances)), "fence": figures,
+    }  # fmt: skip
+    parameters = {"world": {"fence": fence}, "safety": {"filters": ["geofence"]}}
     made = Provenance(
         schema="alula/run", version="1.0", producer=producer(), parameters=parameters, seed=0, inputs=[]
     )
@@ -82,10 +75,10 @@ def run_of(distances, fence=FENCE, flights=None, version=1):
     return Run("r", record, {0: flight(8.0), 1: flight(11.0)} if flights is None else flights)
 
 
-def test_a_fence_that_was_left_is_no_collision_but_outside():
+def test_a_fence_that_was_left_is_a_collision_and_said_to_be_left():
     run = run_of([1.0, -1.0, 2.0])
     assert is_fenced(run)
-    assert [outcome_of(t) for t in run.record.trials] == ["inside", "outside", "inside"]
+    assert [outcome_of(t) for t in run.record.trials] == ["held", "collision", "held"]
     assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
     (found,) = brief(Material("t", runs=(run,))).subjects
     assert found.verdict == "1 of 3 flights left the fence."
@@ -93,38 +86,23 @@ def test_a_fence_that_was_left_is_no_collision_but_outside():
     assert (found.numbers[1].value, found.numbers[1].shown) == (-1.0, "1.0 m outside")
 
 
-def test_a_fence_that_was_left_by_the_combined_loop_is_a_collision():
-    run = run_of([1.0, -1.0, 2.0], version=2)
-    assert is_fenced(run)
-    assert [outcome_of(t) for t in run.record.trials] == ["held", "collision", "held"]
-    assert headline(Material("t", runs=(run,)))["flights"] == "geofence: 2 of 3 stayed in the fence"
-    (new,), (old,) = (brief(Material("t", runs=(one,))).subjects for one in (run, run_of([1.0, -1.0, 2.0])))
-    assert [n.value for n in new.numbers] == [n.value for n in old.numbers]
-    assert new.verdict == old.verdict
-
-
 def test_a_log_tells_the_distance_beside_the_margin_of_the_filter():
-    with_margin = flight(11.0)
-    told = dataclasses.replace(
-        with_margin, margin=np.zeros(5), margin_unit="of h", fence_distance_m=with_margin.margin
-    )
-    run = run_of([1.0, -1.0], flights={1: told}, version=2)
+    run = run_of([1.0, -1.0], flights={1: dataclasses.replace(flight(11.0), margin=np.zeros(5))})
     (closest,) = worst_flights(Material("t", runs=(run,)))
     (distance,) = closest.clearances
     assert (distance.name, distance.value.min()) == ("fence", pytest.approx(-1))
     assert closest.logged is None
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_tables_have_the_rows_of_a_fence_and_no_others(version):
-    run = run_of([1.0, -1.0, 2.0], version=version)
+def test_tables_have_the_rows_of_a_fence_and_no_others():
+    run = run_of([1.0, -1.0, 2.0])
     rows = dict(row for row in runs_table(Material("t", runs=(run,))).rows)
     assert rows["left the fence"] == 1
     assert rows["fraction of ticks: passed"] == pytest.approx(0.6)
     assert "success rate" not in rows
     assert fence_rows(run)["fraction of ticks: no pilot"] is None  # not reported
     table = trials_table(run, "trials")
-    assert table.rows[1][:4] == (1, "outside" if version == 1 else "collision", -1.0, 36.0)
+    assert table.rows[1][:4] == (1, "collision", -1.0, 36.0)
     assert len(table.columns) == len(table.rows[0])
     assert [t.name for t in all_tables(Material("t", runs=(run,)))] == [
         "runs",
@@ -150,10 +128,8 @@ def test_the_closest_of_the_logged_flights_is_drawn():
     assert worst_flights(Material("x", runs=(run_of([1.0], flights={}),))) == []
 
 
-@pytest.mark.every(2)
-@pytest.mark.parametrize("version", [2, 1])
-def test_figures_show_fence_flight_and_modes(version):
-    material = Material("t", runs=(run_of([1.0, -1.0, 2.0], version=version),))
+def test_figures_show_fence_flight_and_modes():
+    material = Material("t", runs=(run_of([1.0, -1.0, 2.0]),))
     figures = {figure.name: figure for figure in draw(material)}
     assert figures.keys() == {"still", "flight-1", "map-1", "side-1", "clearance"}
     assert "backup alone in 40 %" in figures["flight-1"].alt
@@ -176,7 +152,7 @@ def test_a_run_without_log_or_without_a_fence_in_its_parameters_is_reported_all_
 
 def test_other_runs_beside_keep_their_words():
     other = run_of([1.0])
-    plain = msgspec.structs.replace(other.record.trials[0], fence=None, outcome="reached")
+    plain = msgspec.structs.replace(other.record.trials[0], fence=None, stale_steps=None, outcome="reached")
     record = msgspec.structs.replace(other.record, trials=[plain])
     both = Material("t", runs=(run_of([1.0, -1.0]), Run("p", record, {0: flight(5.0)})))
     assert headline(both)["flights"] == (
