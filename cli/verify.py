@@ -13,11 +13,10 @@ from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
+    from alula.schemas.certificate import Certificate
     from alula.schemas.kinds import Kind
     from alula.schemas.parts import Parts
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
-    from alula.stages.compression.verify import Certificate
 
 EXAMPLES = """\b
 Examples:
@@ -135,6 +134,7 @@ def command(
     from alula.cli.verify_parts import has_domains, verified, verified_part
     from alula.schemas.artifact import read_manifest
     from alula.schemas.atomic import write_text
+    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, certificate_text
     from alula.schemas.errors import CheckError, UsageError
     from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
     from alula.schemas.lineage import require_own_map
@@ -145,8 +145,6 @@ def command(
     from alula.stages.compression.imported_files import read_imported
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
-    from alula.stages.compression.verify import SCHEMA, VERSION
-    from alula.stages.compression.verify_parts import VERSION as VERSION_OF_PARTS
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -200,10 +198,8 @@ def command(
     inputs |= {"source": source} if source is not None else {}
     if output is not None:
         runner.check_output(output, inputs)
-    version = VERSION_OF_PARTS if is_parted else VERSION
-    provenance = Provenance.now(
-        SCHEMA, version, {}, None, [runner.input_ref(role, path) for role, path in inputs.items()]
-    )
+    refs = [runner.input_ref(role, path) for role, path in inputs.items()]
+    provenance = Provenance.now(CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, {}, None, refs)
     if is_plan:
         require_own_map(
             proven,
@@ -296,22 +292,6 @@ def prove(
     stage: Any = stages[role]
     certificate: Certificate = stage(proven, **against, sha256=sha256, jobs=jobs, progress=progress)
     return certificate
-
-
-def certificate_text(certificate: Certificate, provenance: Provenance) -> str:
-    """The JSON file of a certificate.
-
-    Args:
-        certificate: to be written.
-        provenance: to be recorded in it.
-    """
-    import msgspec
-
-    from alula.stages.compression.verify import SCHEMA
-
-    record = {"schema": SCHEMA, "version": provenance.version, **msgspec.to_builtins(certificate)}
-    record["provenance"] = provenance
-    return msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
 
 
 def _is_plan(path: Path) -> bool:

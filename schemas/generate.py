@@ -48,6 +48,7 @@ def keyword_files() -> dict[str, str]:
 def documents() -> dict[str, bytes]:
     """The JSON Schema of the manifest or record of each kind, by file name."""
     # These modules depend on files that `main` writes first.
+    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, CertificateFile
     from alula.schemas.kinds import KINDS
     from alula.schemas.manifest import VERSION
     from alula.schemas.mission import MISSION_SCHEMA, Mission
@@ -63,6 +64,7 @@ def documents() -> dict[str, bytes]:
         *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
         (PARTS_SCHEMA, PARTS_VERSION, PartsIndex),
         (RUN_SCHEMA, RUN_VERSION, RunRecord),
+        (CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, CertificateFile),
         (REPORT_SCHEMA, REPORT_VERSION, Report),
         (TILES_SCHEMA, TILES_VERSION, TilesIndex),
         (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),

@@ -18,11 +18,11 @@ from alula.schemas.provenance import Provenance
 
 if TYPE_CHECKING:
     from alula.cli.verbs.runs import Run
+    from alula.schemas.certificate import Certificate
     from alula.schemas.keywords import (
         MergeFields,
         VoxelizeFields,
     )
-    from alula.stages.compression.verify import Certificate
 
 Source = Result | str | Path
 
@@ -141,8 +141,8 @@ class Proof:
             UsageError: another file is there.
             OutputError: the file cannot be written.
         """
-        from alula.cli.verify import certificate_text
         from alula.schemas.atomic import write_text
+        from alula.schemas.certificate import certificate_text
 
         target = Path(path).expanduser()
         if target.suffix != ".json":
@@ -193,7 +193,7 @@ def verify(
         UsageError: the files do not go together.
     """
     from alula.cli.verify import prove
-    from alula.stages.compression.verify import SCHEMA, VERSION
+    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION
 
     found = proven if isinstance(proven, Result) else read(proven)
     role = type(found).__name__.lower()
@@ -245,7 +245,7 @@ def verify(
     if not certificate.covered:
         name = f"{proven}" if not isinstance(proven, Result) else role
         raise CheckError(f"{name}: {certificate.complaint()}")
-    return Proof(certificate, Provenance.now(SCHEMA, VERSION, {}, None, refs))
+    return Proof(certificate, Provenance.now(CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, {}, None, refs))
 
 
 def _one_level(fields: Mapping[str, Any]) -> None:

@@ -200,11 +200,11 @@ def _read_material(
     title: str, runs: Sequence[Path], inputs: Mapping[str, Path], provenance: Provenance
 ) -> Material:
     """Read the files of a report."""
+    from alula.schemas.certificate import decode_certificate
     from alula.schemas.cut_run import read_logged
     from alula.schemas.files import size_of
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.parts_join import read_whole
-    from alula.stages.reporting.certificate import decode_certificate
     from alula.stages.reporting.material import Material, Run, cover_hash
 
     flown: list[Run] = []

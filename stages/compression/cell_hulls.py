@@ -10,22 +10,18 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.stages.compression.hulls import ROWS, some_hulls
-from alula.stages.compression.verify import (
-    _LATTICE_LIMIT,
-    _MEMBERS,
-    _NOT_COVERED,
-    _NOT_OCCUPIED,
-    _POLYTOPES,
-    LISTED,
-    Check,
-    Offence,
-    _check,
-    _check_hulls,
-    _fault_check,
-    _hull_words,
-    _occupied_words,
+from alula.schemas.certificate import Check, Offence
+from alula.stages.compression.cover_checks import (
+    LATTICE_LIMIT,
+    MEMBERS,
+    POLYTOPES,
+    fault_check,
+    hull_faults,
+    hull_words,
+    occupied_check,
 )
+from alula.stages.compression.hulls import ROWS, some_hulls
+from alula.stages.proof import LISTED, check
 
 CUBE_CHECK = "hulls lie in the part's cube"
 Index = NDArray[np.int64]
@@ -134,7 +130,7 @@ def hull_proof(task: CellHulls, voxels: NDArray[np.int32] | None) -> HullProof:
         voxels: all voxels of the cell, if they were given.
     """
     cover, own = task.cover, task.is_own
-    found = _check_hulls(cover, 1, None) if len(own) else np.empty((0, 4), np.int64)
+    found = hull_faults(cover, 1, None) if len(own) else np.empty((0, 4), np.int64)
     mine = found[own[found[:, 1]]]
     members = cover["member_index"]
     is_inside = ((members >= task.cube[0]) & (members <= task.cube[1])).all(axis=1)
@@ -146,24 +142,20 @@ def hull_proof(task: CellHulls, voxels: NDArray[np.int32] | None) -> HullProof:
             "member_start": np.concatenate([[0], np.cumsum(is_inside)])[cover["member_start"]],
         },
     )
-    occupied = inside["member_index"] if voxels is None else np.ascontiguousarray(voxels)
-    missing = _core.check_cover_occupied(inside["member_index"], inside["member_start"], occupied)
-    name, detail, of_members, within = _hull_words(cover)
-    every, from_file = _occupied_words(voxels is not None)
+    name, detail, of_members, within = hull_words(cover)
     held = int(np.diff(cover["member_start"])[own].sum())
-    kinds = (_NOT_COVERED, _NOT_OCCUPIED)
     checks = [
         _in_domain(task),
-        _fault_check(cover, name, int(own.sum()), mine, _POLYTOPES, detail),
-        _fault_check(cover, of_members, held, mine, _MEMBERS, within),
-        _fault_check(inside, every, len(occupied), missing, kinds, from_file, occupied),
+        fault_check(cover, name, int(own.sum()), mine, POLYTOPES, detail),
+        fault_check(cover, of_members, held, mine, MEMBERS, within),
+        occupied_check(inside, voxels),
     ]
     unique = np.unique(inside["member_index"], axis=0)
     excess = None
-    is_near = np.abs(cover["vertex"]).max(initial=0) <= _LATTICE_LIMIT
+    is_near = np.abs(cover["vertex"]).max(initial=0) <= LATTICE_LIMIT
     if len(found) == 0 and checks[-1].ok and is_near:
         excess = _excess(task, unique)
-    checks[1:] = [_numbered(check, task) for check in checks[1:]]
+    checks[1:] = [_numbered(one, task) for one in checks[1:]]
     return HullProof(checks, excess, len(unique))
 
 
@@ -181,21 +173,21 @@ def _in_domain(task: CellHulls) -> Check:
         )
         for v in wrong[:LISTED].tolist()
     ]
-    return _check(CUBE_CHECK, int(np.diff(start)[task.is_own].sum()), first, len(wrong), "vertices")
+    count = int(np.diff(start)[task.is_own].sum())
+    return check(CUBE_CHECK, count, first, "vertices", failed=len(wrong))
 
 
-def _numbered(check: Check, task: CellHulls) -> Check:
+def _numbered(one: Check, task: CellHulls) -> Check:
     """The check with the numbers of hulls, vertices and planes in the part."""
 
-    def numbered(one: Offence) -> Offence:
-        if one.hull is None:
-            return one
-        vertex = None if one.vertex is None else int(one.vertex + task.vertex_shift[one.hull])
-        plane = None if one.plane is None else int(one.plane + task.plane_shift[one.hull])
-        hull = int(task.numbers[one.hull])
-        return msgspec.structs.replace(one, hull=hull, vertex=vertex, plane=plane)
+    def numbered(at: Offence) -> Offence:
+        if at.hull is None:
+            return at
+        vertex = None if at.vertex is None else int(at.vertex + task.vertex_shift[at.hull])
+        plane = None if at.plane is None else int(at.plane + task.plane_shift[at.hull])
+        return msgspec.structs.replace(at, hull=int(task.numbers[at.hull]), vertex=vertex, plane=plane)
 
-    return msgspec.structs.replace(check, first=[numbered(one) for one in check.first])
+    return msgspec.structs.replace(one, first=[numbered(at) for at in one.first])
 
 
 def _excess(task: CellHulls, members: NDArray[np.int32]) -> float:

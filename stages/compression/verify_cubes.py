@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Check
 from alula.schemas.manifest import LevelManifest, Manifest
 from alula.schemas.parts import PartRef
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CellHulls, HullProof, boxes_of, hull_proof, members_of_own
-from alula.stages.compression.ellipsoids import unproven_voxels
+from alula.stages.compression.cover_checks import SCENE_CHECK, scene_check
 from alula.stages.compression.level import require_sigma
-from alula.stages.compression.verify import LISTED, Check, Offence
 from alula.stages.distribute import distribute
+from alula.stages.proof import check, sum_of
 
-SCENE_CHECK = "every ellipsoid lies in the voxels"
 CELL_VOXELS, CELL_ELLIPSOIDS = 2**18, 2**19  # a cell with more is halved
 _MEMBERS = 2 * CELL_VOXELS  # of the hulls that count in a cell; hulls may share voxels
 _LEAST_HALVED = 32  # edge of a cell that is not halved any more, whatever it has [voxels]
@@ -338,31 +338,12 @@ def _crop(level: LevelManifest, cube: Index) -> list[float]:
 
 def _scene_check(task: CellTask) -> Check:
     """Check that the ellipsoids touch no voxel of the cell that is not occupied."""
-    level, scene, size = task.level, task.scene, task.level.voxel_size_m
+    level, scene = task.level, task.scene
     assert scene is not None
     crop = _crop(level, task.cube)
     if not crop or len(scene["mean"]) == 0:
-        return check_of(SCENE_CHECK, task.ellipsoids, [], 0, "separating planes")
-    missing = unproven_voxels(
-        scene,
-        task.near,
-        voxel_size_m=size,
-        sigma=require_sigma(level),
-        inflation_m=level.inflation_m,
-        crop=crop,
-        min_overlap=level.min_overlap,
-        min_opacity=level.min_opacity,
-        ignore_loss=level.ignore_loss,
-        jobs=1,
-        progress=None,
-    )
-    first = []
-    for voxel, row in zip(missing.voxel[:LISTED].tolist(), missing.ellipsoid[:LISTED].tolist(), strict=True):
-        x, y, z = voxel
-        place = ((x + 0.5) * size, (y + 0.5) * size, (z + 0.5) * size)
-        fault, gaussian = "an ellipsoid may touch an unmarked voxel", int(task.rows[row])
-        first.append(Offence(fault=fault, gaussian=gaussian, voxel=(x, y, z), place_m=place))
-    return check_of(SCENE_CHECK, task.ellipsoids, first, missing.total, "separating planes")
+        return check(SCENE_CHECK, task.ellipsoids, [], "separating planes")
+    return scene_check(level, scene, task.near, 1, None, crop=crop, rows=task.rows, checked=task.ellipsoids)
 
 
 def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted) -> Iterator[Index]:
@@ -416,15 +397,13 @@ def scene_proof(
     """
     domain, below, total = _domain(level, scene)
     cells = cells_of(Sources(level, occupied, None, scene), domain, None)
-    found = []
+    found = [check(SCENE_CHECK, 0, [], "separating planes")]
     for proof in distribute(proof_of, cells, jobs=jobs):
         assert proof.scene is not None
         found.append(proof.scene)
         if progress is not None:  # the number of cells is not known before
-            progress(min(sum(check.checked for check in found), total), total)
-    first = [offence for check in found for offence in check.first][:LISTED]
-    failed = sum(check.failed for check in found)
-    return check_of(SCENE_CHECK, total - below, first, failed, "separating planes"), below
+            progress(min(sum(one.checked for one in found), total), total)
+    return msgspec.structs.replace(sum_of(found), checked=total - below), below
 
 
 def _domain(level: LevelManifest, scene: Parted) -> tuple[Index, int, int]:
@@ -439,16 +418,3 @@ def _domain(level: LevelManifest, scene: Parted) -> tuple[Index, int, int]:
     size = level.voxel_size_m
     ends = [np.clip(np.floor(each / size), -_FARTHEST, _FARTHEST) for each in (low, high)]
     return np.array(ends, np.int64) + _RING, below, total
-
-
-def check_of(name: str, checked: int, first: list[Offence], failed: int, detail: str) -> Check:
-    """Result of a check.
-
-    Args:
-        name: of the check.
-        checked: number of items.
-        first: offences to list.
-        failed: number of all offences.
-        detail: a few words.
-    """
-    return Check(name=name, ok=failed == 0, checked=checked, failed=failed, detail=detail, first=first)

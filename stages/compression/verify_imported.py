@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -10,7 +9,8 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import IntArray
-from alula.schemas.errors import InputError
+from alula.schemas.certificate import Check
+from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import LevelManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.imported import (
@@ -24,32 +24,11 @@ from alula.stages.compression.imported import (
     open_edges,
 )
 from alula.stages.progress import share
+from alula.stages.proof import LISTED, at_voxel, check
 
-LISTED = 100  # maximum number of voxels that a check lists
 _DEPTH = 16  # of OctoMap's trees
 _AT_ONCE = 2**20  # voxels that are looked up together
 _FAR, _KEY = 2**20, np.array([2**42, 2**21, 1])  # one number for each voxel that is nearer
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Result of one check of voxels against their source.
-
-    Attributes:
-        name: of the check.
-        checked: number of items.
-        failed: number of voxels that should be marked.
-        detail: how it was checked, in a few words.
-        fault: why each of the first of these voxels should be, in words.
-        voxel: the first of them, shape (K, 3).
-    """
-
-    name: str
-    checked: int
-    failed: int
-    detail: str
-    fault: list[str]
-    voxel: IntArray
 
 
 def imported_checks(
@@ -59,7 +38,7 @@ def imported_checks(
     *,
     jobs: int = 0,
     progress: Progress | None = None,
-) -> list[Finding]:
+) -> list[Check]:
     """Check voxels against the map that they were made from.
 
     Triangles are halved until they are small, and a plane must separate each piece, grown by the ball, from
@@ -75,11 +54,13 @@ def imported_checks(
         progress: called with (done, total) from time to time.
 
     Raises:
+        UsageError: the voxels are those of a scene.
         InputError: the source is of another kind than the voxels were made from, is damaged, or has nothing
             to do with the voxels.
     """
     imported = level.imported
-    assert imported is not None
+    if imported is None:
+        raise UsageError("the obstacles are those of a scene; give --scene instead of --source")
     if NAMES[type(source)] != imported.kind:
         raise InputError(
             f"the source is a {NAMES[type(source)]}, but the voxels are those of a {imported.kind}"
@@ -104,9 +85,13 @@ def imported_checks(
         )
     except OverflowError as error:
         raise InputError(f"the voxels are not those of this source: {error}") from error
-    faults = [f"{what} {number} may touch an unmarked voxel" for number in row.tolist()]
-    name = f"every {what} lies in the voxels"
-    checks = [Finding(name, len(corners), total, "separating planes", faults, missing.astype(np.int64))]
+    first = [
+        at_voxel(f"{what} {number} may touch an unmarked voxel", voxel, level.voxel_size_m)
+        for number, voxel in zip(row.tolist(), missing, strict=True)
+    ]
+    checks = [
+        check(f"every {what} lies in the voxels", len(corners), first, "separating planes", failed=total)
+    ]
     if isinstance(source, Mesh) and imported.solid:
         closed = in_world(source.corners, imported.scale, imported.up, imported.map_origin_m)
         checks.append(_solid_check(level, closed, voxels, jobs, share(progress, 0.8, 1)))
@@ -119,17 +104,17 @@ def _solid_check(
     index: NDArray[np.int32],
     jobs: int,
     progress: Progress | None,
-) -> Finding:
+) -> Check:
     name, detail = "the inside lies in the voxels", "winding numbers along rays"
     if open_edges(corners)[0]:
         raise InputError("the source is not watertight, so it has no inside")
     crop = None if level.crop is None else tuple(level.crop)
     total, missing, _ = _core.unproven_outside(corners, level.voxel_size_m, crop, index, jobs, progress)
-    faults = ["an unmarked voxel may lie inside"] * len(missing)
-    return Finding(name, len(corners), total, detail, faults, missing.astype(np.int64))
+    first = [at_voxel("an unmarked voxel may lie inside", voxel, level.voxel_size_m) for voxel in missing]
+    return check(name, len(corners), first, detail, failed=total)
 
 
-def _octree_check(level: LevelManifest, source: Octree, index: NDArray[np.int32]) -> Finding:
+def _octree_check(level: LevelManifest, source: Octree, index: NDArray[np.int32]) -> Check:
     assert level.imported is not None
     lower, edge, kind = _cubes(source)
     wanted = kind == 2
@@ -160,8 +145,9 @@ def _octree_check(level: LevelManifest, source: Octree, index: NDArray[np.int32]
         failed += len(missing)
         first_missing.append(missing[:LISTED])
     found = np.concatenate(first_missing)[:LISTED]
-    faults = ["a leaf reaches into an unmarked voxel"] * len(found)
-    return Finding("every leaf lies in the voxels", len(lower), failed, "rational numbers", faults, found)
+    size_m = level.voxel_size_m
+    offences = [at_voxel("a leaf reaches into an unmarked voxel", voxel, size_m) for voxel in found]
+    return check("every leaf lies in the voxels", len(lower), offences, "rational numbers", failed=failed)
 
 
 def _floor(value: Fraction) -> int:

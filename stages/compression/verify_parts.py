@@ -11,28 +11,25 @@ import numpy as np
 
 from alula.schemas import merkle
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Certificate, Check, Offence, PartProof, PartsCertificate
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
 from alula.schemas.manifest import LEVEL, CoverManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CUBE_CHECK
-from alula.stages.compression.verify import (
-    LISTED,
-    Certificate,
-    Check,
-    Offence,
-    _files_agree,
-    _history_check,
-    _hull_words,
-    _no_hull,
-    _occupied_words,
-    _volume_of,
-    certificate_of,
-    notes_of,
-    unclaimed,
-)
-from alula.stages.compression.verify_cubes import (
+from alula.stages.compression.cover_checks import (
     SCENE_CHECK,
+    VOLUME_TOLERANCE,
+    files_agree,
+    history_check,
+    hull_words,
+    no_hull,
+    occupied_words,
+    unclaimed,
+    volume_of,
+)
+from alula.stages.compression.verify import certificate_of, notes_of
+from alula.stages.compression.verify_cubes import (
     Alone,
     CellProof,
     CellTask,
@@ -40,44 +37,14 @@ from alula.stages.compression.verify_cubes import (
     Parted,
     Sources,
     cells_of,
-    check_of,
     outside_cells,
     proof_of,
 )
 from alula.stages.distribute import distribute
+from alula.stages.proof import check, sum_of
 
-VERSION = "1.3"
 OUTSIDE = "space without a part"
-_TOLERANCE = 1e-6  # of the volume, as `verify` allows for each part
-_NO_ELLIPSOID = check_of(SCENE_CHECK, 0, [], 0, "separating planes")
-
-
-class PartProof(msgspec.Struct, frozen=True, kw_only=True):
-    """Entry of the list of proofs.
-
-    Attributes:
-        name: of the part's file, or `OUTSIDE` for the space around all parts.
-        sha256: of the file; empty for the space.
-        domain: lowest and highest voxel of the part's cube; empty for the space.
-        certificate: hash of the part's own certificate, a leaf of the Merkle tree.
-    """
-
-    name: str
-    sha256: str
-    domain: list[list[int]]
-    certificate: str
-
-
-class PartsCertificate(Certificate, frozen=True, kw_only=True):
-    """Certificate of a cover in parts.
-
-    Attributes:
-        parts: the proofs of all parts, in their order.
-        merkle_root: of their certificates' hashes.
-    """
-
-    parts: list[PartProof]
-    merkle_root: str
+_NO_ELLIPSOID = check(SCENE_CHECK, 0, [], "separating planes")
 
 
 def verify_parts(
@@ -128,12 +95,12 @@ def verify_parts(
             parts.append(_entry(ref.file, ref.sha256, domains[number].tolist(), proof))
         else:
             around = [_NO_ELLIPSOID, *(cell.scene for cell in found if cell.scene is not None)]
-            proof = _certificate(cover, voxels, scene, [_sum_of(around)])
+            proof = _certificate(cover, voxels, scene, [_sum(around)])
             parts.append(_entry(OUTSIDE, "", [], proof))
         proofs.append(proof)
     checks = [_cubes(cover, domains, counts, voxels), _whole(cover, counts, scene)]
-    names = dict.fromkeys(check.name for proof in proofs for check in proof.checks)
-    checks += [_sum_of([c for proof in proofs for c in proof.checks if c.name == name]) for name in names]
+    names = dict.fromkeys(one.name for proof in proofs for one in proof.checks)
+    checks += [_sum([c for proof in proofs for c in proof.checks if c.name == name]) for name in names]
     whole = _certificate(cover, voxels, scene, checks)
     fields = {name: getattr(whole, name) for name in Certificate.__struct_fields__}
     fields["notes"] = notes_of(cover, voxels, scene, sha256 or {})
@@ -237,23 +204,23 @@ def part_proof(sources: Sources, part: Artifact, cells: Sequence[CellProof]) -> 
         None if each is None else Artifact(each.manifest, {}) for each in (sources.voxels, sources.scene)
     )
     hulls = [cell.hulls for cell in cells if cell.hulls is not None]
-    words, occupied = _hull_words(part), _occupied_words(voxels is not None)
+    words, occupied = hull_words(part), occupied_words(is_given=voxels is not None)
     names = [(CUBE_CHECK, "vertices"), words[:2], words[2:], occupied]
     joined = [
-        _sum_of([check_of(name, 0, [], 0, detail), *(hull.checks[at] for hull in hulls)])
+        _sum([check(name, 0, [], detail), *(hull.checks[at] for hull in hulls)])
         for at, (name, detail) in enumerate(names)
     ]
     members = sum(hull.members for hull in hulls)
-    checks = [joined[0], _files_agree(part, voxels, scene), _history_check(part)]
+    checks = [joined[0], files_agree(part, voxels, scene), history_check(part)]
     if len(part["vertex_start"]) < 2:
-        joined[1] = _no_hull(joined[1])
-    elif all(check.ok for check in joined) and all(hull.excess is not None for hull in hulls):
+        joined[1] = no_hull(joined[1])
+    elif all(one.ok for one in joined) and all(hull.excess is not None for hull in hulls):
         excess = math.fsum(hull.excess for hull in hulls if hull.excess is not None)
-        checks.append(_volume_of(part.manifest, excess, members))
+        checks.append(volume_of(part.manifest, excess, members))
     checks += joined[1:]
     if scene is not None:
         of_cells = [cell.scene for cell in cells if cell.scene is not None]
-        checks.append(_sum_of([_NO_ELLIPSOID, *of_cells]))
+        checks.append(_sum([_NO_ELLIPSOID, *of_cells]))
     proven = "members in hulls" if voxels is None else "every voxel in a hull"
     files = {"cover": part, "voxels": voxels, "scene": scene}
     below = None if scene is None else sum(cell.below for cell in cells)
@@ -327,7 +294,7 @@ def _cubes(cover: Parted, domains: Sequence[Index], counts: Sequence[int], voxel
     total = sum(counts) if voxels is None else sum(ref.count for ref in voxels.refs)
     if sum(counts) != total:
         offences.append(Offence(fault=f"the cubes have {sum(counts)} of {total} voxels"))
-    return check_of("cubes divide the voxels", len(domains), offences[:LISTED], len(offences), "no overlap")
+    return check("cubes divide the voxels", len(domains), offences, "no overlap")
 
 
 def _whole(cover: Parted, counts: Sequence[int], scene: Parted | None) -> Check:
@@ -351,15 +318,14 @@ def _whole(cover: Parted, counts: Sequence[int], scene: Parted | None) -> Check:
             if (theirs := getattr(scene.manifest, name)) != getattr(whole, name)
         ]
     growth = 1 + excess / max(sum(counts), 1)
-    if not abs(growth - whole.conservativeness) <= _TOLERANCE * growth:
+    if not abs(growth - whole.conservativeness) <= VOLUME_TOLERANCE * growth:
         text = f"conservativeness of the parts is {growth}, of the whole {whole.conservativeness}"
         offences.append(Offence(fault=text))
-    detail = f"conservativeness {at_most(growth, 6)}"
-    return check_of("the whole is its parts", len(cover), offences[:LISTED], len(offences), detail)
+    return check("the whole is its parts", len(cover), offences, f"conservativeness {at_most(growth, 6)}")
 
 
-def _sum_of(checks: Sequence[Check]) -> Check:
-    first = [offence for check in checks for offence in check.first][:LISTED]
-    checked, failed = (sum(getattr(check, name) for check in checks) for name in ("checked", "failed"))
-    detail = checks[0].detail if not checks[0].detail.startswith("conservativeness") else "of each part"
-    return check_of(checks[0].name, checked, first, failed, detail)
+def _sum(checks: Sequence[Check]) -> Check:
+    """One check of all parts; the volume of each is its own."""
+    found = sum_of(checks)
+    is_volume = found.detail.startswith("conservativeness")
+    return msgspec.structs.replace(found, detail="of each part") if is_volume else found

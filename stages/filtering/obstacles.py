@@ -10,8 +10,8 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InputError, UsageError
 from alula.schemas.tiles import TileFiles
+from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import retained, rows_of
-from alula.stages.compression.verify import require_solid_hulls
 
 
 def require_metric(role: str, artifact: Artifact) -> None:

@@ -20,6 +20,7 @@ from alula.schemas.manifest import map_origin
 from alula.schemas.tiles import TileFiles
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, scene_obstacles
+from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.level import (
     level_of,
@@ -29,7 +30,6 @@ from alula.stages.compression.level import (
     omissions,
     without,
 )
-from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric, tile_set

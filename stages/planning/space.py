@@ -18,6 +18,7 @@ from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.lineage import origins_of
 from alula.schemas.manifest import CoverManifest, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
+from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import removed_from
 from alula.stages.compression.hulls import Hulls, image_hulls
 from alula.stages.compression.level import (
@@ -29,7 +30,6 @@ from alula.stages.compression.level import (
     scene_level,
 )
 from alula.stages.compression.onboard.image import decode_map
-from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric
 from alula.stages.planning.corridor import Kept, Obstacles

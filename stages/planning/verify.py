@@ -13,10 +13,12 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles
+from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import removed_from, retained, rows_of
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.level import (
@@ -32,13 +34,13 @@ from alula.stages.compression.level import (
     scene_level,
     without,
 )
-from alula.stages.compression.verify import LISTED, Certificate, Check, Offence, require_solid_hulls
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
 from alula.stages.planning.joins import APART, ORDERS, faults_of_joins, orders_of
 from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.unseen import is_seen, unseen_hulls
+from alula.stages.proof import check
 
 _PASSED_M = 1e-9  # a point of the flight, at the end of a piece
 _PASSED_S = 1e-9  # the time at which a plan says that it passes a point, at the end of a piece
@@ -135,7 +137,7 @@ def verify_plan(
         checks.append(_clearance(plan, unseen, manifest.radius_m, "unseen voxel", jobs))
         begin = np.asarray(plan["coefficient"])[:1, :3, 0]
         offences = [] if is_seen(within, begin).all() else [Offence(fault="the plan begins in unseen space")]
-        checks.append(_check("begins in seen space", 1, offences, "the voxel of its start"))
+        checks.append(check("begins in seen space", 1, offences, "the voxel of its start"))
         statements.append("within the space that was seen")
         omits += omissions(level_of(within), is_cropped=False)
         if not level:
@@ -157,7 +159,7 @@ def verify_plan(
         checks.append(pieces.zones())
     if pieces.turns:
         checks.append(pieces.heading())
-    proven = all(check.ok for check in checks)
+    proven = all(one.ok for one in checks)
     older = "an older plan: its limit of speed and three derivatives are checked"
     notes = [] if manifest.limits else [older]
     notes += [
@@ -231,7 +233,7 @@ class _Pieces:
             )
             if not good:
                 offences.append(Offence(fault=f"piece {i} leaves cell {self.cell[i]}", place_m=self.where(i)))
-        return _check("pieces in cells", len(inside), offences, "control points, in rational arithmetic")
+        return check("pieces in cells", len(inside), offences, "control points, in rational arithmetic")
 
     def limits(self) -> Check:
         """Check the recorded limits over every piece."""
@@ -249,7 +251,7 @@ class _Pieces:
                         offences.append(Offence(fault=fault, place_m=self.where(i)))
         bounds = self.manifest.limits or {"speed_m_s": self.manifest.speed_m_s}
         detail = ", ".join(f"{name} {value:.6g}" for name, value in bounds.items())
-        return _check("limits", checked, offences, f"Bernstein bounds, in rational arithmetic: {detail}")
+        return check("limits", checked, offences, f"Bernstein bounds, in rational arithmetic: {detail}")
 
     def continuity(self) -> Check:
         """Check that derivatives agree where pieces meet, within bounds that do not depend on the plan."""
@@ -263,7 +265,7 @@ class _Pieces:
             f"{each:g} m/s^{order}" if order > 1 else f"{each:g} m{'/s' * order}"
             for order, each in enumerate(APART[:orders])
         )
-        return _check("continuity", len(self.points) - 1, offences, f"up to {ORDERS[orders - 1]}: {within}")
+        return check("continuity", len(self.points) - 1, offences, f"up to {ORDERS[orders - 1]}: {within}")
 
     def zones(self) -> Check:
         """Check that each piece is slow wherever it may be in a zone."""
@@ -275,7 +277,7 @@ class _Pieces:
                     fault = f"piece {i} may be faster than {zone.speed_m_s:g} m/s in a zone"
                     offences.append(Offence(fault=fault, place_m=self.where(i)))
         count = len(self.manifest.zones) * len(self.points)
-        return _check("zones", count, offences, "Bernstein bounds, in rational arithmetic")
+        return check("zones", count, offences, "Bernstein bounds, in rational arithmetic")
 
     @property
     def turns(self) -> bool:
@@ -303,7 +305,7 @@ class _Pieces:
                 turning += [(where, abs(value) / Fraction(APART[order])) for where, value in ends.items()]
         for where in dict.fromkeys(where for where, ratio in turning if ratio > 1):
             offences.append(Offence(fault=f"the heading turns at the {where}"))
-        return _check("heading", len(rows), offences, "rate and acceleration, in rational arithmetic")
+        return check("heading", len(rows), offences, "rate and acceleration, in rational arithmetic")
 
     def passed(self) -> Check:
         """Check start, waypoints, gates and goal, each at its time, in their order, and rest at the goal."""
@@ -342,7 +344,7 @@ class _Pieces:
         has_gates = any(each.kind == "gate" for each in passes)
         name = "start, vias, gates, goal" if has_gates else "start, vias, goal"
         fits = f"; a vehicle of {self.body_m:g} m fits through the gates" if has_gates else ""
-        return _check(name, count, offences, f"each at its time, and rest at the end{fits}")
+        return check(name, count, offences, f"each at its time, and rest at the end{fits}")
 
     def is_moved(self, name: str) -> bool:
         """Whether start or goal is another point than the one asked for, as --snap permits."""
@@ -425,7 +427,7 @@ def _clearance(
         x, y, z = (float(c) for c in np.asarray(plan["coefficient"])[i, :3, 0])
         fault = f"piece {i} is not proven to keep {keep_m:g} m from every {what}"
         offences.append(Offence(fault=fault, place_m=(x, y, z)))
-    return _check(
+    return check(
         f"clearance from {what}s",
         len(proof.proven),
         offences,
@@ -454,7 +456,7 @@ def _cells(
         if not proven[c]
     ]
     least = min((float(clearance[c]) for c in used), default=math.inf)
-    return _check(f"cells and {what}s", len(used), offences, f"at least {least:.6g} m, {pairs} pairs")
+    return check(f"cells and {what}s", len(used), offences, f"at least {least:.6g} m, {pairs} pairs")
 
 
 def _extent_m(scene: Artifact, sigma: float) -> float:
@@ -471,15 +473,4 @@ def _ellipsoids(scene: Artifact, level: CoverManifest) -> _core.EllipsoidSet:
         quat_wxyz=np.ascontiguousarray(rows.quat_wxyz),
         k=require_sigma(level),
         loss=rows.loss,
-    )
-
-
-def _check(name: str, checked: int, offences: list[Offence], detail: str) -> Check:
-    return Check(
-        name=name,
-        ok=not offences,
-        checked=checked,
-        failed=len(offences),
-        detail=detail,
-        first=offences[:LISTED],
     )

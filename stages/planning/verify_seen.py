@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.decimals import exact
 from alula.schemas.manifest import LEVEL, SceneManifest, SeenManifest
 from alula.schemas.progress import Progress
@@ -29,7 +30,7 @@ from alula.stages.compression.level import (
     without,
 )
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
-from alula.stages.compression.verify import LISTED, Certificate, Check, Offence
+from alula.stages.proof import LISTED, at_voxel, check
 
 Mask = NDArray[np.bool_]
 
@@ -76,7 +77,7 @@ def verify_seen(
         checks.append(_apart(manifest, marked, voxels))
     if scene is not None:
         checks.append(_untouched(manifest, marked, scene, jobs, progress))
-    covered = all(check.ok for check in checks)
+    covered = all(one.ok for one in checks)
     given = [role for role, file in files.items() if file is not None]
     below = None
     if scene is not None:
@@ -118,18 +119,8 @@ def _manifest_of(scene: Artifact) -> SceneManifest:
     return scene.manifest
 
 
-def _check(name: str, checked: int, offences: list[Offence], failed: int, detail: str) -> Check:
-    return Check(
-        name=name, ok=failed == 0, checked=checked, failed=failed, detail=detail, first=offences[:LISTED]
-    )
-
-
 def _offences(manifest: SeenManifest, fault: str, index: NDArray[Any]) -> list[Offence]:
-    g = manifest.voxel_size_m
-    return [
-        Offence(fault=fault, voxel=(x, y, z), place_m=((x + 0.5) * g, (y + 0.5) * g, (z + 0.5) * g))
-        for x, y, z in np.asarray(index)[:LISTED].tolist()
-    ]
+    return [at_voxel(fault, voxel, manifest.voxel_size_m) for voxel in np.asarray(index)[:LISTED]]
 
 
 def _files_agree(manifest: SeenManifest, files: Mapping[str, Artifact | None]) -> Check:
@@ -139,7 +130,7 @@ def _files_agree(manifest: SeenManifest, files: Mapping[str, Artifact | None]) -
         for name in names if other is not None else ():
             if (theirs := getattr(other.manifest, name)) != (mine := getattr(manifest, name)):
                 offences.append(Offence(fault=f"{name} of the seen voxels is {mine}, of the {role} {theirs}"))
-    return _check("files agree", len(LEVEL) + 2, offences, len(offences), "size, level, frame and unit")
+    return check("files agree", len(LEVEL) + 2, offences, "size, level, frame and unit")
 
 
 def _notes(
@@ -164,7 +155,7 @@ def _marked(seen: Artifact) -> tuple[Mask, Check]:
     marked[tuple(index[inside].T)] = True
     wrong = np.asarray(seen["index"])[~inside]
     offences = _offences(manifest, "a voxel lies outside of the box", wrong)
-    return marked, _check("voxels lie in the box", len(index), offences, len(wrong), "indices")
+    return marked, check("voxels lie in the box", len(index), offences, "indices", failed=len(wrong))
 
 
 def _apart(manifest: SeenManifest, marked: Mask, voxels: Artifact) -> Check:
@@ -172,7 +163,8 @@ def _apart(manifest: SeenManifest, marked: Mask, voxels: Artifact) -> Check:
     inside = index[((index >= 0) & (index < np.array(marked.shape))).all(axis=1)]
     both = inside[marked[tuple(inside.T)]] + np.array(manifest.lower)
     offences = _offences(manifest, "an obstacle's voxel is marked as seen", both)
-    return _check("no voxel is an obstacle's", int(marked.sum()), offences, len(both), "sets of indices")
+    name, count = "no voxel is an obstacle's", int(marked.sum())
+    return check(name, count, offences, "sets of indices", failed=len(both))
 
 
 def _untouched(
@@ -190,9 +182,8 @@ def _untouched(
         ignore_loss=manifest.ignore_loss,
     )
     offences = _offences(manifest, "a seen voxel may touch an ellipsoid", found.voxel)
-    return _check(
-        "no ellipsoid touches a voxel", int(marked.sum()), offences, found.total, "separating planes"
-    )
+    name, count = "no ellipsoid touches a voxel", int(marked.sum())
+    return check(name, count, offences, "separating planes", failed=found.total)
 
 
 def _touched_by_all(manifest: SeenManifest, marked: Mask, scene: Artifact, jobs: int) -> int:
@@ -278,6 +269,5 @@ def _reached(manifest: SeenManifest, marked: Mask) -> Check:
     missing = np.argwhere(padded != covered) - pad + np.array(manifest.lower)
     offences += _offences(manifest, "the ball does not reach a voxel", missing)
     detail = f"a ball of {exact(manifest.radius_m)} m, step by step"
-    return _check(
-        "the ball reaches every voxel", int(marked.sum()), offences, max(len(missing), len(offences)), detail
-    )
+    name, count = "the ball reaches every voxel", int(marked.sum())
+    return check(name, count, offences, detail, failed=max(len(missing), len(offences)))

@@ -11,24 +11,17 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, VoxelsManifest
 from alula.schemas.progress import Progress
+from alula.stages.compression.cover_checks import scene_check, unclaimed
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.onboard.image import MARGIN_OF_EXTENT, MapImage
-from alula.stages.compression.verify import (
-    LISTED,
-    Certificate,
-    Check,
-    Offence,
-    _check,
-    _position_m,
-    _scene_check,
-    certificate_of,
-    unclaimed,
-)
+from alula.stages.compression.verify import certificate_of
 from alula.stages.progress import share
+from alula.stages.proof import LISTED, check, position_m
 
 
 def verify_map(
@@ -72,7 +65,7 @@ def verify_map(
     if cover is not None:
         checks.append(_hulls_held(image, cover))
     if scene is not None:
-        checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
+        checks.append(scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
     found = certificate_of(
         level,
         {"cover": cover, "voxels": voxels, "scene": scene},
@@ -117,7 +110,7 @@ def files_agree(
         for key in (*LEVEL, "frame", "unit")
         if hasattr(theirs, key) and getattr(theirs, key) != getattr(mine, key)
     ]
-    return _check("files agree", len(given), offences, len(offences), "size, level, frame and unit")
+    return check("files agree", len(given), offences, "size, level, frame and unit")
 
 
 def margin_holds(image: MapImage) -> Check:
@@ -136,19 +129,19 @@ def margin_holds(image: MapImage) -> Check:
             )
         ]
     detail = f"{exact(image.margin_m)} m, subtracted on board"
-    return _check("margin covers single precision", len(image), offences, len(offences), detail)
+    return check("margin covers single precision", len(image), offences, detail)
 
 
 def _voxels_held(image: MapImage, occupied: NDArray[np.int32], jobs: int, progress: Progress | None) -> Check:
     outside = _core.check_map_voxels(*_arrays(image), occupied, jobs, progress)
     first = [
-        Offence(fault="voxel is in no hull", place_m=_position_m(occupied[row] + 0.5, image.voxel_size_m))
+        Offence(fault="voxel is in no hull", place_m=position_m(occupied[row] + 0.5, image.voxel_size_m))
         for row in outside[:LISTED].tolist()
     ]
     failed, name = len(outside), "every voxel lies in a hull"
     if len(occupied) == 0:  # an empty set proves nothing: neither voxelize nor merge writes an empty file
         first, failed = [Offence(fault="there is no voxel")], 1
-    return _check(name, len(occupied), first, failed, "integer containment, after quantisation")
+    return check(name, len(occupied), first, "integer containment, after quantisation", failed=failed)
 
 
 def _hulls_held(image: MapImage, cover: Artifact) -> Check:
@@ -158,13 +151,14 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
         Offence(
             fault="hull of the cover is in no hull of the map with its box",
             hull=hull,
-            place_m=_position_m(vertex[start[hull]], image.voxel_size_m)
+            place_m=position_m(vertex[start[hull]], image.voxel_size_m)
             if start[hull] < len(vertex)
             else None,
         )
         for hull in outside[:LISTED].tolist()
     ]
-    return _check("hulls contain the cover's", len(start) - 1, first, len(outside), "all vertices, integers")
+    name, detail = "hulls contain the cover's", "all vertices, integers"
+    return check(name, len(start) - 1, first, detail, failed=len(outside))
 
 
 def occupied_by(cover: Artifact | None, voxels: Artifact | None) -> tuple[LevelManifest, NDArray[np.int32]]:

@@ -10,25 +10,19 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import LevelManifest
 from alula.schemas.progress import Progress
 from alula.schemas.tiles import Tile, TileFiles, TilesIndex
+from alula.stages.compression.cover_checks import scene_check
 from alula.stages.compression.onboard.columns import Columns, voxels_of
 from alula.stages.compression.onboard.image import MapImage, decode_map
 from alula.stages.compression.onboard.verify import files_agree, margin_holds, notes_of, occupied_by
-from alula.stages.compression.verify import (
-    LISTED,
-    Certificate,
-    Check,
-    Offence,
-    _check,
-    _position_m,
-    _scene_check,
-    certificate_of,
-)
+from alula.stages.compression.verify import certificate_of
 from alula.stages.compression.verify_cubes import Alone, Parted, scene_proof
 from alula.stages.progress import share
+from alula.stages.proof import LISTED, check, position_m, sum_of
 
 _Boxes = NDArray[np.int64]
 
@@ -133,8 +127,8 @@ def _ellipsoids(
 ) -> tuple[Check, int]:
     """Check that the voxels contain the ellipsoids, and count the Gaussians below the minimum opacity."""
     if isinstance(scene, Artifact) and isinstance(occupied, Alone):
-        check = _scene_check(level, scene, voxels_of(occupied[0]), jobs, progress)
-        return check, len(scene["mean"]) - check.checked
+        found = scene_check(level, scene, voxels_of(occupied[0]), jobs, progress)
+        return found, len(scene["mean"]) - found.checked
     ellipsoids = Alone(scene) if isinstance(scene, Artifact) else scene
     return scene_proof(level, occupied, ellipsoids, jobs, progress)
 
@@ -195,7 +189,7 @@ def _tile_checks(
     offences = [
         Offence(fault="a wall reaches into the column", hull=count + int(w)) for w in np.flatnonzero(~apart)
     ]
-    checks.append(_check("walls beyond the reach", len(walls), offences, len(offences), "of each tile"))
+    checks.append(check("walls beyond the reach", len(walls), offences, "of each tile"))
     if hulls is not None:
         checks.append(_hulls_within(hulls.cover, inside, hulls.within(low, high)))
     return checks
@@ -230,17 +224,17 @@ def _fits_index(index: TilesIndex, tile: Tile, image: MapImage) -> Check:
         faults.append(Offence(fault="made from another cover than the index"))
     if len(image) != tile.hulls + tile.walls:
         faults.append(Offence(fault=f"{len(image)} hulls, in the index {tile.hulls} and {tile.walls} walls"))
-    return _check("images fit the index", 1, faults, len(faults), "lattice, cover, numbers of hulls")
+    return check("images fit the index", 1, faults, "lattice, cover, numbers of hulls")
 
 
 def _voxels(name: str, size_m: float, total: int, outside: NDArray[np.int32], checked: int) -> Check:
     first = [
-        Offence(fault="voxel is in none", place_m=_position_m(voxel + 0.5, size_m))
+        Offence(fault="voxel is in none", place_m=position_m(voxel + 0.5, size_m))
         for voxel in outside[:LISTED]
     ]
     if total == 0:  # an empty set proves nothing
-        return _check(name, 0, [Offence(fault="there is no voxel")], 1, "integers")
-    return _check(name, checked, first, len(outside), "integer containment, after quantisation")
+        return check(name, 0, [Offence(fault="there is no voxel")], "integers")
+    return check(name, checked, first, "integer containment, after quantisation", failed=len(outside))
 
 
 def _hulls_within(
@@ -260,17 +254,16 @@ def _hulls_within(
         Offence(fault="hull of the cover is in no hull with its box", hull=int(rows[m]))
         for m in missing[:LISTED].tolist()
     ]
-    return _check(
-        "hulls within reach contain the cover's", len(rows), first, len(missing), "all vertices, integers"
-    )
+    name, detail = "hulls within reach contain the cover's", "all vertices, integers"
+    return check(name, len(rows), first, detail, failed=len(missing))
 
 
 def _joined(index: TilesIndex, same: tuple[Check, ...]) -> Check:
     """One check of all tiles; its offences name their tiles."""
-    first = [
-        msgspec.structs.replace(offence, fault=f"{tile.file}: {offence.fault}")
-        for tile, check in zip(index.tiles, same, strict=True)
-        for offence in check.first
+    named = [
+        msgspec.structs.replace(
+            one, first=[msgspec.structs.replace(at, fault=f"{tile.file}: {at.fault}") for at in one.first]
+        )
+        for tile, one in zip(index.tiles, same, strict=True)
     ]
-    checked, failed = sum(check.checked for check in same), sum(check.failed for check in same)
-    return _check(same[0].name, checked, first[:LISTED], failed, same[0].detail)
+    return sum_of(named)
