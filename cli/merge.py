@@ -12,7 +12,7 @@ from alula.schemas.configs.merge import MergeConfig
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
-    from alula.stages.compression.block_tree import VoxelParts
+    from alula.schemas.parts import Parts
 
 EXAMPLES = """\b
 Examples:
@@ -58,22 +58,18 @@ def command(source: Path, config: MergeConfig, scheduler: str | None, common: op
     voxels, or a cover of more than 16,777,216, is refused.
     """
     from alula.cli.merge_blocks import merge_to_file, merge_to_parts
-    from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import UsageError, WrongKindError
     from alula.schemas.kinds import COVER, VOXELS
     from alula.schemas.parts import open_parts
     from alula.schemas.parts_join import joined
-    from alula.stages.compression.block_tree import OnePart
 
-    def read() -> Artifact | VoxelParts:
+    def read() -> Artifact | Parts:
         """A cover, or voxels in parts."""
-        found = open_parts(source) if source.is_dir() else read_artifact(source)
+        found = open_parts(source)
         if found.kind not in (VOXELS, COVER):
             raise WrongKindError(f"{source}: is {found.manifest.schema}, but voxels or a cover are needed")
         if found.kind is COVER and (config.block_m is not None or scheduler is not None):
             raise UsageError(f"{source}: is a cover; --block and --scheduler are for voxels")
-        if isinstance(found, Artifact):
-            return found if found.kind is COVER else OnePart(found)
         return joined(found) if found.kind is COVER else found
 
     is_parted = parted.is_parted(common.output, COVER.folder_suffix)

@@ -25,7 +25,6 @@ from alula.schemas.parts_join import joined
 from alula.schemas.parts_output import PartsWriter, kept_part, part_name, partial_folder, write_part
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, parameters_of
-from alula.stages.compression.block_tree import OnePart, VoxelParts
 from alula.stages.compression.merge_blocks import (
     BlockPlan,
     CoverStore,
@@ -35,7 +34,7 @@ from alula.stages.compression.merge_blocks import (
     whole_fields,
 )
 
-Read = Callable[[], Artifact | VoxelParts]
+Read = Callable[[], Artifact | Parts]
 
 
 def merge_to_file(
@@ -123,20 +122,17 @@ def merge_to_parts(
     run_parts(common, COVER, parameters_of(config), {"source": source}, build)
 
 
-def _plan(config: MergeConfig, found: Artifact | VoxelParts, scheduler: str | None) -> BlockPlan | None:
+def _plan(config: MergeConfig, found: Artifact | Parts, scheduler: str | None) -> BlockPlan | None:
     plan = None if isinstance(found, Artifact) else plan_blocks(config, found)
     if plan is None and scheduler is not None:
         raise UsageError("--scheduler sends blocks to workers; give --block, their edge")
     return plan
 
 
-def _whole(found: Artifact | VoxelParts) -> Artifact:
+def _whole(found: Artifact | Parts) -> Artifact:
     """All voxels at once, or the cover."""
     if isinstance(found, Artifact):
         return found
-    if isinstance(found, OnePart):
-        return found.artifact
-    assert isinstance(found, Parts)
     return joined(found)
 
 

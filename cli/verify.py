@@ -256,12 +256,12 @@ def command(
 
 
 def _open(path: Path, kind: Kind) -> Artifact | Parts:
-    """Voxels or a scene in parts, which are not joined; all else as a whole."""
+    """Voxels or a scene as parts, which are not joined; all else as a whole."""
     from alula.schemas.kinds import COVER
     from alula.schemas.parts import open_parts
     from alula.schemas.parts_join import read_whole
 
-    return open_parts(path, kind) if path.is_dir() and kind is not COVER else read_whole(path, kind)
+    return read_whole(path, kind) if kind is COVER else open_parts(path, kind)
 
 
 def prove(

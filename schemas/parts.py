@@ -2,7 +2,8 @@
 
 A folder such as `city.scene/` holds `index.json` and the files that it lists. Each part is an ordinary
 artifact of the same kind. The index holds the manifest that the whole would have as one file, and of each
-part its hash, its number of elements and its box. A single file is read as one part, by the same interface.
+part its hash, its number of elements and its box. A file, or an artifact in memory, is an artifact of one
+part.
 """
 
 from __future__ import annotations
@@ -70,6 +71,11 @@ class PartRef(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("`domain` is empty")
 
 
+_UNKNOWN = PartRef(
+    file="part-0.scene.npz", sha256="0" * 64, bytes=1, count=1, lower=[0.0] * 3, upper=[0.0] * 3
+)
+
+
 class PartsIndex(msgspec.Struct, frozen=True, kw_only=True):
     """Contents of `index.json`.
 
@@ -101,15 +107,15 @@ class _Head(msgspec.Struct):
 
 
 class Parts:
-    """An artifact in parts, or a single one as one part; parts are read one at a time.
+    """An artifact of one or several parts, which are read one at a time.
 
-    A part is checked against its hash, its manifest and the index when it is read for the first time.
+    A part of a folder is checked against its hash, its manifest and the index when it is read for the first
+    time.
 
     Attributes:
         path: folder or file.
         kind: of the whole and of each part.
         manifest: of the whole.
-        refs: of the parts, in their order.
     """
 
     def __init__(
@@ -120,12 +126,38 @@ class Parts:
         refs: Sequence[PartRef],
         single: Artifact | None = None,
     ) -> None:
-        self.path, self.kind, self.manifest, self.refs = path, kind, manifest, tuple(refs)
-        self._single = single
+        self.path, self.kind, self.manifest = path, kind, manifest
+        self._refs, self._single = tuple(refs), single
         self._checked: set[int] = set()
 
+    @classmethod
+    def of(cls, artifact: Artifact, path: Path = Path()) -> Parts:
+        """An artifact as one part.
+
+        Args:
+            artifact: of any kind.
+            path: of its file, for messages.
+        """
+        return cls(path, artifact.kind, artifact.manifest, (), artifact)
+
+    @property
+    def refs(self) -> tuple[PartRef, ...]:
+        """References of the parts, in their order; that of an artifact of one part is made when it is asked for.
+
+        Raises:
+            WrongKindError: the artifact is neither scene, voxels nor cover.
+            ArtifactError: it has no elements.
+        """
+        if self._single is not None and not self._refs:
+            if self.kind.name not in PARTED:
+                raise WrongKindError(f"{self.path}: is {self.manifest.schema}, which has no parts")
+            if count_of(self._single) == 0:
+                raise ArtifactError(f"{self.path}: is empty: it has no elements")
+            self._refs = (described(self._single, _UNKNOWN),)
+        return self._refs
+
     def __len__(self) -> int:
-        return len(self.refs)
+        return len(self._refs) if self._single is None else 1
 
     def __iter__(self) -> Iterator[Artifact]:
         return (self[number] for number in range(len(self)))
@@ -178,12 +210,16 @@ class Parts:
     ) -> list[int]:
         """Numbers of the parts whose content may touch a box; no part that touches it is left out.
 
+        The only part is always among them.
+
         Args:
             lower: corner of the box, frame and unit of the whole.
             upper: opposite corner.
             sigma: level k of the ellipsoids of a scene.
             inflation: radius of the ball that is added to each.
         """
+        if self._single is not None:
+            return [0]
         found = []
         for number, ref in enumerate(self.refs):
             margin = sigma * ref.reach + inflation
@@ -309,11 +345,11 @@ def encode_index(of: Kind, whole: Manifest, parts: Sequence[PartRef], requires: 
 
 
 def open_parts(path: Path, kind: Kind | None = None) -> Parts:
-    """Open an artifact in parts, or a single one as one part; see `Parts`.
+    """Open an artifact of any number of parts; see `Parts`.
 
     Args:
         path: the folder or the file.
-        kind: the required kind; None for a scene, voxels or a cover.
+        kind: the required kind; None for any.
 
     Raises:
         WrongKindError: the artifact is of another kind.
@@ -323,15 +359,7 @@ def open_parts(path: Path, kind: Kind | None = None) -> Parts:
     """
     if path.is_dir():
         return _open_folder(path, kind)
-    artifact = read_artifact(path, kind)
-    if artifact.kind.name not in PARTED:
-        raise WrongKindError(f"{path}: is {artifact.manifest.schema}, which has no parts")
-    if count_of(artifact) == 0:
-        raise ArtifactError(f"{path}: is empty: it has no elements")
-    unknown = PartRef(
-        file="part-0.scene.npz", sha256="0" * 64, bytes=1, count=1, lower=[0.0] * 3, upper=[0.0] * 3
-    )
-    return Parts(path, artifact.kind, artifact.manifest, [described(artifact, unknown)], artifact)
+    return Parts.of(read_artifact(path, kind), path)
 
 
 def manifest_of(path: Path) -> Manifest:

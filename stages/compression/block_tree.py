@@ -5,14 +5,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Manifest
+from alula.schemas.parts import Parts
 from alula.stages.compression.limits import LATTICE_LIMIT, require_near
 
 Place = tuple[int, int, int]
@@ -22,37 +20,6 @@ REGION_VOXELS = 2**23  # of blocks that are joined to one cover, by the memory o
 _FINEST = 16  # edge of the cells that chosen blocks consist of [voxels]
 _KEY = np.array([2**42, 2**21, 1])
 _AT_ONCE = 2**22  # rows that are assigned to blocks together
-
-
-class VoxelParts(Protocol):
-    """Voxels in one or several parts, which have no voxel in common; `alula.schemas.parts.Parts` is one."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """Manifest of the whole."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, number: int) -> Artifact: ...
-
-
-@dataclass(frozen=True, slots=True)
-class OnePart:
-    """Voxels in one part."""
-
-    artifact: Artifact
-
-    @property
-    def manifest(self) -> Manifest:
-        """See `VoxelParts`."""
-        return self.artifact.manifest
-
-    def __len__(self) -> int:
-        return 1
-
-    def __getitem__(self, number: int) -> Artifact:
-        return (self.artifact,)[number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +65,7 @@ def edge_of(block_m: float, voxel_size_m: float) -> int:
     return max(1, round(block_m / voxel_size_m))
 
 
-def blocks_of(parts: VoxelParts, edge: int) -> list[Block]:
+def blocks_of(parts: Parts, edge: int) -> list[Block]:
     """Blocks that have voxels, by their place. Block b has the voxels v with floor(v / edge) = b.
 
     Args:
@@ -116,7 +83,7 @@ def blocks_of(parts: VoxelParts, edge: int) -> list[Block]:
     return [Block(place, count[place]) for place in sorted(count)]
 
 
-def chosen_edge(parts: VoxelParts, most: int = BLOCK_VOXELS) -> int:
+def chosen_edge(parts: Parts, most: int = BLOCK_VOXELS) -> int:
     """Largest power of two, at least 16, with which no block has more than `most` voxels.
 
     Args:
@@ -180,7 +147,7 @@ def regions_of(
 
 
 def block_rows(
-    parts: VoxelParts, edge: int, wanted: Mapping[Place, int]
+    parts: Parts, edge: int, wanted: Mapping[Place, int]
 ) -> Iterator[tuple[Place, NDArray[np.int32]]]:
     """Sorted voxels of each wanted block, shape (M, 3), one layer of blocks in memory at a time.
 
@@ -215,7 +182,7 @@ def block_rows(
             yield place, index[begin:end]
 
 
-def _each(parts: VoxelParts) -> Iterator[NDArray[np.int32]]:
+def _each(parts: Parts) -> Iterator[NDArray[np.int32]]:
     return (parts[number]["index"] for number in range(len(parts)))
 
 

@@ -14,6 +14,7 @@ from alula.schemas.certificate import Check, Offence
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError, InputError
 from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, Manifest, VoxelsManifest
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
@@ -57,13 +58,13 @@ def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
         raise ArtifactError(f"the cover is not sound: {first.text()}; make it again with merge")
 
 
-def files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
+def files_agree(cover: Artifact, voxels: Artifact | Parts | None, scene: Artifact | Parts | None) -> Check:
     """Check that lattice, level, frame and unit of the cover equal those of its claims and other files.
 
     Args:
         cover: an `alula/cover`.
-        voxels: the voxels, if given; only the manifest is used.
-        scene: the scene, if given; only the manifest is used.
+        voxels: the voxels, if given.
+        scene: the scene, if given.
     """
     mine = cover.manifest
     assert isinstance(mine, CoverManifest)

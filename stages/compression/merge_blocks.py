@@ -13,6 +13,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest, level_fields
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.block_budgets import (
     Curve,
@@ -26,7 +27,6 @@ from alula.stages.compression.block_sets import BlockTask, last_cover, sets_of
 from alula.stages.compression.block_tree import (
     Node,
     Place,
-    VoxelParts,
     block_rows,
     blocks_of,
     chosen_edge,
@@ -96,7 +96,7 @@ class BlockPlan:
         blocks: number of blocks.
     """
 
-    parts: VoxelParts
+    parts: Parts
     edge: int
     regions: list[Node]
     lowest: Place
@@ -129,7 +129,7 @@ class BlockPlan:
         }
 
 
-def plan_blocks(config: MergeConfig, parts: VoxelParts) -> BlockPlan | None:
+def plan_blocks(config: MergeConfig, parts: Parts) -> BlockPlan | None:
     """Divide voxels into blocks; None where `merge` covers them at once.
 
     Args:

@@ -6,7 +6,7 @@ The checks share no code with those stages.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from alula.schemas.manifest import (
     SceneManifest,
     VoxelsManifest,
 )
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cover_checks import (
     LATTICE_LIMIT,
@@ -54,15 +55,6 @@ from alula.stages.progress import share
 from alula.stages.proof import check
 
 _VOLUME_BEGINS, _SCENE_BEGINS = 0.1, 0.5  # approximate fractions of the time at which these checks begin
-
-
-class Described(Protocol):
-    """An artifact, or one in parts."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """Manifest of the whole."""
-        ...
 
 
 def verify(
@@ -271,7 +263,10 @@ def _left_out(
 
 
 def notes_of(
-    cover: Described, voxels: Described | None, scene: Described | None, sha256: Mapping[str, str]
+    cover: Artifact | Parts,
+    voxels: Artifact | Parts | None,
+    scene: Artifact | Parts | None,
+    sha256: Mapping[str, str],
 ) -> list[str]:
     """Notes about files that are not the inputs that the manifests record, and what changed the ellipsoids.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.certificate import Check
-from alula.schemas.manifest import LevelManifest, Manifest
-from alula.schemas.parts import PartRef
+from alula.schemas.manifest import LevelManifest
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CellHulls, HullProof, boxes_of, hull_proof, members_of_own
 from alula.stages.compression.cover_checks import SCENE_CHECK, scene_check
@@ -37,69 +36,21 @@ _FARTHEST = 2**40  # of voxels, which have 32 bits
 _RING = np.array([[-1, -1, -1], [1, 1, 1]])
 
 
-class Parted(Protocol):
-    """An artifact in parts; `alula.schemas.parts.Parts` is one."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """Manifest of the whole."""
-        ...
-
-    @property
-    def refs(self) -> tuple[PartRef, ...]:
-        """References of the parts; empty for a single artifact without one."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, number: int) -> Artifact: ...
-
-    def touching(
-        self, lower: Sequence[float], upper: Sequence[float], *, sigma: float = 0.0, inflation: float = 0.0
-    ) -> list[int]:
-        """Numbers of the parts whose content may touch a box."""
-        ...
-
-
-class Alone:
-    """One artifact as a whole in one part, of which nothing is known before it is read.
-
-    Args:
-        artifact: scene, voxels or a part of a cover.
-    """
-
-    def __init__(self, artifact: Artifact) -> None:
-        self.manifest, self._artifact = artifact.manifest, artifact
-        self.refs: tuple[PartRef, ...] = ()
-
-    def __len__(self) -> int:
-        return 1
-
-    def __getitem__(self, number: int) -> Artifact:
-        return (self._artifact,)[number]
-
-    def touching(
-        self, lower: Sequence[float], upper: Sequence[float], *, sigma: float = 0.0, inflation: float = 0.0
-    ) -> list[int]:
-        """Number of the part."""
-        return [0]
-
-
 @dataclass(frozen=True, slots=True)
 class Sources:
     """What a cover is proven against.
 
     Attributes:
         level: definition of an obstacle.
-        occupied: voxels, or a cover whose members they are.
+        occupied: voxels, or a cover whose members they are; None where neither voxels nor scene are given.
         voxels: of the whole, if given.
         scene: of the whole, if given.
     """
 
     level: LevelManifest
-    occupied: Parted
-    voxels: Parted | None
-    scene: Parted | None
+    occupied: Parts | None
+    voxels: Parts | None
+    scene: Parts | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +128,7 @@ def _task(
         or _expected(level, cube, sources.scene) > _SURE * CELL_ELLIPSOIDS
     ):
         return None
-    if sources.voxels is not None or sources.scene is not None:
+    if sources.occupied is not None and (sources.voxels is not None or sources.scene is not None):
         found = _occupied(level, cube + _RING, sources.occupied, CELL_VOXELS if may_halve else None)
         if found is None:
             return None
@@ -207,15 +158,13 @@ def proof_of(task: CellTask) -> CellProof:
     return CellProof(hulls, None if task.scene is None else _scene_check(task), task.below)
 
 
-def _expected(level: LevelManifest, cube: Index, source: Parted | None) -> float:
+def _expected(level: LevelManifest, cube: Index, source: Parts | None) -> float:
     """Number of elements in a cube if those of each part were spread evenly over its box."""
     if source is None:
         return 0.0
     lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
     total = 0.0
     for number in source.touching(lower.tolist(), upper.tolist()):
-        if number >= len(source.refs):
-            return 0.0
         ref = source.refs[number]
         low, high = np.array(ref.lower), np.array(ref.upper)
         inside = (np.minimum(high, upper) - np.maximum(low, lower)) / np.maximum(high - low, 1e-300)
@@ -223,9 +172,7 @@ def _expected(level: LevelManifest, cube: Index, source: Parted | None) -> float
     return total
 
 
-def _occupied(
-    level: LevelManifest, cube: Index, source: Parted, most: int | None
-) -> NDArray[np.int32] | None:
+def _occupied(level: LevelManifest, cube: Index, source: Parts, most: int | None) -> NDArray[np.int32] | None:
     """Sorted voxels of a cube: those of a file, or the members of a cover; None where there are too many."""
     lower, upper = cube[0] * level.voxel_size_m, (cube[1] + 1) * level.voxel_size_m
     found, count = [np.empty((0, 3), np.int32)], 0
@@ -246,7 +193,7 @@ def _occupied(
 
 
 def _rows(
-    level: LevelManifest, domain: Index, cube: Index, scene: Parted | None, most: int | None
+    level: LevelManifest, domain: Index, cube: Index, scene: Parts | None, most: int | None
 ) -> tuple[Artifact | None, Index, int, int] | None:
     """Rows of a scene whose ellipsoids may touch a cell, with their numbers; none may be missing.
 
@@ -346,7 +293,7 @@ def _scene_check(task: CellTask) -> Check:
     return scene_check(level, scene, task.near, 1, None, crop=crop, rows=task.rows, checked=task.ellipsoids)
 
 
-def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted) -> Iterator[Index]:
+def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parts) -> Iterator[Index]:
     """Cells that do not lie in one of the cubes, and that the box of an ellipsoid touches.
 
     Args:
@@ -380,7 +327,7 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parted)
 
 
 def scene_proof(
-    level: LevelManifest, occupied: Parted, scene: Parted, jobs: int, progress: Progress | None
+    level: LevelManifest, occupied: Parts, scene: Parts, jobs: int, progress: Progress | None
 ) -> tuple[Check, int]:
     """Check cell by cell that voxels contain all ellipsoids of a scene.
 
@@ -406,7 +353,7 @@ def scene_proof(
     return msgspec.structs.replace(sum_of(found), checked=total - below), below
 
 
-def _domain(level: LevelManifest, scene: Parted) -> tuple[Index, int, int]:
+def _domain(level: LevelManifest, scene: Parts) -> tuple[Index, int, int]:
     """Cube with all ellipsoids, the number of those below the minimum opacity, and the number of all."""
     low, high, below, total = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
     for number in range(len(scene)):

@@ -15,6 +15,7 @@ from alula.schemas.certificate import Certificate, Check, Offence, PartProof, Pa
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
 from alula.schemas.manifest import LEVEL, CoverManifest
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CUBE_CHECK
 from alula.stages.compression.cover_checks import (
@@ -30,11 +31,9 @@ from alula.stages.compression.cover_checks import (
 )
 from alula.stages.compression.verify import certificate_of, notes_of
 from alula.stages.compression.verify_cubes import (
-    Alone,
     CellProof,
     CellTask,
     Index,
-    Parted,
     Sources,
     cells_of,
     outside_cells,
@@ -48,10 +47,10 @@ _NO_ELLIPSOID = check(SCENE_CHECK, 0, [], "separating planes")
 
 
 def verify_parts(
-    cover: Parted,
+    cover: Parts,
     *,
-    voxels: Parted | None = None,
-    scene: Parted | None = None,
+    voxels: Parts | None = None,
+    scene: Parts | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
@@ -109,7 +108,7 @@ def verify_parts(
 
 
 def prove_part(
-    whole: PartsCertificate, part: Artifact, sha256: str, voxels: Parted | None, scene: Parted | None
+    whole: PartsCertificate, part: Artifact, sha256: str, voxels: Parts | None, scene: Parts | None
 ) -> Certificate:
     """Prove one part again, and compare the proof with the list of a certificate.
 
@@ -140,7 +139,7 @@ def prove_part(
         raise CheckError("the certificate does not list this part: no entry has its SHA-256")
     level, domain = part.manifest, np.array(entry.domain, np.int64)
     assert isinstance(level, CoverManifest)
-    sources = Sources(level, voxels or Alone(part), voxels, scene)
+    sources = Sources(level, voxels, voxels, scene)
     proof, _ = part_proof(sources, part, [proof_of(task) for task in cells_of(sources, domain, part)])
     if leaf_of(proof) != entry.certificate:
         why = proof.complaint().removeprefix("not proven: ") or "its proof is not the listed one"
@@ -151,7 +150,7 @@ def prove_part(
 class _Cells:
     """Cells of all parts and of the space around them, and their proofs."""
 
-    def __init__(self, cover: Parted, domains: Sequence[Index], sources: Sources) -> None:
+    def __init__(self, cover: Parts, domains: Sequence[Index], sources: Sources) -> None:
         self._cover, self._domains, self._sources = cover, domains, sources
         self._steps = len(cover) + (sources.scene is not None)
         self._of: deque[int] = deque()  # number of the part, of each task under way
@@ -200,9 +199,7 @@ def part_proof(sources: Sources, part: Artifact, cells: Sequence[CellProof]) -> 
     Returns:
         The certificate, and the number of voxels in the cube, or of different members without voxels.
     """
-    voxels, scene = (
-        None if each is None else Artifact(each.manifest, {}) for each in (sources.voxels, sources.scene)
-    )
+    voxels, scene = sources.voxels, sources.scene
     hulls = [cell.hulls for cell in cells if cell.hulls is not None]
     words, occupied = hull_words(part), occupied_words(is_given=voxels is not None)
     names = [(CUBE_CHECK, "vertices"), words[:2], words[2:], occupied]
@@ -237,7 +234,7 @@ def leaf_of(proof: Certificate) -> str:
     return merkle.leaf(msgspec.json.encode(proof, order="sorted"))
 
 
-def domains_of(cover: Parted) -> list[Index]:
+def domains_of(cover: Parts) -> list[Index]:
     """Cubes of all parts, each of shape (2, 3): lowest and highest voxel.
 
     Args:
@@ -262,16 +259,11 @@ def _entry(name: str, sha256: str, domain: list[list[int]], proof: Certificate) 
     return PartProof(name=name, sha256=sha256, domain=domain, certificate=leaf_of(proof))
 
 
-def _certificate(
-    cover: Parted, voxels: Parted | None, scene: Parted | None, checks: list[Check]
-) -> Certificate:
+def _certificate(cover: Parts, voxels: Parts | None, scene: Parts | None, checks: list[Check]) -> Certificate:
     """Certificate with the words for the whole files."""
     level = cover.manifest
     assert isinstance(level, CoverManifest)
-    files: dict[str, Artifact | None] = {
-        role: None if parts is None else Artifact(parts.manifest, {})
-        for role, parts in (("cover", cover), ("voxels", voxels), ("scene", scene))
-    }
+    files = {"cover": cover, "voxels": voxels, "scene": scene}
     below = None
     if scene is not None and level.min_opacity > 0:  # the words count the Gaussians that are left out
         parts = (scene[number]["opacity"] for number in range(len(scene)))
@@ -280,7 +272,7 @@ def _certificate(
     return certificate_of(level, files, checks, proven, [], below)
 
 
-def _cubes(cover: Parted, domains: Sequence[Index], counts: Sequence[int], voxels: Parted | None) -> Check:
+def _cubes(cover: Parts, domains: Sequence[Index], counts: Sequence[int], voxels: Parts | None) -> Check:
     """Check that no two cubes overlap, and that no voxel lies outside of all."""
     offences = []
     order = sorted(range(len(domains)), key=lambda number: domains[number][0].tolist())
@@ -297,7 +289,7 @@ def _cubes(cover: Parted, domains: Sequence[Index], counts: Sequence[int], voxel
     return check("cubes divide the voxels", len(domains), offences, "no overlap")
 
 
-def _whole(cover: Parted, counts: Sequence[int], scene: Parted | None) -> Check:
+def _whole(cover: Parts, counts: Sequence[int], scene: Parts | None) -> Check:
     """Check that level and volume of the whole are those of its parts, and the frame that of the scene."""
     whole = cover.manifest
     assert isinstance(whole, CoverManifest)

@@ -12,6 +12,7 @@ from alula import _core
 from alula.schemas.artifact import file_hash, write_artifact
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import InputRef
+from alula.schemas.parts import Parts
 from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import (
     BINARY,
@@ -26,7 +27,6 @@ from alula.schemas.tiles import (
     sign,
 )
 from alula.stages.compression.onboard.tiles import cut_tiles, sealed
-from alula.stages.compression.verify_cubes import Alone
 from support.fabricate import exact_hull, make_cover
 
 KEY = bytes(range(32))
@@ -55,7 +55,7 @@ class CutMap(NamedTuple):
 def cut(cover, tile_m=1.2, reach_m=1.6, hysteresis_m=0.2, **fields):
     images = []
     lengths = {"tile_m": tile_m, "reach_m": reach_m, "hysteresis_m": hysteresis_m}
-    index = cut_tiles(Alone(cover), images.append, **lengths, largest_normal=127, **fields)
+    index = cut_tiles(Parts.of(cover), images.append, **lengths, largest_normal=127, **fields)
     return CutMap(index, images)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
-from alula.stages.compression.verify_cubes import Parted
+from alula.schemas.parts import Parts
 
 _HELD = 2**22  # voxels of parts that are kept in memory, beside those of the parts in use
 _FAR = 2**31  # no voxel is farther along z
@@ -19,7 +19,7 @@ _Voxels = NDArray[np.int32]
 
 
 class Columns:
-    """Voxels in parts, of which few are in memory at a time.
+    """Voxels, of whose parts few are in memory at a time.
 
     Args:
         source: voxels, or a cover whose members they are.
@@ -29,7 +29,7 @@ class Columns:
         count: number of voxels, of a cover of members.
     """
 
-    def __init__(self, source: Parted, voxel_size_m: float) -> None:
+    def __init__(self, source: Parts, voxel_size_m: float) -> None:
         self._source, self._size = source, voxel_size_m
         self._held: OrderedDict[int, NDArray[np.int32]] = OrderedDict()
         self.count = 0

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
+from alula.schemas.parts import Parts
 from alula.stages.compression.hulls import some_hulls
 from alula.stages.compression.onboard.image import HULL_BYTES, KDOP_PLANE_BYTES, PLANE_BYTES
 from alula.stages.compression.onboard.layout import MapFrame, encode_records
-from alula.stages.compression.verify_cubes import Parted
 
 _HELD = 2**21  # vertices of parts that are kept in memory, beside those of the parts in use
 _STARTS = ("vertex_start", "plane_start")
@@ -39,7 +39,7 @@ class HullRecords:
         InfeasibleError, InputError, ArtifactError: see `encode_map`; or the cover has no hulls.
     """
 
-    def __init__(self, cover: Parted, largest_normal: int, cover_sha256: str, jobs: int) -> None:
+    def __init__(self, cover: Parts, largest_normal: int, cover_sha256: str, jobs: int) -> None:
         self._cover, self._normal, self._jobs = cover, largest_normal, jobs
         self._held: OrderedDict[int, Artifact] = OrderedDict()
         self._row: tuple[int, int, NDArray[np.int64]] = (0, -1, np.empty(0, np.int64))

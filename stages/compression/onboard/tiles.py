@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.errors import InfeasibleError
+from alula.schemas.parts import Parts
 from alula.schemas.provenance import Provenance
 from alula.schemas.tiles import MOST_TILES, TILES_SCHEMA, TILES_VERSION, Tile, TilesIndex, merkle_root
 from alula.stages.compression.onboard.cost import ASSUMED
@@ -29,7 +30,6 @@ from alula.stages.compression.onboard.image import (
     decode_map,
 )
 from alula.stages.compression.onboard.layout import with_records
-from alula.stages.compression.verify_cubes import Parted
 
 _WALL = struct.Struct("<6h2B")
 _Rows = NDArray[np.int64]
@@ -46,7 +46,7 @@ def voxels_up(length_m: float, voxel_size_m: float) -> int:
 
 
 def cut_tiles(
-    cover: Parted,
+    cover: Parts,
     keep: Callable[[bytes], object],
     *,
     tile_m: float,

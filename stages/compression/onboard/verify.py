@@ -15,6 +15,7 @@ from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, VoxelsManifest
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cover_checks import scene_check, unclaimed
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
@@ -83,7 +84,7 @@ def _arrays(
 
 
 def files_agree(
-    image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
+    image: MapImage, cover: Artifact | None, voxels: Artifact | Parts | None, scene: Artifact | Parts | None
 ) -> Check:
     """Check that lattice, level, frame and unit of all files are equal and equal to their claims.
 

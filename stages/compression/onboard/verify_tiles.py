@@ -13,6 +13,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.certificate import Certificate, Check, Offence
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import LevelManifest
+from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.schemas.tiles import Tile, TileFiles, TilesIndex
 from alula.stages.compression.cover_checks import scene_check
@@ -20,7 +21,7 @@ from alula.stages.compression.onboard.columns import Columns, voxels_of
 from alula.stages.compression.onboard.image import MapImage, decode_map
 from alula.stages.compression.onboard.verify import files_agree, margin_holds, notes_of, occupied_by
 from alula.stages.compression.verify import certificate_of
-from alula.stages.compression.verify_cubes import Alone, Parted, scene_proof
+from alula.stages.compression.verify_cubes import scene_proof
 from alula.stages.progress import share
 from alula.stages.proof import LISTED, check, position_m, sum_of
 
@@ -31,8 +32,8 @@ def verify_tiles(
     tiles: TileFiles,
     *,
     cover: Artifact | None = None,
-    voxels: Artifact | Parted | None = None,
-    scene: Artifact | Parted | None = None,
+    voxels: Parts | None = None,
+    scene: Parts | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
@@ -84,8 +85,8 @@ def verify_tiles(
         if reports is not None:
             reports(number + 1, len(index.tiles))
     assert first is not None
-    whole = {"cover": cover, "voxels": _whole(voxels), "scene": _whole(scene)}
-    checks = [files_agree(first, **whole)]
+    whole = {"cover": cover, "voxels": voxels, "scene": scene}
+    checks = [files_agree(first, cover, voxels, scene)]
     checks += [_joined(index, same) for same in zip(*found, strict=True)]
     below = None
     if scene is not None:
@@ -103,34 +104,23 @@ def verify_tiles(
     return msgspec.structs.replace(certificate, given=["tiles", *certificate.given])
 
 
-def _whole(files: Artifact | Parted | None) -> Artifact | None:
-    return files if files is None or isinstance(files, Artifact) else Artifact(files.manifest, {})
-
-
-def _occupied_by(cover: Artifact | None, voxels: Artifact | Parted | None) -> tuple[LevelManifest, Parted]:
-    """Level and voxels that the tiles must contain: see `occupied_by`; of parts there may be any number."""
-    if voxels is None or isinstance(voxels, Artifact):
-        level, _ = occupied_by(cover, voxels)
-        source = cover if voxels is None else voxels
-        assert source is not None
-        return level, Alone(source)
+def _occupied_by(cover: Artifact | None, voxels: Parts | None) -> tuple[LevelManifest, Parts]:
+    """Level and voxels that the tiles must contain: see `occupied_by`; of a folder there may be any number."""
+    if voxels is None or not voxels.is_folder:
+        level, _ = occupied_by(cover, None if voxels is None else voxels[0])
+        return level, Parts.of(cover) if voxels is None else voxels  # type: ignore[arg-type]
     assert isinstance(voxels.manifest, LevelManifest)
     return voxels.manifest, voxels
 
 
 def _ellipsoids(
-    level: LevelManifest,
-    occupied: Parted,
-    scene: Artifact | Parted,
-    jobs: int,
-    progress: Progress | None,
+    level: LevelManifest, occupied: Parts, scene: Parts, jobs: int, progress: Progress | None
 ) -> tuple[Check, int]:
     """Check that the voxels contain the ellipsoids, and count the Gaussians below the minimum opacity."""
-    if isinstance(scene, Artifact) and isinstance(occupied, Alone):
-        found = scene_check(level, scene, voxels_of(occupied[0]), jobs, progress)
-        return found, len(scene["mean"]) - found.checked
-    ellipsoids = Alone(scene) if isinstance(scene, Artifact) else scene
-    return scene_proof(level, occupied, ellipsoids, jobs, progress)
+    if scene.is_folder or occupied.is_folder:
+        return scene_proof(level, occupied, scene, jobs, progress)
+    found = scene_check(level, scene[0], voxels_of(occupied[0]), jobs, progress)
+    return found, len(scene[0]["mean"]) - found.checked
 
 
 def _signature_note(tiles: TileFiles) -> list[str]:

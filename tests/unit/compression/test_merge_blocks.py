@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError, LinkError, UsageError
+from alula.schemas.parts import Parts
 from alula.stages.compression import block_tree, merge_blocks
 from alula.stages.compression.block_budgets import Curve, divided
-from alula.stages.compression.block_tree import Block, OnePart, block_rows, blocks_of, chosen_edge, regions_of
+from alula.stages.compression.block_tree import Block, block_rows, blocks_of, chosen_edge, regions_of
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import MemoryStore, plan_blocks
 from support.clusters import Cluster
@@ -40,7 +41,7 @@ class InParts:
 
 def blocked(voxels, block=4, *, jobs=1, store=None, scheduler=None, **limits):
     config = MergeConfig(block_m=block * SIZE_M, **limits)
-    parts = voxels if isinstance(voxels, InParts) else OnePart(voxels)
+    parts = voxels if isinstance(voxels, InParts) else Parts.of(voxels)
     plan = plan_blocks(config, parts)
     return list(merge_blocks.merge_blocks(config, plan, jobs=jobs, store=store, scheduler=scheduler))
 
@@ -66,7 +67,7 @@ def test_every_voxel_is_covered_by_at_most_so_many_hulls(index, block, hulls, me
 @given(voxel_sets, st.integers(1, 6))
 @settings(deadline=None, max_examples=examples(60))
 def test_each_voxel_belongs_to_one_block(index, edge):
-    voxels = OnePart(voxels_of(sorted(index)))
+    voxels = Parts.of(voxels_of(sorted(index)))
     blocks = blocks_of(voxels, edge)
     assert sum(block.voxels for block in blocks) == len(index)
     seen = []
@@ -183,7 +184,7 @@ def test_impossible_limits_are_refused_in_words():
     with pytest.raises(InputError, match="a block has 2,082 voxels, but memory limits it to 1,000"):
         regions_of([Block((0, 0, 0), 2082)], 1000)
     with pytest.raises(InputError, match="more than 1048576 voxels from the origin"):
-        blocks_of(OnePart(voxels_of([(2**20, 0, 0)])), 8)
+        blocks_of(Parts.of(voxels_of([(2**20, 0, 0)])), 8)
 
 
 def test_cubes_of_blocks_are_joined_up_to_the_limit():
@@ -200,13 +201,13 @@ def test_cubes_of_blocks_are_joined_up_to_the_limit():
 
 def test_blocks_are_chosen_for_many_voxels_alone(monkeypatch):
     monkeypatch.setattr(merge_blocks, "MERGE_VOXELS", 2082)
-    assert plan_blocks(MergeConfig(hulls=9), OnePart(SCENE)) is None
+    assert plan_blocks(MergeConfig(hulls=9), Parts.of(SCENE)) is None
     monkeypatch.setattr(merge_blocks, "MERGE_VOXELS", 2081)
     monkeypatch.setattr(block_tree.chosen_edge, "__defaults__", (900,))
-    plan = plan_blocks(MergeConfig(hulls=9), OnePart(SCENE))
+    plan = plan_blocks(MergeConfig(hulls=9), Parts.of(SCENE))
     assert plan.edge == 32
     assert plan.summary()["block_m"] == 32 * SIZE_M
-    grid = OnePart(voxels_of(list(product(range(40), repeat=3))))
+    grid = Parts.of(voxels_of(list(product(range(40), repeat=3))))
     for most in (2**15, 2**15 - 1):
         edge = chosen_edge(grid, most)
         assert max(block.voxels for block in blocks_of(grid, edge)) <= most

@@ -95,10 +95,10 @@ def parts(voxels):
 
 
 def covered(voxels, block=24):
-    from alula.stages.compression.block_tree import OnePart
+    from alula.schemas.parts import Parts
 
     config = MergeConfig(hulls=12, block_m=block * SIZE_M, per_block=True)
-    plan = plan_blocks(config, OnePart(voxels))
+    plan = plan_blocks(config, Parts.of(voxels))
     covers = list(merge_blocks(config, plan, jobs=1))
     assert len(covers) > 2
     growth = sum((c.manifest.conservativeness - 1) * c.manifest.summary["voxels"] for c in covers)
