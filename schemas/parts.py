@@ -142,7 +142,7 @@ class Parts:
 
     @property
     def refs(self) -> tuple[PartRef, ...]:
-        """References of the parts, in their order; that of an artifact of one part is made when it is asked for.
+        """References of the parts, in their order; that of an only part is made when it is asked for.
 
         Raises:
             WrongKindError: the artifact is neither scene, voxels nor cover.

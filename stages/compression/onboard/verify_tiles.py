@@ -105,7 +105,7 @@ def verify_tiles(
 
 
 def _occupied_by(cover: Artifact | None, voxels: Parts | None) -> tuple[LevelManifest, Parts]:
-    """Level and voxels that the tiles must contain: see `occupied_by`; of a folder there may be any number."""
+    """Level and voxels that the tiles must contain: see `occupied_by`; a folder may have any number."""
     if voxels is None or not voxels.is_folder:
         level, _ = occupied_by(cover, None if voxels is None else voxels[0])
         return level, Parts.of(cover) if voxels is None else voxels  # type: ignore[arg-type]
