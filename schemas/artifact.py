@@ -99,9 +99,6 @@ def _bytes_of(array: NDArray[Any]) -> memoryview:
 def file_hash(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file cannot be read.
     """
@@ -169,11 +166,7 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
-    """Encode a manifest as canonical JSON: sorted keys, two spaces, a final newline.
-
-    Args:
-        manifest: of any kind.
-    """
+    """Encode a manifest as canonical JSON: sorted keys, two spaces, a final newline."""
     return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=2) + b"\n"
 
 
@@ -193,11 +186,7 @@ def write_artifact(path: Path, artifact: Artifact, *, is_final: bool = True) -> 
 
 
 def encode_artifact(artifact: Artifact) -> bytes:
-    """Encode an artifact as the bytes of its file.
-
-    Args:
-        artifact: manifest and arrays.
-    """
+    """Encode an artifact as the bytes of its file."""
     file = io.BytesIO()
     _write_members(file, artifact)
     return file.getvalue()
@@ -249,9 +238,6 @@ def _write_member(
 
 def read_manifest(path: Path) -> Manifest:
     """Read the manifest of an artifact file, typed by its kind, without checking the arrays.
-
-    Args:
-        path: the file.
 
     Raises:
         ArtifactError: the file is not an artifact, or of a version that this program cannot read.

@@ -28,10 +28,6 @@ def present(kind: Kind, names: Container[str]) -> list[ArrayRule]:
 def check_shapes(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Check that equal names in the shapes of a kind are equal lengths.
 
-    Args:
-        kind: kind of the artifact.
-        arrays: by name.
-
     Raises:
         ArtifactError: a shape is wrong; the message names the array and the length.
     """

@@ -180,12 +180,7 @@ def check(table: dict[str, Any] | None, kind: type[msgspec.Struct], name: str) -
 
 
 def first_wild(value: Any, path: str = "$") -> str | None:
-    """Path of the first number in plain values that is not finite or beyond `LARGEST`; None without one.
-
-    Args:
-        value: plain values of bounded depth.
-        path: of the value.
-    """
+    """Path of the first number in plain values that is not finite or beyond `LARGEST`; None without one."""
     if isinstance(value, float):
         return None if math.isfinite(value) and abs(value) <= LARGEST else path
     if isinstance(value, int):

@@ -50,9 +50,6 @@ class _Supervisor(msgspec.Struct):
 def read_logged(log: Path) -> LoggedRun:
     """Read a run with its flights, or the readable part of a truncated log of a real flight.
 
-    Args:
-        log: file of the run.
-
     Raises:
         InputError: the log cannot be read.
         ArtifactError: the file is not a run.
@@ -71,9 +68,6 @@ def salvage_run(log: Path) -> LoggedRun | None:
     """Read the complete chunks of a truncated log of a real flight; None for any other file.
 
     The record has no trial, because the flight was not judged.
-
-    Args:
-        log: file of the log.
 
     Raises:
         InputError: the log cannot be opened.

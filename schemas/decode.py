@@ -117,11 +117,7 @@ def decode_plain_json(raw: bytes) -> Any:
 
 
 def json_depth(raw: bytes) -> int:
-    """Maximum number of open brackets at any place of JSON; brackets in strings do not count.
-
-    Args:
-        raw: the text, of any content.
-    """
+    """Maximum number of open brackets at any place of JSON; brackets in strings do not count."""
     import numpy as np
 
     bare = np.frombuffer(raw.replace(b"\\\\", b"").replace(b'\\"', b""), np.uint8)

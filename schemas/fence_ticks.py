@@ -80,9 +80,6 @@ class _Answer(msgspec.Struct, gc=False, rename={"regulation": "lambda"}):
 def read_ticks(log: Path) -> dict[int, Ticks]:
     """Read the flights in a geofence run's log, by trial.
 
-    Args:
-        log: the file.
-
     Raises:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or states and messages of the filter have different times.

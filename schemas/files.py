@@ -22,9 +22,6 @@ def is_special(path: Path) -> bool:
 def check_no_stream(path: Path) -> None:
     """Check that an input, if it exists, is a file or a folder.
 
-    Args:
-        path: the input.
-
     Raises:
         InputError: it is a device or a pipe, such as `/dev/stdin` or the `<(...)` of a shell.
     """
@@ -56,11 +53,7 @@ def read_small(path: Path, most_bytes: int) -> bytes:
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder.
-
-    Args:
-        path: that exists.
-    """
+    """Bytes of a file, or of all files in a folder."""
     if not path.is_dir():
         return path.stat().st_size
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
@@ -68,9 +61,6 @@ def size_of(path: Path) -> int:
 
 def text_of(path: Path) -> str:
     """Text of a file in UTF-8.
-
-    Args:
-        path: the file.
 
     Raises:
         InputError: it cannot be read, or is no such text.

@@ -210,9 +210,6 @@ class _Map(msgspec.Struct):
 def read_flights(log: Path) -> Flights:
     """Read the flights in a run's log; none when it holds no states.
 
-    Args:
-        log: the file.
-
     Raises:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
@@ -364,9 +361,6 @@ def _unit(answer: _Safety) -> str:
 
 def count_messages(log: Path) -> tuple[dict[str, int], bool]:
     """Count the messages per topic as far as a log can be read; the second value is True at its end.
-
-    Args:
-        log: the file.
 
     Raises:
         InputError: the log cannot be opened.

@@ -50,11 +50,7 @@ def ancestors(refs: Iterable[InputRef], folders: Iterable[Path]) -> set[str]:
 
 
 def origins_of(manifest: CoverManifest) -> list[str]:
-    """Keys of what the voxels of a cover were made from; equal keys mean one place in one frame.
-
-    Args:
-        manifest: of the cover.
-    """
+    """Keys of what the voxels of a cover were made from; equal keys mean one place in one frame."""
     how = ""
     if manifest.imported is not None:  # of a mesh or a cloud the same file may be read in other metres
         how = " " + msgspec.json.encode((manifest.frame, manifest.imported), order="sorted").decode()

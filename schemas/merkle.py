@@ -7,11 +7,7 @@ from collections.abc import Sequence
 
 
 def leaf(content: bytes) -> str:
-    """Hash of one entry, in hexadecimal.
-
-    Args:
-        content: of the entry.
-    """
+    """Hash of one entry, in hexadecimal."""
     return hashlib.sha256(b"\x00" + content).hexdigest()
 
 

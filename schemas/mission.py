@@ -112,9 +112,6 @@ class Mission(_Table, frozen=True, kw_only=True):
 def read_mission(path: Path) -> Mission:
     """Read a mission.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file cannot be read or is not TOML.
         VersionError: it was written for a later major version.

@@ -198,11 +198,7 @@ class Parts:
         return self._single is None
 
     def file(self, number: int) -> Path:
-        """Path of a part.
-
-        Args:
-            number: of the part.
-        """
+        """Path of a part."""
         return self.path if self._single is not None else self.path / self.refs[number].file
 
     def touching(
@@ -312,11 +308,7 @@ def whole_arrays(kind: Kind, manifests: Sequence[Manifest]) -> dict[str, ArraySp
 
 
 def is_parts(path: Path) -> bool:
-    """Test whether a path is a folder with an index of parts, without reading it.
-
-    Args:
-        path: any path.
-    """
+    """Test whether a path is a folder with an index of parts, without reading it."""
     return (path / INDEX).is_file()
 
 

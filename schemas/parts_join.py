@@ -41,9 +41,6 @@ def joined(parts: Parts) -> Artifact:
     Gaussians of the others have the loss 0. Merges of the hulls of a cover are recorded for each part alone,
     so the whole has no `history`.
 
-    Args:
-        parts: of one artifact.
-
     Raises:
         InputError: the whole has more elements than `MOST`, or a part cannot be read.
         DamagedError: two parts have the same voxel.

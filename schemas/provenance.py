@@ -93,11 +93,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def in_ascii(line: str) -> str:
-    """Escape all characters beyond ASCII in JSON text, for files whose metadata is ASCII.
-
-    Args:
-        line: of `Provenance.line`.
-    """
+    """Escape all characters beyond ASCII in JSON text, for files whose metadata is ASCII."""
     return "".join(
         mark if ord(mark) < 128 else "".join(f"\\u{unit:04x}" for unit in _utf16(mark)) for mark in line
     )
@@ -310,11 +306,7 @@ def _of_parts(path: Path, verify: bool) -> Provenance | None:
 
 
 def of_manifest(manifest: Manifest) -> Provenance:
-    """Provenance of an array artifact.
-
-    Args:
-        manifest: of the artifact.
-    """
+    """Provenance of an array artifact."""
     return Provenance(
         schema=manifest.schema,
         version=manifest.version,

@@ -355,9 +355,6 @@ def record_path(log: Path) -> Path:
 def open_log(log: Path) -> Iterator[BinaryIO]:
     """Open an MCAP log; any other error of its reader or codecs within the block means that it is damaged.
 
-    Args:
-        log: the file.
-
     Raises:
         InputError: the log cannot be read.
         ArtifactError: it is not an MCAP log.
@@ -386,9 +383,6 @@ def open_log(log: Path) -> Iterator[BinaryIO]:
 
 def read_run(log: Path) -> RunRecord:
     """Read the record of a run from the log's metadata, and its timing from the file beside it.
-
-    Args:
-        log: the file.
 
     Raises:
         InputError: the log cannot be read.

@@ -47,9 +47,6 @@ class Salvage:
 def is_artifact_like(path: Path) -> bool:
     """Return True if a file begins like an artifact, whatever follows.
 
-    Args:
-        path: of the file.
-
     Raises:
         InputError: the file cannot be read.
     """
@@ -65,9 +62,6 @@ def is_artifact_like(path: Path) -> bool:
 
 def salvage(path: Path) -> Salvage:
     """Read the members of an artifact from its start, without the directory at its end.
-
-    Args:
-        path: of the file.
 
     Raises:
         InputError: the file cannot be read at all.

@@ -14,9 +14,6 @@ _MOST_BYTES = 1000  # of a file, which may have spaces around the digits
 def read_key(path: Path) -> bytes:
     """Read a key file, which holds only the key: 32 bytes, or 64 hexadecimal digits.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file cannot be read, or does not hold a key.
     """

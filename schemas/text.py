@@ -11,17 +11,10 @@ def one_line(text: str) -> str:
 
     Escape sequences of terminals begin with a control character; marks of the direction of writing could
     show a text in another order than it has.
-
-    Args:
-        text: any text.
     """
     return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
 
 
 def html_text(value: Any) -> str:
-    """Text for the inside of an HTML element or a quoted attribute, which shows it as it is.
-
-    Args:
-        value: any value, by its words.
-    """
+    """Text for the inside of an HTML element or a quoted attribute, which shows it as it is."""
     return html.escape(one_line(str(value)))

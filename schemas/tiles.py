@@ -191,11 +191,7 @@ def merkle_root(leaves: Sequence[bytes]) -> bytes:
 
 
 def key_id(key: bytes | None) -> str:
-    """Short name of a key that does not reveal it; empty without a key.
-
-    Args:
-        key: of the signature.
-    """
+    """Short name of a key that does not reveal it; empty without a key."""
     return "" if key is None else hmac.digest(key, _KEY_ID, "sha256")[:8].hex()
 
 
@@ -210,11 +206,7 @@ def sign(binary: bytes, key: bytes) -> bytes:
 
 
 def is_tiles(path: Path) -> bool:
-    """Test whether a path is the folder of a map in tiles.
-
-    Args:
-        path: any.
-    """
+    """Test whether a path is the folder of a map in tiles."""
     return (path / TILES).is_file()
 
 

@@ -47,9 +47,6 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
 def read_tree(path: Path) -> dict[str, Any]:
     """Read a file into plain values.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file cannot be read, is empty or is not TOML.
     """

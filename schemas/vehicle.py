@@ -460,9 +460,6 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
 def read_vehicle(path: Path) -> Vehicle:
     """Read and check a vehicle file.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: the file cannot be read, is empty or is not TOML.
         VersionError: it was written for a later major version.
@@ -479,9 +476,6 @@ def read_vehicle(path: Path) -> Vehicle:
 
 def check_vehicle(vehicle: Vehicle) -> None:
     """Check that the numbers of a vehicle fit each other and its model.
-
-    Args:
-        vehicle: as read.
 
     Raises:
         UsageError: they do not; the message has the path of the key.

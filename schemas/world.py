@@ -221,11 +221,7 @@ def _refuse_new_plans(tree: Mapping[str, Any], where: str) -> None:
 
 
 def plain(scenario: WorldScenario) -> dict[str, Any]:
-    """Plain values of a scenario as its file has them; keys without a value are left out.
-
-    Args:
-        scenario: any.
-    """
+    """Plain values of a scenario as its file has them; keys without a value are left out."""
     tree: dict[str, Any] = _without_none(msgspec.to_builtins(scenario))
     tree["safety"] |= tree["safety"].pop("others")
     for name, key in ELSEWHERE:

@@ -367,12 +367,7 @@ def _same_trials(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
 
 
 def is_random(scenario: WorldScenario, vehicle: Vehicle) -> bool:
-    """Whether the trials of a scenario can differ.
-
-    Args:
-        scenario: any.
-        vehicle: of the scenario.
-    """
+    """Whether the trials of a scenario can differ."""
     full = completed(scenario, vehicle)
     mission, known = full.mission, full.estimation
     count = 0 if full.vehicle.interface == "sticks" else 4 if vehicle.model == "quadrotor" else 2

@@ -33,12 +33,7 @@ def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
 
 
 def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:
-    """What a vehicle is commanded by: as the scenario says, else by its model and the mission.
-
-    Args:
-        scenario: any.
-        vehicle: of the scenario.
-    """
+    """What a vehicle is commanded by: as the scenario says, else by its model and the mission."""
     if scenario.vehicle.interface is not None:
         return scenario.vehicle.interface
     if vehicle.model == "quadrotor":
@@ -47,12 +42,7 @@ def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:
 
 
 def has_autopilot(scenario: WorldScenario, vehicle: Vehicle) -> bool:
-    """Whether a vehicle follows velocities or accelerations as its own autopilot does.
-
-    Args:
-        scenario: any.
-        vehicle: of the scenario.
-    """
+    """Whether a vehicle follows velocities or accelerations as its own autopilot does."""
     table = scenario.vehicle
     if table.autopilot is not None:
         return table.autopilot
@@ -61,12 +51,7 @@ def has_autopilot(scenario: WorldScenario, vehicle: Vehicle) -> bool:
 
 
 def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
-    """Replace None by the values of the vehicle, where they apply to it.
-
-    Args:
-        scenario: any.
-        vehicle: of the scenario.
-    """
+    """Replace None by the values of the vehicle, where they apply to it."""
     table, own = scenario.vehicle, vehicle.disturbance
     measured, mission_kind = vehicle.velocities is not None, scenario.mission.kind
     values: dict[str, Any] = {

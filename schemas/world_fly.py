@@ -51,9 +51,6 @@ def flown_files(scenario: WorldScenario, folder: Path) -> dict[str, Path]:
 def flown_filter(read: Read) -> str | None:
     """Name of the filter of a real flight; None where the scenario does not say.
 
-    Args:
-        read: as read.
-
     Raises:
         UsageError: the scenario names several.
     """

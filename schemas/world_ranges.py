@@ -108,9 +108,6 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
 def check_vehicle_table(table: VehicleTable) -> None:
     """Refuse a name and a file at once.
 
-    Args:
-        table: of a scenario.
-
     Raises:
         UsageError: both are given.
     """
@@ -121,9 +118,6 @@ def check_vehicle_table(table: VehicleTable) -> None:
 
 def check_world_table(table: WorldTable) -> None:
     """Check levels, fence, walls and moving obstacles.
-
-    Args:
-        table: of a scenario.
 
     Raises:
         UsageError: values contradict each other; the message has the path of the key.
@@ -165,9 +159,6 @@ def _check_box(where: str, box: tuple[float, ...] | None, limit: float) -> None:
 
 def check_mission_table(table: MissionTable) -> None:
     """Refuse keys of other missions, and those that contradict each other.
-
-    Args:
-        table: of a scenario.
 
     Raises:
         UsageError: a key has no effect or contradicts another; the message has its path.
@@ -211,9 +202,6 @@ def _check_outage(what: str, begins_s: float | None, lasts_s: float | None) -> N
 def check_estimation_table(table: EstimationTable) -> None:
     """Check outages, sensor and tracker.
 
-    Args:
-        table: of a scenario.
-
     Raises:
         UsageError: values contradict each other; the message has the path of the key.
     """
@@ -256,9 +244,6 @@ def check_safety_table(table: SafetyTable, dt_s: float) -> None:
 def check_rules_table(table: RulesTable) -> None:
     """Check the duration of a flight.
 
-    Args:
-        table: of a scenario.
-
     Raises:
         UsageError: it is too short or too long for the time step.
     """
@@ -270,10 +255,6 @@ def check_rules_table(table: RulesTable) -> None:
 
 def check_speeds(vehicle: VehicleTable, mission: MissionTable) -> None:
     """Refuse a mission that is faster than the limit that the scenario itself sets.
-
-    Args:
-        vehicle: of a scenario.
-        mission: of the same.
 
     Raises:
         UsageError: a speed is above the limit.

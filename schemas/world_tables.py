@@ -469,11 +469,7 @@ class SafetyTable(
     others: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
 
     def parameters(self, name: str) -> Options | dict[str, Any]:
-        """Parameters of a filter: complete of one of this package, as given of another's.
-
-        Args:
-            name: of the filter.
-        """
+        """Parameters of a filter: complete of one of this package, as given of another's."""
         if name not in TABLES:
             return self.others.get(name, {})
         found: Options = getattr(self, TABLES[name].replace("-", "_"))

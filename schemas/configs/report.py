@@ -36,9 +36,6 @@ class ReportConfig:
     def parameters(self, output: Path) -> dict[str, Any]:
         """Parameters to record, with the format resolved.
 
-        Args:
-            output: the file to write.
-
         Raises:
             UsageError: the format is `auto` and the suffix belongs to no format.
         """
@@ -46,9 +43,6 @@ class ReportConfig:
 
     def resolved(self, output: Path) -> str:
         """Format of an output file.
-
-        Args:
-            output: the file to write.
 
         Raises:
             UsageError: the format is `auto` and the suffix belongs to no format.

@@ -10,11 +10,7 @@ from alula.schemas.filters.source import Parameter, Struct, filters
 
 
 def module(structs: dict[str, Struct]) -> str:
-    """The Python module: a frozen struct per filter, and what native options are made of.
-
-    Args:
-        structs: the source.
-    """
+    """The Python module: a frozen struct per filter, and what native options are made of."""
     named = _named(structs)
     out = [
         f'"""Parameters of all filters: names, defaults, limits, documentation.\n\n{NOTE}\n"""',
