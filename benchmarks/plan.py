@@ -39,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # convex_core
 
 import numpy as np
 from measure import FloatArray
@@ -54,7 +55,6 @@ from alula.schemas.configs.plan import Gate, PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.compression.merge import merge
-from alula.stages.planning import convex_core
 from alula.stages.planning.adherence import PlanJudge
 from alula.stages.planning.corridor import Corridor, find_corridor
 from alula.stages.planning.curve_certificate import certify_in
@@ -65,6 +65,7 @@ from alula.stages.planning.plan import curve_along, plan
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.verify import verify_plan
+from support import convex_core
 
 ACCELERATION = 3.0
 GRID = 0.25  # spacing, in radii

@@ -8,12 +8,16 @@ from typing import Any, TypeVar
 import click
 
 F = TypeVar("F", bound=Callable[..., Any])
+_ALL = "alula.help_of_all"  # in the context: show all options
 
 COMMON = "Common options"
 """Heading of what nearly all commands have; always the last one."""
 
 MOST = 10
 """Maximum number of options without a heading; a command with no more of them in all has no headings."""
+
+MANY = 50
+"""A command with more options shows those without a heading; --help-all shows the others."""
 
 
 class Option(click.Option):
@@ -66,11 +70,42 @@ class Command(click.Command):
             return {"Options": [record for records in found.values() for record in records]}
         return {heading: records for heading, records in found.items() if records}
 
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """All parameters; where there are many options `--help-all` is one of them."""
+        found = super().get_params(ctx)
+        if sum(isinstance(one, click.Option) for one in found) <= MANY:
+            return found
+
+        def show(context: click.Context, _parameter: click.Parameter, is_given: bool) -> None:
+            if is_given and not context.resilient_parsing:
+                click.echo(self.help_of_all(context))
+                context.exit()
+
+        words: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False, "callback": show}
+        return [Option(["--help-all"], group=COMMON, help="Show all options and exit.", **words), *found]
+
+    def help_of_all(self, ctx: click.Context) -> str:
+        """The help with all options.
+
+        Args:
+            ctx: context of the command.
+        """
+        ctx.meta[_ALL] = True
+        return self.get_help(ctx)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a list for each heading."""
-        for heading, records in self.sections(ctx).items():
+        """Write a list for each heading, or the first of them where there are many options."""
+        sections = self.sections(ctx)
+        count = sum(map(len, sections.values()))
+        if count > MANY and not ctx.meta.get(_ALL):
+            sections = {"Options": sections["Options"]}
+        for heading, records in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(records)
+        if more := count - sum(map(len, sections.values())):
+            formatter.write_paragraph()
+            with formatter.indentation():
+                formatter.write_text(f"{ctx.command_path} --help-all shows {more} more options.")
 
 
 def command(name: str | None = None, **keywords: Any) -> Callable[[Callable[..., Any]], Command]:

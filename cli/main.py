@@ -18,31 +18,43 @@ from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pip
 from alula.schemas.errors import AlulaError, ExitCode
 from alula.schemas.extras import EXTRAS, missing
 
-# name: (module, first line of its help); a test compares the lines with the commands.
-COMMANDS: dict[str, tuple[str, str]] = {
-    "init": ("init", "Write a first project for a splat of your own, ready for make."),
-    "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
-    "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
-    "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
-    "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
-    "import-voxels": ("import_voxels", "Mark every voxel that a mesh, a cloud or an OctoMap touches."),
-    "observe": ("observe", "Mark the space that cameras saw to be free and that a vehicle can reach."),
-    "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
-    "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
-    "plan": ("plan", "Find a smooth collision-free trajectory through a map."),
-    "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
-    "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
-    "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),
-    "sim-vehicle": ("sim_vehicle", "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."),
-    "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
-    "view": ("view", "Show artifacts, runs and splat files in three dimensions."),
-    "report": ("report", "Turn runs into a verdict, pictures, figures and tables."),
-    "export": ("export", "Convert a cover, a scene or a run for other programs."),
-    "info": ("info", "Explain an artifact or a splat file."),
-    "doctor": ("doctor", "Check that everything alula needs is installed."),
-    "help": ("help", "Show the help of alula or of a command."),
-    "completion": ("completion", "Print the completion script of a shell."),
+# heading: name: (module, first line of its help); a test compares the lines with the commands.
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "Pipeline": {
+        "init": ("init", "Write a first project for a splat of your own, ready for make."),
+        "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
+        "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
+        "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
+        "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
+        "import-voxels": ("import_voxels", "Mark every voxel that a mesh, a cloud or an OctoMap touches."),
+        "observe": ("observe", "Mark the space that cameras saw to be free and that a vehicle can reach."),
+        "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
+        "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
+        "plan": ("plan", "Find a smooth collision-free trajectory through a map."),
+        "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
+    },
+    "Vehicle": {
+        "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
+        "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),
+        "sim-vehicle": (
+            "sim_vehicle",
+            "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4.",
+        ),
+    },
+    "Look": {
+        "report": ("report", "Turn runs into a verdict, pictures, figures and tables."),
+        "view": ("view", "Show artifacts, runs and splat files in three dimensions."),
+        "info": ("info", "Explain an artifact or a splat file."),
+    },
+    "Tools": {
+        "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
+        "export": ("export", "Convert a cover, a scene or a run for other programs."),
+        "doctor": ("doctor", "Check that everything alula needs is installed."),
+        "help": ("help", "Show the help of alula or of a command."),
+        "completion": ("completion", "Print the completion script of a shell."),
+    },
 }
+COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
 
 
 class LazyGroup(click.Group):
@@ -95,9 +107,10 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+        """List the commands by group, without importing them."""
+        for heading, commands in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, text) for name, (_, text) in commands.items()])
 
 
 @click.group(

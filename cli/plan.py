@@ -24,7 +24,7 @@ from alula.schemas.errors import UsageError
   alula plan room.cover.npz -o laps.plan.npz --start "0 0 1" --goal "0 0 1" --gate "3 2 1 1 0 0 0.5" --loops 2
   alula plan room.cover.npz -o course.plan.npz --mission course.toml --speed 2
   alula plan room.cover.npz -o small.plan.npz --start "-1 0 1" --goal "3 2 1.2" --vehicle crazyflie21
-  alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1.2" --confidence 0.99 --snap
+  alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1" --sigma 2 --nearest-free
   alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
 @click.argument("map_path", metavar="MAP", type=options.input_path())

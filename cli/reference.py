@@ -6,13 +6,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from alula.cli.grouped import Command
 from alula.cli.main import COMMANDS, cli
 
 HEADER = """# Command reference
 
 This page has the help of every command: what it reads and writes, its options with their defaults, and
 examples. Exit codes come first. The options that matter most are the first ones; those that all commands
-share come last. On a terminal:
+share come last. `alula fly --help` shows the first ones only, `alula fly --help-all` all of them. On a
+terminal:
 
 ```sh
 alula help plan                            # the same text
@@ -34,9 +36,9 @@ def reference() -> str:
     parts = [HEADER + f"```\n{cli.get_help(top)}\n```\n"]
     for name in COMMANDS:
         command = cli.get_command(top, name)
-        assert command is not None
+        assert isinstance(command, Command)
         context = command.make_context(name, [], top, resilient_parsing=True, **WIDTH)
-        parts.append(f"## alula {name}\n\n```\n{command.get_help(context)}\n```\n")
+        parts.append(f"## alula {name}\n\n```\n{command.help_of_all(context)}\n```\n")
     return "\n".join(parts)
 
 

@@ -11,6 +11,7 @@ import click
 from alula.cli import completion, grouped, options
 from alula.cli.runner import run
 from alula.cli.set_values import settings_of
+from alula.schemas.flight_defaults import COMPARATORS, FILTERS
 
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
@@ -43,7 +44,8 @@ Examples:
 @click.option(
     "--filter",
     metavar="NAME,…",
-    help="Safety filters in their order, or none.",
+    help=f"Safety filters in their order, or none: {', '.join(FILTERS)}. "
+    f"For research, to compare with these: {', '.join(COMPARATORS)}.",
     shell_complete=completion.filters,
 )
 @click.option("--speed", "speed_m_s", type=options.FINITE_FLOAT, help="Speed of the mission [m/s].")

@@ -11,6 +11,13 @@ PlannedInterface = Literal["body-rates", "acceleration", "velocity"]
 IN_A_COVER, IN_A_SCENE = "polytope-cbf", "cone-backup"
 """Filters where none is chosen, see `filter_in`."""
 
+FILTERS = (
+    *("polytope-cbf", "shield", "cone-backup", "cone-ecbf", "safer-splat", "cone-di", "dr-acbf", "geofence"),
+)
+"""Built-in filters to fly behind."""
+COMPARATORS = ("dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf", "backup-qp")
+"""Built-in filters for research: those that others are compared with."""
+
 
 def filter_in(roles: Container[str]) -> str:
     """Filter of `simulate` and `fly` where none is chosen.

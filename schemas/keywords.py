@@ -85,7 +85,7 @@ class PlanFields(TypedDict, total=False):
     sigma: float
     confidence: float | None
     inflation_m: float | None
-    snap: bool
+    nearest_free: bool
 
 
 class ReportFields(TypedDict, total=False):

@@ -18,7 +18,6 @@ import numpy as np
 
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
-from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.table import folded
 from papers.comparison import common_words, this_machine, write_comparison, write_record
@@ -27,6 +26,7 @@ from papers.polymerge import maps as polymerge
 from papers.polymerge.figures import flights_figure
 from papers.polymerge.flights import Flights, figure_5_table, from_record, table_2
 from papers.polymerge.maps import Polytopes, SceneMaps
+from papers.polymerge.measure import half_spaces, measure_cover, measure_points
 from papers.polymerge.verdicts import verdict_rows
 from papers.verdicts import verdict_table
 

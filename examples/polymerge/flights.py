@@ -25,13 +25,13 @@ from alula.schemas.vehicles import VEHICLES
 from alula.schemas.world import decoded
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.measure import half_spaces
 from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.simulation.pairs import Pairs, central_box, sample_pairs
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.vehicles.bodies import quadrotor
 from papers.polymerge.flights import COACD, OURS, RULE, SAFER, Flights
+from papers.polymerge.measure import half_spaces
 
 RADIUS_M, MARGIN_M, SEPARATION, GAIN, BETA, KAPPA = 0.1, 0.05, 0.3, 2.0, 2.0, 100.0
 RATES_HZ = {10: 500.0, 30: 250.0, 50: 250.0, 100: 500 / 3, 150: 125.0}

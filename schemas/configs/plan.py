@@ -243,7 +243,7 @@ class PlanConfig:
             "option": "--inflate",
         },
     )
-    snap: bool = field(
+    nearest_free: bool = field(
         default=False,
         metadata={
             "group": "Search",

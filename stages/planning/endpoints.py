@@ -51,7 +51,9 @@ def free_points_of_flight(
     mapped = mapped_box(space, config.beyond_map_m)
     if mapped is not None:
         known_as = [(f"the {name}", point) for name, point in named]
-        kept = 0.0 if config.snap else space.keep_m  # a point in an outer wall may be moved into the room
+        kept = (
+            0.0 if config.nearest_free else space.keep_m
+        )  # a point in an outer wall may be moved into the room
         if (words := mapped.refusal(known_as, kept, BEYOND_MAP)) is not None:
             raise InfeasibleError(words)
     points: list[Point] = []
@@ -63,7 +65,7 @@ def free_points_of_flight(
             points.append(point)
             continue
         nearest = _nearest_inside(config, space, lower, upper, point, radius_m)
-        if config.snap and nearest is not None:
+        if config.nearest_free and nearest is not None:
             points.append(nearest)
             moved.append((name, point, nearest))
             continue
@@ -77,7 +79,9 @@ def free_points_of_flight(
         if nearest is None:
             raise InfeasibleError(f"{where} {place}; no free point was found near it")
         free = " ".join(f"{x:g}" for x in nearest)
-        raise InfeasibleError(f"{where} {place}; the nearest free point is ({free}), and --snap takes it")
+        raise InfeasibleError(
+            f"{where} {place}; the nearest free point is ({free}), and --nearest-free takes it"
+        )
     return points, moved
 
 

@@ -374,7 +374,7 @@ def _notes(path: Polyline, behind: Behind | None, acting: int) -> list[str]:
         notes.append(f"{behind.name} still acts in {acting} ticks of a flight along the plan")
     return notes + [
         f"the {name} ({exact(given)}) is not free; the plan has ({exact(taken)}), "
-        f"{at_most(math.dist(given, taken))} m from it (--snap)"
+        f"{at_most(math.dist(given, taken))} m from it (--nearest-free)"
         for name, given, taken in path.moved
     ]
 

@@ -156,7 +156,7 @@ def straight_plan(
             "max_acceleration_m_s2": PEAKS[1] * length / float(time[-1]) ** 2,
             **({} if proof.holds else {"is_proven": False}),
             **(
-                {"notes": [f"the {name} was moved to a free point (--snap)" for name, _, _ in moved]}
+                {"notes": [f"the {name} was moved to a free point (--nearest-free)" for name, _, _ in moved]}
                 if moved
                 else {}
             ),

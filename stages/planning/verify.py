@@ -163,7 +163,7 @@ def verify_plan(
     older = "an older plan: its limit of speed and three derivatives are checked"
     notes = [] if manifest.limits else [older]
     notes += [
-        f"the {name} of the plan is {at_most(pieces.moved_m(name))} m from the one asked for (--snap)"
+        f"the {name} of the plan is {at_most(pieces.moved_m(name))} m from the one asked for (--nearest-free)"
         for name in ("start", "goal")
         if pieces.is_moved(name)
     ]
@@ -347,8 +347,8 @@ class _Pieces:
         return check(name, count, offences, f"each at its time, and rest at the end{fits}")
 
     def is_moved(self, name: str) -> bool:
-        """Whether start or goal is another point than the one asked for, as --snap permits."""
-        return self.manifest.parameters.get("snap") is True and self.moved_m(name) > _PASSED_M
+        """Whether start or goal is another point than the one asked for, as --nearest-free permits."""
+        return self.manifest.parameters.get("nearest_free") is True and self.moved_m(name) > _PASSED_M
 
     def moved_m(self, name: str) -> float:
         """Distance of the plan's start or goal from the point that was asked for [m]."""

@@ -1,6 +1,7 @@
 """`alula help`, `-V`, and what shells complete."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -8,8 +9,9 @@ import click
 import pytest
 
 from alula import __version__
-from alula.cli.grouped import COMMON, MOST
+from alula.cli.grouped import COMMON, MANY, MOST
 from alula.cli.main import COMMANDS, cli, run
+from alula.schemas.flight_defaults import COMPARATORS, FILTERS
 from alula.stages.filtering.registry import filter_names
 
 
@@ -64,7 +66,8 @@ def test_at_most_ten_options_come_before_the_groups_and_the_common_ones_last(nam
     command = cli.get_command(click.Context(cli), name)
     shown = [option for options in found.values() for option in options]
     known = [{*p.opts, *p.secondary_opts} for p in command.params if isinstance(p, click.Option)]
-    assert len(shown) == len(set(shown)) == len(known) + 1  # and --help
+    has_more = len(known) + 1 > MANY
+    assert len(shown) == len(set(shown)) == len(known) + 1 + has_more  # and --help, --help-all
     assert all(any(option in names for option in shown) for names in known)
     first, *_ = found
     assert first == "Options"
@@ -87,6 +90,35 @@ def test_a_group_has_a_heading_of_its_own_in_the_help(capsys):
     ]
     assert places == sorted(places)
     assert sections("observe")["Obstacles"][0] == "--confidence"  # a parameter of voxelize, where it matters
+
+
+def test_fly_shows_ten_options_and_all_of_them_when_asked(capsys):
+    assert run(["fly", "-h"]) == 0
+    short = capsys.readouterr().out
+    assert len(sections("fly")["Options"]) == 10
+    assert [line for line in short.splitlines() if re.fullmatch(r"\w.*:", line)] == ["Options:"]
+    assert "alula fly --help-all shows" in short
+    assert run(["fly", "--help-all"]) == 0
+    whole = capsys.readouterr().out
+    assert all(option in whole for options in sections("fly").values() for option in options)
+    assert run(["plan", "--help-all"]) == 2
+
+
+def test_the_commands_are_listed_in_four_groups(capsys):
+    assert run(["--help"]) == 0
+    shown = capsys.readouterr().out
+    places = [shown.index(f"\n{name}:\n") for name in ("Pipeline", "Vehicle", "Look", "Tools")]
+    assert places == sorted(places)
+    assert all(f"\n  {name} " in shown for name in COMMANDS)
+
+
+def test_the_help_of_simulate_names_every_filter_and_those_for_research_apart(capsys):
+    assert run(["simulate", "-h"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert {*FILTERS, *COMPARATORS} == {*filter_names()} - {"none"}
+    text, _, research = shown.partition("For research, to compare with these: ")
+    assert all(name in text for name in FILTERS)
+    assert research.startswith(", ".join(COMPARATORS))
 
 
 def test_the_version_has_a_short_option(capsys):

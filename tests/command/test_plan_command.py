@@ -229,7 +229,7 @@ def test_options_that_do_not_go_together_are_refused(cover, capsys, words, messa
 
 def test_a_moved_start_is_said_and_recorded(cover, tmp_path, capsys):
     output = tmp_path / "p.plan.npz"
-    words = ["--start", "0.5 0.5 0.9", "--goal", "2 2 2", "--radius", "0.2", "--snap"]
+    words = ["--start", "0.5 0.5 0.9", "--goal", "2 2 2", "--radius", "0.2", "--nearest-free"]
     assert plan(cover, output, *words) == 0
     assert "note: the start (0.5 0.5 0.9) is not free; the plan has (" in capsys.readouterr().err
     manifest = read_artifact(output, PLAN).manifest

@@ -1,7 +1,7 @@
 """Maps of two small scenes, as the comparison with PolyMerge takes them."""
 
-from alula.stages.compression.measure import Measure
 from papers.polymerge.maps import Polytopes, SceneMaps
+from papers.polymerge.measure import Measure
 
 OURS = Polytopes(30, 400, 1.2, 50_000, Measure(1000, 1200.0, 1000.0, 0, 1e-9), 1600)
 RULE = Polytopes(30, 420, 1.25, 51_000, Measure(1000, 1250.0, 1000.0, 0, 1e-9))

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from alula.stages.compression.measure import Measure
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.palette import AXIS, BLACK, BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
 from alula.stages.reporting.table import Table, text
 from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE
+from papers.polymerge.measure import Measure
 from papers.published import POLYMERGE_SCENES, POLYMERGE_SIZES
 
 _METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "surface + CoACD"}

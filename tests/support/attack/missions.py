@@ -84,7 +84,7 @@ def case(seed: int) -> tuple[list[list[int]], PlanConfig, Mission]:
         speed_m_s=float(rng.choice([0.3, 1.0, 3.0])),
         acceleration_m_s2=float(rng.choice([1.0, 3.0, 8.0])),
         smooth=float(rng.choice([1.0, 1.0, 1.5])),
-        snap=bool(rng.random() < 0.5),
+        nearest_free=bool(rng.random() < 0.5),
         straight=straight,
         interface=str(rng.choice(["body-rates", "acceleration"])),
         bounds=(0.1, 0.1, 0.15, 3.9, 3.9, 2.4) if rng.random() < 0.3 else None,
@@ -114,7 +114,7 @@ def disagreements(seed: int) -> tuple[list[str], Artifact]:
     certificate = verify_plan(made, cover=boxes_cover(boxes), jobs=1)
     found = [f"verify: {offence.fault}" for check in certificate.checks for offence in check.first]
     ends = {"start": made["coefficient"][0, :3, 0], "goal": made["waypoint"][-1, :3]}
-    given = ends if made.manifest.parameters["snap"] else {}
+    given = ends if made.manifest.parameters["nearest_free"] else {}
     return found + faults_of(made, boxes, **given), made
 
 

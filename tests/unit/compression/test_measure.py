@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InputError
-from alula.stages.compression.measure import measure_cover, measure_points
 from alula.stages.compression.merge import merge
+from papers.polymerge.measure import measure_cover, measure_points
 from support.covers import furniture, planes, voxels_of
 from support.effort import examples, some
 from support.exact import exact_union, voxel_planes

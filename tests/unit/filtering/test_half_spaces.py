@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.stages.filtering.qp import QpStatus, solve_qp
+from alula.stages.filtering.qp import QpStatus
 from support.effort import examples
 from support.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest, unit, violation
+from support.qp import solve_qp
 
 BOX = np.vstack([np.eye(3), -np.eye(3)])
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.stages.filtering.qp import QpStatus, clarabel_backend, solve_qp
+from alula.stages.filtering.qp import QpStatus, clarabel_backend
 from support.effort import examples
+from support.qp import solve_qp
 from support.qp_families import (
     FAMILIES,
     INFEASIBLE,

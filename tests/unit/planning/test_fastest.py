@@ -13,13 +13,13 @@ from alula._core import MotionLimits, minimum_time
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
-from alula.stages.planning.convex_core import Problem, minimum_scale, minimum_snap
 from alula.stages.planning.fastest import MovingState, fastest_curve, keeps, straight_curve
 from alula.stages.planning.limits import LIMIT_SHARE, Limits, motion_limits
 from alula.stages.planning.opening import Opening
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.vehicles.bodies import quadrotor
 from support.chains import box_chain, exact_derivatives
+from support.convex_core import Problem, minimum_scale, minimum_snap
 from support.effort import examples, some
 
 CONFIG = PlanConfig(beyond_map_m=3.0, start=(0, 0, 0), goal=(1, 0, 0), speed_m_s=2.0)

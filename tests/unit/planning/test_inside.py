@@ -62,9 +62,9 @@ def test_free_points_are_in_the_house_unless_bounds_ask_for_the_garden():
 
 
 def test_points_are_moved_into_the_house_not_out_of_it():
-    """From the outer half of a wall the nearest free point is outside; --snap takes one inside."""
+    """From the outer half of a wall the nearest free point is outside; --nearest-free takes one inside."""
     start = (-3.15, 0.0, 1.4)
-    moved = plan(dataclasses.replace(CONFIG, start=start, goal=(2, 0, 1.4), snap=True), GARDEN)
+    moved = plan(dataclasses.replace(CONFIG, start=start, goal=(2, 0, 1.4), nearest_free=True), GARDEN)
     assert in_house(moved["waypoint"][0, :3])
     np.testing.assert_allclose(moved["waypoint"][0, :3], (-2.799, 0, 1.4), atol=0.02)
 

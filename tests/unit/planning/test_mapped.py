@@ -54,7 +54,7 @@ def test_points_outside_are_refused_with_the_distance_and_the_likely_unit(start,
     with pytest.raises(InfeasibleError, match=words):
         plan(dataclasses.replace(CONFIG, start=start, straight=True), ROOM)
     with pytest.raises(InfeasibleError, match="outside of the mapped box"):
-        plan(dataclasses.replace(CONFIG, start=start, snap=True), ROOM)
+        plan(dataclasses.replace(CONFIG, start=start, nearest_free=True), ROOM)
 
 
 def test_what_lies_outside_of_the_crop_is_outside_of_the_mapped_box():
@@ -74,7 +74,7 @@ def test_free_points_moved_points_and_paths_stay_in_the_mapped_box():
     points = free_points(CONFIG, plan_space(CONFIG, ROOM), 8)
     assert (points > 0.25).all()
     assert (points < (7.75, 5.75, 2.75)).all()
-    made = plan(dataclasses.replace(CONFIG, start=(-0.05, 3, 1.5), snap=True), ROOM)
+    made = plan(dataclasses.replace(CONFIG, start=(-0.05, 3, 1.5), nearest_free=True), ROOM)
     np.testing.assert_allclose(
         evaluate(made["time"], made["coefficient"], 0.0)[:3], (0.251, 3, 1.5), atol=0.01
     )

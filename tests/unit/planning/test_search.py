@@ -240,11 +240,12 @@ def test_a_point_that_is_not_free_names_the_nearest_that_is_and_snap_takes_it():
     cover, start = boxes_cover([[0, 0, 0, 10, 10, 10]]), (0.5, 0.6, 0.93)
     values = config(start, (2.5, 2.5, 2.5), via=((2, 2, 1),))
     with pytest.raises(
-        InfeasibleError, match=r"deep; the nearest free point is \(0\.\d+ 0\.\d+ 1\.20\d\), and --snap"
+        InfeasibleError,
+        match=r"deep; the nearest free point is \(0\.\d+ 0\.\d+ 1\.20\d\), and --nearest-free",
     ) as error:
         plan(values, cover)
     assert "\n" not in str(error.value)
-    made = plan(config(start, (2.5, 2.5, 2.5), via=((2, 2, 1),), snap=True), cover)
+    made = plan(config(start, (2.5, 2.5, 2.5), via=((2, 2, 1),), nearest_free=True), cover)
     first = made["waypoint"][0, :3]
     assert math.dist(first, start) <= 0.27 + 0.005
     assert box_distance(first[None], [[0, 0, 0, 10, 10, 10]])[0] >= 0.2

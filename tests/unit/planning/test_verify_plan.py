@@ -253,12 +253,12 @@ def test_verdict_and_guarantee_name_the_level_of_the_ellipsoids(cover):
 
 
 def test_the_start_that_snap_moved_is_noted_and_one_that_is_elsewhere_is_not_passed(cover):
-    snap = dataclasses.replace(CONFIG, start=(1.1, 0.3, 1.5), via=(), snap=True)
+    snap = dataclasses.replace(CONFIG, start=(1.1, 0.3, 1.5), via=(), nearest_free=True)
     made = plan(snap, cover)
     certificate = verify_plan(made, cover=cover)
     assert certificate.covered
     assert any("the start of the plan is 0." in note for note in certificate.notes)
-    parameters = made.manifest.parameters | {"snap": False}
+    parameters = made.manifest.parameters | {"nearest_free": False}
     assert failed(altered(made, {"parameters": parameters}), cover) == ["start, vias, goal"]
 
 
