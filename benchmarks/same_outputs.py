@@ -203,7 +203,7 @@ def differences(before: Path, again: Path, after: Path) -> Iterator[str]:
         str(p.relative_to(f))
         for f in (before, after)
         for p in f.rglob("*")
-        if p.is_file() and p.suffix not in (".toml", ".py")
+        if p.is_file() and p.suffix not in (".toml", ".py") and p.name != "Makefile"
     }
     for name in sorted(names):
         missing = [
