@@ -16,7 +16,7 @@ from alula.cli.verbs.runs import Run
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
-    from alula.stages.viewing.serve import PageServer
+    from alula.stages.show.viewing.serve import PageServer
 
 _HEIGHT = 640  # of a page in a notebook [pixels]
 
@@ -68,7 +68,7 @@ class Page:
         Raises:
             UsageError: the port is taken.
         """
-        from alula.stages.viewing.serve import PageServer
+        from alula.stages.show.viewing.serve import PageServer
 
         def make(flight: int | None) -> str | None:
             return self._make(flight, lambda done, total: None)

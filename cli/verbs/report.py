@@ -137,9 +137,10 @@ def _contents_of(
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
     """Contents of the files of a report, the output first, and the facts to print."""
     from alula.schemas.provenance import in_ascii
-    from alula.stages.reporting.content import content_of, draw, to_json, to_report_markdown
+    from alula.stages.reporting.content import content_of, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
     from alula.stages.reporting.tables import to_csv
+    from alula.stages.show.still import draw
 
     everything = {"listed": None} if form == "json" else {}
     content = content_of(material, config.table, **everything)
@@ -152,7 +153,7 @@ def _contents_of(
         return to_report_markdown(content, comment(line)).encode()
 
     if form == "html":
-        from alula.stages.viewing.report import view
+        from alula.stages.show.viewing.report import view
 
         shown = view(material)
         progress(2, 3)
@@ -177,12 +178,13 @@ def _contents_of(
 def _on_paper(material: Material, content: Any, form: str, output: Path, line: str) -> dict[Path, bytes]:
     from alula.stages.reporting.latex import to_tex
     from alula.stages.reporting.paper import column_figures, to_pdf, to_png
+    from alula.stages.show.still import draw, still
 
     if form == "pdf":
-        return {output: to_pdf(material, content, line)}
+        return {output: to_pdf(lambda: draw(material), content, line)}
     if form == "png":
-        return {output: to_png(material, content, line)}
-    drawn = column_figures(material, line)
+        return {output: to_png(lambda: still(material), content, line)}
+    drawn = column_figures(lambda: draw(material), line)
     stem = re.sub(r"[^A-Za-z0-9.+-]", "-", output.stem)  # what LaTeX takes in the name of a file
     places = [output.with_name(f"{stem}-{figure.name}.pdf") for figure, _ in drawn]
     shown = [(figure, place.name) for (figure, _), place in zip(drawn, places, strict=True)]

@@ -21,8 +21,8 @@ from alula.schemas.provenance import Provenance, parameters_of
 
 if TYPE_CHECKING:
     from alula.schemas.keywords import ViewFields
-    from alula.stages.drawing.content import Content
-    from alula.stages.viewing.compose import Shown
+    from alula.stages.show.drawing.content import Content
+    from alula.stages.show.viewing.compose import Shown
 
 PAGES, STILLS, MOVING = (".html", ".htm"), (".png",), (".webp", ".gif")
 _STILL_PX, _MOVING_PX = (1280, 800), (640, 400)
@@ -56,7 +56,7 @@ def view(*things: Source | Run, picture: PictureConfig | None = None, **fields: 
 
     @cache
     def read() -> Shown:
-        from alula.stages.viewing.files import read_files
+        from alula.stages.show.viewing.files import read_files
 
         with on_disk() as folder:
             files = paths(folder)
@@ -64,7 +64,7 @@ def view(*things: Source | Run, picture: PictureConfig | None = None, **fields: 
             return read_files(files, config.title)
 
     def make(flight: int | None, progress: Progress) -> str | None:
-        from alula.stages.viewing.page import within
+        from alula.stages.show.viewing.page import within
 
         found = read()
         if flight is not None and not any(flight in run.flights for run in found.runs):
@@ -88,7 +88,7 @@ def _write_view(files: Sequence[Path], config: ViewConfig, pictured: PictureConf
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         from alula.schemas.atomic import atomic_output
-        from alula.stages.viewing.files import read_files
+        from alula.stages.show.viewing.files import read_files
 
         compose = _composer(read_files(files, config.title), config)
         draw = _page if form in PAGES else _picture
@@ -121,7 +121,7 @@ def _page(
 ) -> tuple[bytes, dict[str, Any]]:
     """Text of a page, and the figures to print."""
     from alula.stages.reporting.page import comment
-    from alula.stages.viewing.page import within
+    from alula.stages.show.viewing.page import within
 
     progress(1, 2)
     # The summary is part of the page, so it is known before the page is bounded.
@@ -143,8 +143,8 @@ def _picture(
 ) -> tuple[bytes, dict[str, Any]]:
     """Bytes of a still or moving picture, and the figures to print."""
     from alula.schemas.provenance import in_ascii
-    from alula.stages.viewing import encode
-    from alula.stages.viewing.film import film, still
+    from alula.stages.show.viewing import encode
+    from alula.stages.show.viewing.film import film, still
 
     content = compose(config.most_gaussians)
     summary = _summary(content)
@@ -164,7 +164,7 @@ def _picture(
 
 def _page_inputs(files: Sequence[Path]) -> Mapping[str, Path]:
     """All files that the page depends on, by role; a splat may have several."""
-    from alula.stages.viewing.files import members
+    from alula.stages.show.viewing.files import members
 
     found: dict[str, Path] = {}
     seen: set[Path] = set()
@@ -179,7 +179,7 @@ def _page_inputs(files: Sequence[Path]) -> Mapping[str, Path]:
 
 def _composer(shown: Shown, config: ViewConfig) -> Callable[[int], Content]:
     """Function from a number of Gaussians to the content."""
-    from alula.stages.viewing.compose import content_of
+    from alula.stages.show.viewing.compose import content_of
 
     chosen = None
     if config.flight:

@@ -23,12 +23,10 @@ from alula.schemas.report import (
 )
 from alula.stages.reporting.brief import Brief, brief
 from alula.stages.reporting.differences import difference_tables, difference_words
-from alula.stages.reporting.figures import Figure, all_figures
-from alula.stages.reporting.flight_figures import flight_figures
+from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material
-from alula.stages.reporting.still import still
 from alula.stages.reporting.table import Table, folded, markdown_cell, markdown_table, text
 from alula.stages.reporting.tables import LISTED_TRIALS, all_tables
 
@@ -73,12 +71,6 @@ def content_of(
     """
     tables = tuple(all_tables(material, names, listed=listed))
     return Content(brief(material), headline(material), tables, tuple(difference_tables(material)))
-
-
-def draw(material: Material) -> list[Figure]:
-    """Draw all figures, in reading order: the still picture, single flights, and the others."""
-    picture = still(material)
-    return [*([picture] if picture is not None else []), *flight_figures(material), *all_figures(material)]
 
 
 def to_json(content: Content, figures: Sequence[Figure], provenance: Provenance) -> str:

@@ -25,6 +25,7 @@ from alula.stages.reporting.palette import COLORS as COLORS
 from alula.stages.reporting.table import text
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
+STILL = "still"  # name of the still picture
 _STYLE = {
     "svg.hashsalt": "alula",
     "svg.fonttype": "none",

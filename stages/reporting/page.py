@@ -20,13 +20,12 @@ import numpy as np
 from alula.stages.reporting.brief import Brief, Number, Subject, brief
 from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
-from alula.stages.reporting.figures import Figure
+from alula.stages.reporting.figures import STILL, Figure
 from alula.stages.reporting.flight_figures import NAME as FLIGHT
 from alula.stages.reporting.guarantees import GUARANTEES
 from alula.stages.reporting.headline import chain
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import run_color, themed
-from alula.stages.reporting.still import NAME as STILL
 from alula.stages.reporting.style import STYLE, SWITCH
 from alula.stages.reporting.table import Table, folded, text
 from alula.stages.reporting.view3d import View

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from alula.stages.reporting.brief import BAD, FAIR, GOOD, Subject
-from alula.stages.reporting.content import Content, draw
+from alula.stages.reporting.content import Content
 from alula.stages.reporting.differences import difference_words
 from alula.stages.reporting.figures import Figure, Sheet, on_paper
 from alula.stages.reporting.guarantees import GUARANTEES
-from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import GREEN, INK, ORANGE, SOFT, VERMILLION, run_color
-from alula.stages.reporting.still import still
 from alula.stages.reporting.table import Table, folded, text
 
 COLUMN_INCH, PAGE_INCH = 3.5, 7.16  # widths of one column and of two in journals
@@ -30,11 +28,11 @@ _LISTED_ROWS = 60  # of a table in the document
 _TONES = {GOOD: GREEN, FAIR: ORANGE, BAD: VERMILLION}
 
 
-def column_figures(material: Material, line: str) -> list[tuple[Figure, bytes]]:
+def column_figures(draw: Callable[[], Sequence[Figure]], line: str) -> list[tuple[Figure, bytes]]:
     """Draw all figures as PDF at the width of a column, or wide ones of two.
 
     Args:
-        material: what the report is about.
+        draw: draws them.
         line: of provenance, kept among the keywords of each file.
     """
 
@@ -43,15 +41,15 @@ def column_figures(material: Material, line: str) -> list[tuple[Figure, bytes]]:
         return Sheet((wanted, 1.12 * height * wanted / width))
 
     with on_paper(place) as drawn:
-        figures = draw(material)
+        figures = draw()
     return [(figure, _pdf([one], line)) for figure, one in zip(figures, drawn, strict=True)]
 
 
-def to_pdf(material: Material, content: Content, line: str) -> bytes:
+def to_pdf(draw: Callable[[], Sequence[Figure]], content: Content, line: str) -> bytes:
     """Write a PDF document: the first screen, a page for each figure, then the tables.
 
     Args:
-        material: what the report is about.
+        draw: draws the figures.
         content: what it says.
         line: of provenance, kept among the keywords of the document.
     """
@@ -63,7 +61,7 @@ def to_pdf(material: Material, content: Content, line: str) -> bytes:
         return Sheet(_A4, (_LEFT, 0.9 - tall, box_width, tall))
 
     with on_paper(place) as drawn:
-        figures = draw(material)
+        figures = draw()
     for figure, sheet in zip(figures, drawn, strict=True):
         bottom = sheet.get_layout_engine().get()["rect"][1]
         _say(sheet, _LEFT, _TOP, _fit(figure.title), fontsize=11, weight="bold", color=INK, va="top")
@@ -75,11 +73,11 @@ def to_pdf(material: Material, content: Content, line: str) -> bytes:
     return _pdf(sheets, line)
 
 
-def to_png(material: Material, content: Content, line: str) -> bytes:
+def to_png(still: Callable[[], Figure | None], content: Content, line: str) -> bytes:
     """Draw the first screen as one picture: verdict and numbers beside the still picture.
 
     Args:
-        material: what the report is about.
+        still: draws the still picture.
         content: what it says.
         line: of provenance, kept as the description of the picture.
     """
@@ -89,7 +87,7 @@ def to_png(material: Material, content: Content, line: str) -> bytes:
         return Sheet(_CARD, (0.42, 0.02, 0.57, 0.96), 10.0)
 
     with on_paper(place) as drawn:
-        picture = still(material)
+        picture = still()
     sheet = drawn[0] if picture is not None else _blank(_CARD)
     tone = _TONES.get(found.tone, SOFT)
     _say(sheet, 0.035, 0.94, _fit(found.title, 60), fontsize=12, color=SOFT, va="top")

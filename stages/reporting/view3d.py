@@ -1,4 +1,4 @@
-"""The 3D view as a report gets it; `alula.stages.viewing.report` makes it."""
+"""The 3D view as a report gets it; `alula.stages.show.viewing.report` makes it."""
 
 from __future__ import annotations
 

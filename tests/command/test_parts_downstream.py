@@ -121,7 +121,7 @@ def test_view_draws_parts_and_thins_those_of_a_large_scene(tmp_path, parted, mon
     page = tmp_path / "a.html"
     assert run("view", parted / "tiny.scene", parted / "tiny.voxels", "-o", page, "--json") == 0
     assert json.loads(capsys.readouterr().out)["summary"]["gaussians"] == 800
-    monkeypatch.setattr("alula.stages.viewing.files.MOST_READ", 90)
+    monkeypatch.setattr("alula.stages.show.viewing.files.MOST_READ", 90)
     assert run("view", parted / "tiny.scene", "-o", page, "-f", "--json") == 0
     summary = json.loads(capsys.readouterr().out)["summary"]
     assert summary["gaussians"] in range(85, 91)

@@ -11,7 +11,7 @@ from PIL import Image
 from alula.cli.main import run
 from alula.schemas.errors import UsageError
 from alula.schemas.provenance import read_provenance
-from alula.stages.viewing.serve import PageServer
+from alula.stages.show.viewing.serve import PageServer
 
 
 def facts(text):

@@ -5,10 +5,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from alula.stages.viewing import light
-from alula.stages.viewing import page as pages
-from alula.stages.viewing.compose import Shown, content_of
-from alula.stages.viewing.page import page, within
+from alula.stages.show.viewing import light
+from alula.stages.show.viewing import page as pages
+from alula.stages.show.viewing.compose import Shown, content_of
+from alula.stages.show.viewing.page import page, within
 from support.browser import SOFTWARE, Opened, chromium_program, near
 from support.fabricate import make_scene, make_trial
 from support.viewed_pages import RED

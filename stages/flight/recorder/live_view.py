@@ -17,19 +17,19 @@ import numpy as np
 
 from alula.schemas.errors import AlulaError
 from alula.schemas.text import html_text, one_line
-from alula.stages.drawing.content import Body, Content, Lines, Part, segments_of
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.supervisor_table import Event
 from alula.stages.flight.recorder.channels import LineSample, PlanSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 from alula.stages.flight.recorder.served import HOST, NICE, open_served
-from alula.stages.viewing.compose import Shown, content_of, fence_parts
-from alula.stages.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR
-from alula.stages.viewing.draw import Vehicle, draw, draw_part
-from alula.stages.viewing.files import read_files
-from alula.stages.viewing.logged_map import map_of
-from alula.stages.viewing.shapes import balls
+from alula.stages.show.drawing.content import Body, Content, Lines, Part, segments_of
+from alula.stages.show.viewing.compose import Shown, content_of, fence_parts
+from alula.stages.show.viewing.corridor import NEW_PLAN_COLOR, PLAN_COLOR
+from alula.stages.show.viewing.draw import Vehicle, draw, draw_part
+from alula.stages.show.viewing.files import read_files
+from alula.stages.show.viewing.logged_map import map_of
+from alula.stages.show.viewing.shapes import balls
 
 _POSE_S = 0.05  # between updates of the pose
 _TEXT_S = 0.2  # between updates of the text

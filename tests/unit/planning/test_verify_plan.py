@@ -13,7 +13,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.kinds import PLAN
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
-from alula.stages.viewing.corridor import corridor_mesh
+from alula.stages.show.viewing.corridor import corridor_mesh
 from support.covers import box_distance, boxes_cover
 from support.small_scenes import ball_scene
 

@@ -13,7 +13,6 @@ from alula.schemas.manifest import Guarantee, producer
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
 from alula.stages.reporting.brief import brief
-from alula.stages.reporting.content import draw
 from alula.stages.reporting.curves import flight_maps
 from alula.stages.reporting.fenced import fence_rows, fence_shape, is_fenced
 from alula.stages.reporting.figures import all_figures, window
@@ -23,6 +22,7 @@ from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material, Run, outcome_of
 from alula.stages.reporting.tables import all_tables, runs_table, to_csv, trials_table
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
+from alula.stages.show.still import draw
 
 FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 

@@ -10,12 +10,12 @@ from alula.schemas.cut_run import read_logged
 from alula.schemas.flights import Course, Line, Step, flights_of
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.reporting.brief import brief
-from alula.stages.reporting.content import draw
 from alula.stages.reporting.curves import broken, paths_of, spells
 from alula.stages.reporting.flight_curves import worst_flights
 from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
 from alula.stages.reporting.tables import all_tables, course_rows, course_tables
+from alula.stages.show.still import draw
 from support.fabricate import make_record, make_trial
 from support.flight_logs import head_of, record_of
 from support.flights import fly, mission

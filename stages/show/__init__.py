@@ -1,0 +1,1 @@
+"""What is shown: drawings on the processor, interactive views, and the still picture of a report."""

@@ -1,0 +1,165 @@
+"""Gaussians of a scene as a browser draws them: those that contribute most, with their covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact, describe_arrays
+from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.schemas.parts import Parts
+from alula.stages.rotation import matrix_from_quat_wxyz
+from alula.stages.show.drawing.content import Gaussians
+
+_GRID_M = 2.0**-10  # centres are rounded to this, or to a sixteenth of a small Gaussian
+_LARGEST = 1e12  # larger values cannot be shown, and their squares not be stored
+THINNED_FROM = "thinned_from"  # entry of the summary of a thinned scene: number of Gaussians of the whole
+_CHUNK = 1 << 18  # rows that are in memory at once in double precision
+_MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left out
+
+
+def contribution(scene: Artifact) -> NDArray[np.float64]:
+    """Opacity times the area of the projected ellipse along its shortest axis, shape (N,).
+
+    Args:
+        scene: an `alula/scene`.
+    """
+    area = np.empty(len(scene["opacity"]))
+    for rows in _chunks(len(area)):
+        axes = np.sort(np.asarray(scene["scale"][rows], np.float64), axis=1)
+        area[rows] = np.asarray(scene["opacity"][rows], np.float64) * axes[:, 1] * axes[:, 2]
+    return area
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Rows of Gaussians to show, and factors by which their longer semi-axes grow, both of shape (n,)."""
+
+    row: NDArray[np.int64]
+    grown: NDArray[np.float64]
+
+    def of(self, some: NDArray[np.bool_]) -> Choice:
+        """Some of the rows."""
+        return Choice(self.row[some], self.grown[some])
+
+
+def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> Choice:
+    """Choose at most `maximum` Gaussians by their contribution, evenly in space.
+
+    Gaussian i is kept with the probability p_i = min(1, c w_i) of its contribution w_i, where the p_i add up
+    to `maximum`: systematic sampling along a space-filling curve, without chance. The two longer semi-axes
+    of a kept one grow by 1 / sqrt(p_i), within a limit, so that it covers the area of those that it stands
+    for. The rows are in the order of the curve, in which neighbours compress well.
+
+    Args:
+        scene: an `alula/scene`.
+        maximum: number of rows.
+    """
+    weight = contribution(scene)
+    order = np.argsort(_morton(np.asarray(scene["mean"])), kind="stable")
+    if len(weight) <= maximum:
+        return Choice(order, np.ones(len(order)))
+    share = _shares(weight, maximum)[order]
+    reached = np.floor(np.cumsum(share) + 0.5)
+    kept = np.flatnonzero(np.diff(reached, prepend=0.0) > 0)[:maximum]
+    grown = np.minimum(1 / np.sqrt(np.maximum(share[kept], 1e-9)), _MOST_GROWN)
+    return Choice(order[kept], grown)
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    """Parts of so many rows."""
+    return (slice(first, first + _CHUNK) for first in range(0, count, _CHUNK))
+
+
+def _shares(weight: NDArray[np.float64], total: int) -> NDArray[np.float64]:
+    """Probabilities min(1, c w) that add up to `total`, which is below their number."""
+    share = np.zeros(len(weight))
+    is_sure = np.zeros(len(weight), np.bool_)
+    for _ in range(100):
+        rest = total - int(is_sure.sum())
+        free = float(weight[~is_sure].sum())
+        share = np.where(is_sure, 1.0, weight * (rest / free if free > 0 else 0.0))
+        if not (over := (share > 1) & ~is_sure).any():
+            break
+        is_sure |= over
+    return np.minimum(share, 1.0)
+
+
+def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """Interleave the bits of the coordinates, ten of each, within the central 99 % of the points."""
+    if not len(points):
+        return np.empty(0, np.uint64)
+    low, high = np.quantile(points, (0.005, 0.995), axis=0)
+    code = np.zeros(len(points), np.uint64)
+    for rows in _chunks(len(points)):
+        cell = np.clip((points[rows] - low) / np.maximum(high - low, 1e-9) * 1023, 0, 1023).astype(np.uint64)
+        for bit in range(10):
+            for axis in range(3):
+                code[rows] |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return code
+
+
+def thinned(parts: Parts, maximum: int) -> Artifact:
+    """At most `maximum` Gaussians of a scene in parts, chosen and grown in each part as by `chosen`.
+
+    Memory holds one part and the chosen Gaussians. The summary has the number of all as `THINNED_FROM`.
+
+    Args:
+        parts: of an `alula/scene`.
+        maximum: number of rows.
+    """
+    names = ("mean", "scale", "quat_wxyz", "opacity", "color")
+    found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    for part, ref in zip(parts, parts.refs, strict=True):
+        choice = chosen(part, ref.count * maximum // max(parts.count, maximum))
+        rows = {name: np.asarray(part[name])[choice.row] for name in names}
+        is_short = np.arange(3) == rows["scale"].argmin(axis=1)[:, None]
+        rows["scale"] = np.where(is_short, rows["scale"], rows["scale"] * choice.grown[:, None])
+        for name, values in rows.items():
+            found[name].append(values)
+    arrays = {
+        name: np.concatenate(values).astype(np.uint8 if name == "color" else np.float32)
+        for name, values in found.items()
+    }
+    manifest = parts.manifest
+    described = describe_arrays(parts.kind, manifest.frame, manifest.unit, arrays)
+    summary = manifest.summary | {THINNED_FROM: parts.count}
+    shown = msgspec.structs.replace(manifest, arrays=described, requires=[], summary=summary)
+    return Artifact(shown, arrays)
+
+
+def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = True) -> Gaussians:
+    """Gaussians of some rows of a scene.
+
+    Centres are rounded to a fraction of the smallest common size, far below what can be seen.
+
+    Args:
+        name: in the scene tree.
+        scene: an `alula/scene`.
+        choice: from `chosen`.
+        visible: shown at first.
+    """
+    rows = choice.row
+    scale = np.minimum(np.asarray(scene["scale"], np.float64)[rows], _LARGEST)
+    is_short = np.arange(3) == scale.argmin(axis=1)[:, None]
+    scale = np.where(is_short, scale, scale * choice.grown[:, None])
+    turn = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
+    half = turn * scale[:, None, :]
+    mean = np.clip(np.asarray(scene["mean"], np.float64)[rows], -_LARGEST, _LARGEST)
+    if len(rows):
+        small = float(np.quantile(scale.max(axis=1), 0.05)) / 16
+        grid = min(_GRID_M, 2.0 ** np.floor(np.log2(max(small, 1e-9))))
+        mean = np.round(mean / grid) * grid
+    return Gaussians(
+        name=name,
+        mean=mean.astype(np.float32),
+        covariance=(half @ half.transpose(0, 2, 1)).astype(np.float32),
+        color=np.asarray(scene["color"])[rows],
+        opacity=np.asarray(scene["opacity"], np.float32)[rows],
+        visible=visible,
+    )

@@ -1,0 +1,25 @@
+"""What stands over the scene of a page: the flight in words, a legend, plots, and a picture without WebGL."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+MARKUP = """
+<div id="alula" class="no-plots">
+<details id="alula-head" open><summary>TITLE</summary>
+<p id="alula-choice"></p><p id="alula-words"></p><p id="alula-now"></p>
+<p id="alula-legend"></p><p id="alula-notes" class="soft"></p>
+</details><figure id="alula-still" hidden>STILL<figcaption id="alula-why">This browser cannot draw
+in three dimensions: it needs WebGL 2 and scripts.</figcaption></figure>
+<noscript><style>#alula-still[hidden] { display: flex; }</style></noscript>
+<div id="alula-plots" role="img" aria-label="Curves of the flight over its time"></div></div>
+"""
+
+
+def asset(name: str) -> str:
+    """Text of a file beside this module.
+
+    Args:
+        name: of the file.
+    """
+    return files("alula.stages.show.viewing").joinpath(name).read_text(encoding="utf-8")
