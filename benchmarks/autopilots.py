@@ -37,8 +37,8 @@ from scipy.spatial import cKDTree
 from alula.cli.main import run as alula
 from alula.schemas.artifact import read_artifact
 from alula.schemas.configs.plan import MARGIN_M
-from alula.schemas.flights import read_flights
 from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.log.flights import read_flights
 from alula.schemas.run import read_run
 from alula.schemas.toml_file import toml_value
 from alula.schemas.vehicle import read_vehicle

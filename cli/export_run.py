@@ -29,7 +29,7 @@ def export_bag(log: Path, common: Common) -> None:
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.extras import require
-    from alula.schemas.mcap_log import timed_messages
+    from alula.schemas.log.mcap import timed_messages
     from alula.schemas.run import open_log
     from alula.stages.export.rosbag import METADATA, count_bag, write_bag
 
@@ -66,8 +66,8 @@ def export_bag(log: Path, common: Common) -> None:
 
 def _damage(log: Path) -> str:
     """Where the log of a real flight is truncated, in words; empty for a whole log of any run."""
-    from alula.schemas.cut_run import salvage_run
     from alula.schemas.errors import ArtifactError
+    from alula.schemas.log.cut import salvage_run
     from alula.schemas.run import read_run
 
     try:
@@ -105,7 +105,7 @@ def export_layout(log: Path | None, common: Common) -> None:
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import UsageError
-    from alula.schemas.mcap_log import messages
+    from alula.schemas.log.mcap import messages
     from alula.schemas.run import open_log, read_run
     from alula.stages.export.foxglove_layout import contents, foxglove_layout
 

@@ -108,6 +108,7 @@ def _identify(
     config: IdentifyConfig, guess: Vehicle, link: Link, provenance: Provenance, common: options.Common
 ) -> None:
     """Fly, fit and write."""
+    from alula.schemas.log.foxglove import SceneUpdate
     from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop
@@ -133,7 +134,7 @@ def _identify(
         log_every=1,
         radius_m=guess.body.radius_m,
         provenance=provenance,
-        map_message={},
+        map_message=SceneUpdate(),
     )
     recorder = FlightRecorder(None, head, echo=not common.quiet, rate_hz=config.rate_hz)
     try:

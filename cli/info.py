@@ -137,9 +137,9 @@ def _artifact(path: Path) -> Explained:
 
 
 def _run(path: Path) -> Explained:
-    from alula.schemas.cut_run import salvage_run
     from alula.schemas.errors import ArtifactError, DamagedError
-    from alula.schemas.flights import count_messages
+    from alula.schemas.log.cut import salvage_run
+    from alula.schemas.log.flights import count_messages
     from alula.schemas.run import read_run
     from alula.stages.reporting.inspect import about, run_facts
 

@@ -16,8 +16,8 @@ import msgspec
 from alula.schemas.decode import MalformedError, decode_json, json_decoder
 from alula.schemas.errors import InputError
 from alula.schemas.files import is_special
+from alula.schemas.log.mcap import MAGIC, metadata
 from alula.schemas.manifest import InputRef, Manifest, Producer, producer
-from alula.schemas.mcap_log import MAGIC, metadata
 
 MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"

@@ -14,8 +14,8 @@ from alula.schemas.contents import FenceSummary, RunParameters, RunSummary
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream, what_it_is
+from alula.schemas.log.mcap import MAGIC, metadata
 from alula.schemas.manifest import VERSION, Guarantee, Vector
-from alula.schemas.mcap_log import MAGIC, metadata
 from alula.schemas.provenance import RUN_METADATA, Provenance
 
 RUN_SCHEMA = "alula/run"

@@ -39,7 +39,7 @@ def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
     Raises:
         InputError: the file cannot be read, is damaged, or is a splat file, which `import_splat` reads.
     """
-    from alula.schemas.mcap_log import MAGIC
+    from alula.schemas.log.mcap import MAGIC
     from alula.schemas.parts_join import read_whole
     from alula.schemas.salvage import is_artifact_like
 

@@ -203,9 +203,9 @@ def _read_material(
 ) -> Material:
     """Read the files of a report."""
     from alula.schemas.certificate import decode_certificate
-    from alula.schemas.cut_run import read_logged
     from alula.schemas.files import size_of
     from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.log.cut import read_logged
     from alula.schemas.parts_join import read_whole
     from alula.stages.reporting.material import Material, Run, cover_hash
 

@@ -14,15 +14,15 @@ from alula.cli.missions import Mission
 from alula.cli.run_files import check_log_name, write_run
 from alula.cli.verbs.display import table
 from alula.cli.verbs.results import File, Result, on_disk
-from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import CheckError, UsageError
+from alula.schemas.log.cut import read_logged
 from alula.schemas.manifest import InputRef
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import PLAN_OUTCOMES, RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, RunRecord, TrialResult
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
-    from alula.schemas.flights import Flight
+    from alula.schemas.log.flights import Flight
     from alula.schemas.world import WorldScenario
     from alula.stages.simulation.world.simulate import WorldRun
 

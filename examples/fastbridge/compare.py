@@ -9,7 +9,7 @@ Tables and figures are written into FOLDER, and the same tables as one Markdown 
 import csv
 from pathlib import Path
 
-from alula.schemas.flights import read_flights
+from alula.schemas.log.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.table import Table

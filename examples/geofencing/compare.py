@@ -11,7 +11,7 @@ import json
 import re
 from pathlib import Path
 
-from alula.schemas.fence_ticks import read_ticks
+from alula.schemas.log.fence_ticks import read_ticks
 from alula.schemas.run import read_run
 from alula.stages.reporting.table import folded
 from papers.comparison import comparison_words, this_machine, write_comparison, write_record

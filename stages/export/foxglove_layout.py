@@ -6,35 +6,21 @@ those of one run.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import msgspec
+from msgspec import inspect
 
 from alula.schemas.decode import json_decoder
-from alula.schemas.flights import MAP_TOPIC
+from alula.schemas.log.channels import CHANNELS, MAP_TOPIC
+from alula.schemas.log.foxglove import PointCloud, PosesInFrame, SceneUpdate
 from alula.stages.runlog.messages import BODY_FRAME
 
 Present = Mapping[str, Collection[str]]  # fields by topic
 
-_SCENES = ("/map", "/vehicle", "/splat", "/plan", "/path", "/obstacles")
+_SHAPES = (SceneUpdate, PointCloud, PosesInFrame)  # messages that the 3D panel shows
 _PLAN_COLOR, _PATH_COLOR = "#286edc", "#1f9d55"
-_MARGINS = ("/safety.h_m", "/safety.margin", "/safety.moving_clearance_m", "/safety.fence_distance_m")
-_SPEEDS = ("/state.velocity_m_s.@norm",)
-_COMMANDS = (
-    *("/safety.u_nom_m_s.@norm", "/safety.u_safe_m_s.@norm"),
-    *("/safety.a_nom_m_s2.@norm", "/safety.a_safe_m_s2.@norm"),
-    *("/safety.throttle_nom", "/safety.throttle_safe"),
-)
-_STATES = ("/safety.status_name", "/safety.mode_name", "/supervisor.state_name", "/supervisor.mode")
-
-
-class _Entity(msgspec.Struct):
-    frame_id: str = "world"
-
-
-class _Map(msgspec.Struct):
-    entities: list[_Entity] = []
 
 
 def contents(found: Iterable[tuple[str, bytes]]) -> tuple[str, dict[str, set[str]]]:
@@ -50,7 +36,7 @@ def contents(found: Iterable[tuple[str, bytes]]) -> tuple[str, dict[str, set[str
     decode = json_decoder(dict[str, msgspec.Raw]).decode
     for topic, data in found:
         present.setdefault(topic, set()).update(decode(data))
-        if topic == MAP_TOPIC and (entities := json_decoder(_Map).decode(data).entities):
+        if topic == MAP_TOPIC and (entities := json_decoder(SceneUpdate).decode(data).entities):
             frame = entities[0].frame_id
     return frame, present
 
@@ -63,18 +49,18 @@ def foxglove_layout(frame: str, present: Present | None = None) -> dict[str, Any
         present: fields by topic; None shows all that a run can have.
     """
 
-    def known(paths: tuple[str, ...]) -> list[str]:
-        return [path for path in paths if present is None or _is_in(path, present)]
+    def known(panel: str) -> list[str]:
+        return [path for path in _paths(panel) if present is None or _is_in(path, present)]
 
     panels: dict[str, Any] = {"3D!alula": _scene(frame, present)}
-    for name, title, unit, paths in (
-        ("margin", "Margin to the obstacles", "m, or of the filter's barrier", _MARGINS),
-        ("speed", "Speed", "m/s", _SPEEDS),
-        ("command", "Command, nominal and sent", "m/s, m/s² or a fraction", _COMMANDS),
+    for name, title, unit in (
+        ("margin", "Margin to the obstacles", "m, or of the filter's barrier"),
+        ("speed", "Speed", "m/s"),
+        ("command", "Command, nominal and sent", "m/s, m/s² or a fraction"),
     ):
-        if found := known(paths):
+        if found := known(name):
             panels[f"Plot!{name}"] = _plot(title, unit, found)
-    if found := known(_STATES):
+    if found := known("states"):
         states = [_series(path) for path in found]
         panels["StateTransitions!states"] = {
             "foxglovePanelTitle": "States",
@@ -95,6 +81,15 @@ def foxglove_layout(frame: str, present: Present | None = None) -> dict[str, Any
     }
 
 
+def _paths(panel: str) -> Iterator[str]:
+    """Fields that a panel shows, in the order of channels and fields; of a vector its norm."""
+    for topic, channel in CHANNELS.items():
+        for field in inspect.type_info(channel.struct).fields:  # type: ignore[attr-defined]
+            extra = getattr(field.type, "extra", None) or {}
+            if extra.get("panel") == panel:
+                yield f"{topic}.{field.encode_name}{extra['modifier']}"
+
+
 def _is_in(path: str, present: Present) -> bool:
     topic, field, *_ = path.split(".")
     return field in present.get(topic, ())
@@ -102,7 +97,9 @@ def _is_in(path: str, present: Present) -> bool:
 
 def _scene(frame: str, present: Present | None) -> dict[str, Any]:
     topics: dict[str, Any] = {
-        topic: {"visible": True} for topic in _SCENES if present is None or topic in present
+        topic: {"visible": True}
+        for topic, channel in CHANNELS.items()
+        if channel.struct in _SHAPES and (present is None or topic in present)
     }
     for topic, color in (("/plan", _PLAN_COLOR), ("/path", _PATH_COLOR)):
         if topic in topics:

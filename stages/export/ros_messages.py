@@ -6,137 +6,38 @@ odometry, velocities and accelerations; all of alula's own channels are there as
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import json_decoder
+from alula.schemas.log.channels import CHANNELS, Safety, State, schema_name
+from alula.schemas.log.foxglove import (
+    ORIGIN,
+    UPRIGHT,
+    Color,
+    FrameTransform,
+    Log,
+    PointCloud,
+    Pose,
+    PoseInFrame,
+    PosesInFrame,
+    Quaternion,
+    SceneUpdate,
+    Time,
+)
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.runlog.cloud import POINT
 
-LATCHED = frozenset(
-    {"/map", "/vehicle", "/splat", "/plan"}
-)  # they come seldom, and late subscribers need them
+LATCHED = frozenset(topic for topic, channel in CHANNELS.items() if channel.is_latched)
 _TEXT_PREFIX = "/alula"
 _LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # of rcl_interfaces/msg/Log, by those of foxglove.Log
 
 RosMessage = tuple[str, str, Any]  # topic, type, message
-_Int32 = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
-_UInt32 = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
-
-
-class _Time(msgspec.Struct, gc=False):
-    sec: _Int32
-    nsec: _UInt32
-
-
-class _Vector(msgspec.Struct, gc=False):
-    x: float | None = None  # None where it was not finite
-    y: float | None = None
-    z: float | None = None
-
-    @property
-    def array(self) -> FloatArray:
-        """Shape (3,), NaN where unknown."""
-        return np.array([math.nan if v is None else v for v in (self.x, self.y, self.z)])
-
-
-class _Quaternion(msgspec.Struct, gc=False):
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    w: float = 1.0
-
-
-class _Pose(msgspec.Struct, gc=False):
-    position: _Vector
-    orientation: _Quaternion
-
-
-class _PoseInFrame(msgspec.Struct):
-    timestamp: _Time
-    frame_id: str
-    pose: _Pose
-
-
-class _PosesInFrame(msgspec.Struct):
-    timestamp: _Time
-    frame_id: str
-    poses: list[_Pose]
-
-
-class _FrameTransform(msgspec.Struct):
-    timestamp: _Time
-    parent_frame_id: str
-    child_frame_id: str
-    translation: _Vector
-    rotation: _Quaternion
-
-
-class _Color(msgspec.Struct, gc=False):
-    r: float
-    g: float
-    b: float
-    a: float
-
-
-class _Sphere(msgspec.Struct):
-    pose: _Pose
-    size: _Vector
-    color: _Color
-
-
-class _Triangles(msgspec.Struct):
-    pose: _Pose
-    points: list[_Vector]
-    color: _Color
-    indices: list[_UInt32]
-
-
-class _Entity(msgspec.Struct):
-    timestamp: _Time
-    frame_id: str
-    id: str
-    spheres: list[_Sphere] = []
-    triangles: list[_Triangles] = []
-
-
-class _PointCloud(msgspec.Struct):
-    timestamp: _Time
-    frame_id: str
-    data: bytes
-
-
-class _SceneUpdate(msgspec.Struct):
-    entities: list[_Entity] = []
-
-
-class _Line(msgspec.Struct):
-    timestamp: _Time
-    level: int
-    message: str
-    name: str = ""
-
-
-class _State(msgspec.Struct):
-    position_m: _Vector
-    velocity_m_s: _Vector
-    attitude: _Quaternion = msgspec.field(default_factory=_Quaternion)
-    omega_body_rad_s: _Vector | None = None
-
-
-class _Safety(msgspec.Struct):
-    h_m: float | None = None
-    margin: float | None = None
-    u_nom_m_s: _Vector | None = None
-    u_safe_m_s: _Vector | None = None
-    a_nom_m_s2: _Vector | None = None
-    a_safe_m_s2: _Vector | None = None
 
 
 class RosMessages:
@@ -149,15 +50,15 @@ class RosMessages:
     def __init__(self, types: Mapping[str, Any]) -> None:
         self._types = types
         self._frame = "world"  # until the map names it
-        self._by_topic: dict[str, Callable[[str, bytes, int], Iterator[RosMessage]]] = {
-            **dict.fromkeys(("/map", "/vehicle", "/obstacles"), self._markers),
-            **dict.fromkeys(("/path", "/plan"), self._path),
-            "/splat": self._cloud,
-            "/pose": self._pose,
-            "/tf": self._transform,
-            "/log": self._line,
-            "/state": self._state,
-            "/safety": self._safety,
+        self._by_struct: dict[type[msgspec.Struct], Callable[[str, Any, int], Iterator[RosMessage]]] = {
+            SceneUpdate: self._markers,
+            PosesInFrame: self._path,
+            PointCloud: self._cloud,
+            PoseInFrame: self._pose,
+            FrameTransform: self._transform,
+            Log: self._line,
+            State: self._state,
+            Safety: self._safety,
         }
 
     def of(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
@@ -171,43 +72,48 @@ class RosMessages:
         Raises:
             ValueError: the text is not of the documented form.
         """
-        return self._by_topic.get(topic, self._text)(topic, data, time_ns)
+        channel = CHANNELS.get(topic)
+        if channel is not None and (convert := self._by_struct.get(channel.struct)) is not None:
+            yield from convert(topic, json_decoder(channel.struct).decode(data), time_ns)
+        if channel is None or schema_name(channel.struct).startswith("alula."):
+            name = re.sub(r"[^A-Za-z0-9_/]", "_", topic)  # ROS 2 allows no other characters
+            text = self._new("std_msgs/msg/String", data.decode())
+            yield f"{_TEXT_PREFIX}{name}", "std_msgs/msg/String", text
 
     def _new(self, kind: str, *values: Any) -> Any:
         return self._types[kind](*values)
 
-    def _stamp(self, time: _Time) -> Any:
+    def _stamp(self, time: Time) -> Any:
+        if time.sec >= 2**31:
+            raise ValueError(f"the time {time.sec} s is beyond those of ROS 2")
         return self._new("builtin_interfaces/msg/Time", time.sec, time.nsec)
 
-    def _header(self, time: _Time, frame: str) -> Any:
+    def _header(self, time: Time, frame: str) -> Any:
         return self._new("std_msgs/msg/Header", self._stamp(time), frame)
 
     def _vector(self, vector: FloatArray, kind: str = "Vector3") -> Any:
         return self._new(f"geometry_msgs/msg/{kind}", *vector.tolist())
 
-    def _quaternion(self, q: _Quaternion) -> Any:
+    def _quaternion(self, q: Quaternion) -> Any:
         return self._new("geometry_msgs/msg/Quaternion", q.x, q.y, q.z, q.w)
 
-    def _bare_pose(self, pose: _Pose) -> Any:
+    def _bare_pose(self, pose: Pose) -> Any:
         position = self._vector(pose.position.array, "Point")
         return self._new("geometry_msgs/msg/Pose", position, self._quaternion(pose.orientation))
 
-    def _stamped(self, header: Any, pose: _Pose) -> Any:
+    def _stamped(self, header: Any, pose: Pose) -> Any:
         return self._new("geometry_msgs/msg/PoseStamped", header, self._bare_pose(pose))
 
-    def _pose(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        found = json_decoder(_PoseInFrame).decode(data)
+    def _pose(self, topic: str, found: PoseInFrame, time_ns: int) -> Iterator[RosMessage]:
         header = self._header(found.timestamp, found.frame_id)
         yield topic, "geometry_msgs/msg/PoseStamped", self._stamped(header, found.pose)
 
-    def _path(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        found = json_decoder(_PosesInFrame).decode(data)
+    def _path(self, topic: str, found: PosesInFrame, time_ns: int) -> Iterator[RosMessage]:
         header = self._header(found.timestamp, found.frame_id)
         poses = [self._stamped(header, pose) for pose in found.poses]
         yield topic, "nav_msgs/msg/Path", self._new("nav_msgs/msg/Path", header, poses)
 
-    def _transform(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        found = json_decoder(_FrameTransform).decode(data)
+    def _transform(self, topic: str, found: FrameTransform, time_ns: int) -> Iterator[RosMessage]:
         moved = self._new(
             "geometry_msgs/msg/Transform",
             self._vector(found.translation.array),
@@ -217,9 +123,8 @@ class RosMessages:
         stamped = self._new("geometry_msgs/msg/TransformStamped", header, found.child_frame_id, moved)
         yield topic, "tf2_msgs/msg/TFMessage", self._new("tf2_msgs/msg/TFMessage", [stamped])
 
-    def _cloud(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
+    def _cloud(self, topic: str, found: PointCloud, time_ns: int) -> Iterator[RosMessage]:
         """The same bytes: opacity, red, green and blue are the packed colour of RViz."""
-        found = json_decoder(_PointCloud).decode(data)
         step = POINT.itemsize
         count, rest = divmod(len(found.data), step)
         if rest:
@@ -234,24 +139,20 @@ class RosMessages:
         whole = (header, 1, count, places, False, step, step * count, points, True)
         yield topic, kind, self._new(kind, *whole)
 
-    def _line(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        found = json_decoder(_Line).decode(data)
+    def _line(self, topic: str, found: Log, time_ns: int) -> Iterator[RosMessage]:
         level, stamp = _LEVELS.get(found.level, 20), self._stamp(found.timestamp)
         kind = "rcl_interfaces/msg/Log"
         yield "/rosout", kind, self._new(kind, stamp, level, f"alula.{found.name}", found.message, "", "", 0)
 
-    def _markers(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
+    def _markers(self, topic: str, found: SceneUpdate, time_ns: int) -> Iterator[RosMessage]:
         """Markers of all shapes, after one that deletes those of the message before."""
-        found = json_decoder(_SceneUpdate).decode(data)
         if topic == "/map" and found.entities:
             self._frame = found.entities[0].frame_id
         markers: list[Any] = []
         for entity in found.entities:
             header = self._header(entity.timestamp, entity.frame_id)
             if not markers:
-                markers.append(
-                    self._marker(header, "", 0, 0, _Pose(_Vector(0, 0, 0), _Quaternion()), action=3)
-                )
+                markers.append(self._marker(header, "", 0, 0, ORIGIN, action=3))
             for ball in entity.spheres:
                 where = (header, entity.id, len(markers))
                 markers.append(self._marker(*where, 2, ball.pose, ball.size.array, ball.color))
@@ -274,14 +175,14 @@ class RosMessages:
         namespace: str,
         number: int,
         kind: int,
-        pose: _Pose,
+        pose: Pose,
         scale: FloatArray | None = None,
-        color: _Color | None = None,
+        color: Color | None = None,
         points: list[Any] | None = None,
         *,
         action: int = 0,
     ) -> Any:
-        shade = _Color(0.0, 0.0, 0.0, 0.0) if color is None else color
+        shade = Color(0.0, 0.0, 0.0, 0.0) if color is None else color
         nothing = np.empty(0, np.uint8)
         return self._new(
             "visualization_msgs/msg/Marker",
@@ -306,15 +207,17 @@ class RosMessages:
             False,
         )
 
-    def _state(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
+    def _state(self, topic: str, found: State, time_ns: int) -> Iterator[RosMessage]:
         """Odometry, whose twist is in the body frame, and the velocity in the frame of the map."""
-        found = json_decoder(_State).decode(data)
-        q, header = found.attitude, self._header(_time(time_ns), self._frame)
+        q, header = (
+            UPRIGHT if found.attitude is None else found.attitude,
+            self._header(Time.of(time_ns), self._frame),
+        )
         R_world_body = matrix_from_quat_wxyz(np.array((q.w, q.x, q.y, q.z)))
         v_world = found.velocity_m_s.array
         omega_body = np.zeros(3) if found.omega_body_rad_s is None else found.omega_body_rad_s.array
         unknown = np.zeros(36)
-        pose = self._bare_pose(_Pose(found.position_m, q))
+        pose = self._bare_pose(Pose(found.position_m, q))
         twist = self._new(
             "geometry_msgs/msg/Twist", self._vector(R_world_body.T @ v_world), self._vector(omega_body)
         )
@@ -330,10 +233,9 @@ class RosMessages:
             ),
         )
         yield self._motion("/velocity", "Twist", header, v_world, R_world_body @ omega_body)
-        yield from self._text(topic, data, time_ns)
 
-    def _safety(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        found, header = json_decoder(_Safety).decode(data), self._header(_time(time_ns), self._frame)
+    def _safety(self, topic: str, found: Safety, time_ns: int) -> Iterator[RosMessage]:
+        header = self._header(Time.of(time_ns), self._frame)
         margin = found.h_m if found.margin is None else found.margin
         if margin is not None:
             yield "/safety/margin", "std_msgs/msg/Float64", self._new("std_msgs/msg/Float64", margin)
@@ -345,7 +247,6 @@ class RosMessages:
         ):
             if vector is not None:
                 yield self._motion(f"/command/{name}", kind, header, vector.array, np.zeros(3))
-        yield from self._text(topic, data, time_ns)
 
     def _motion(
         self, topic: str, kind: str, header: Any, linear: FloatArray, angular: FloatArray
@@ -353,14 +254,3 @@ class RosMessages:
         both = self._new(f"geometry_msgs/msg/{kind}", self._vector(linear), self._vector(angular))
         name = f"geometry_msgs/msg/{kind}Stamped"
         return topic, name, self._new(name, header, both)
-
-    def _text(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
-        name = re.sub(r"[^A-Za-z0-9_/]", "_", topic)  # ROS 2 allows no other characters
-        yield f"{_TEXT_PREFIX}{name}", "std_msgs/msg/String", self._new("std_msgs/msg/String", data.decode())
-
-
-def _time(time_ns: int) -> _Time:
-    sec, nsec = divmod(time_ns, 10**9)
-    if sec >= 2**31:
-        raise ValueError(f"the time {sec} s is beyond those of ROS 2")
-    return _Time(sec, nsec)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
+from alula.schemas.decode import json_decoder
 from alula.schemas.errors import InputError
-from alula.schemas.mcap_log import messages
+from alula.schemas.log.channels import REPLAY_TOPIC, Replay
+from alula.schemas.log.mcap import messages
 from alula.stages.flight.commanders.native import FlightCommander
 from alula.stages.flight.commanders.protocol import TickInputs
 from alula.stages.flight.links.protocol import (
@@ -19,13 +20,7 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VelocitySetpoint,
 )
-from alula.stages.flight.recorder.samples import ReplaySample, numbers_of
-
-
-class LoggedTick(ReplaySample, array_like=False):
-    """A message of the channel `/replay`: a sample by names, with the time since the start [s]."""
-
-    time_s: float
+from alula.stages.flight.recorder.samples import numbers_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +72,11 @@ def replay(log: Path, commander: FlightCommander) -> Replayed:
     return Replayed(ticks, differing)
 
 
-def _ticks(log: Path) -> Iterator[LoggedTick]:
-    decode = msgspec.json.Decoder(LoggedTick).decode
+def _ticks(log: Path) -> Iterator[Replay]:
+    decode = json_decoder(Replay).decode
     try:
         with log.open("rb") as file:
-            for _, data in messages(file, ("/replay",)):
+            for _, data in messages(file, (REPLAY_TOPIC,)):
                 yield decode(data)
     except OSError as error:
         raise InputError(f"{log}: cannot read: {error.strerror}") from error

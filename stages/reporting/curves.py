@@ -10,7 +10,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
-from alula.schemas.flights import Course
+from alula.schemas.log.flights import Course
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.fenced import fence_shape

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.stages.clearance import hull_obstacles, kept_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls

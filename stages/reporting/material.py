@@ -8,7 +8,7 @@ from typing import Any
 
 from alula._core import EllipsoidSet
 from alula.schemas.artifact import Artifact
-from alula.schemas.flights import Course, Flight
+from alula.schemas.log.flights import Course, Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 

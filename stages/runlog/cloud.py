@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-from typing import Any
-
 import numpy as np
 
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
-from alula.stages.runlog.messages import UPRIGHT, stamp
+from alula.schemas.log.foxglove import ORIGIN, PackedElementField, PointCloud, Time
 
 SHOWN_POINTS = 10_000  # maximum number; those nearest to the paths are shown
 _UINT8, _FLOAT32 = 1, 7  # numbers of Foxglove's types
@@ -19,8 +16,8 @@ _COMMON = 0.98  # quantile of the radii up to which balls are measured together
 POINT = np.dtype([("mean", "<f4", 3), ("blue", "u1"), ("green", "u1"), ("red", "u1"), ("alpha", "u1")])
 
 
-def cloud_message(scene: Artifact, paths: list[FloatArray], frame: str, time_ns: int) -> dict[str, Any]:
-    """`foxglove.PointCloud` of the Gaussians nearest to the paths.
+def cloud_message(scene: Artifact, paths: list[FloatArray], frame: str, time_ns: int) -> PointCloud:
+    """Gaussians nearest to the paths.
 
     Args:
         scene: an `alula/scene`.
@@ -36,14 +33,8 @@ def cloud_message(scene: Artifact, paths: list[FloatArray], frame: str, time_ns:
     points["alpha"] = np.rint(255 * scene["opacity"][shown].astype(np.float64))
     places = [(axis, 4 * i, _FLOAT32) for i, axis in enumerate("xyz")]
     places += [(name, 12 + i, _UINT8) for i, name in enumerate(("blue", "green", "red", "alpha"))]
-    return {
-        "timestamp": stamp(time_ns),
-        "frame_id": frame,
-        "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": UPRIGHT},
-        "point_stride": POINT.itemsize,
-        "fields": [{"name": name, "offset": offset, "type": kind} for name, offset, kind in places],
-        "data": base64.b64encode(points.tobytes()).decode(),
-    }
+    fields = [PackedElementField(name, offset, kind) for name, offset, kind in places]
+    return PointCloud(Time.of(time_ns), frame, ORIGIN, POINT.itemsize, fields, points.tobytes())
 
 
 def nearest(scene: Artifact, sigma: float, paths: list[FloatArray], most: int) -> IntArray:

@@ -10,21 +10,22 @@ import numpy as np
 from alula.schemas.arrays import FloatArray, IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
+from alula.schemas.log.foxglove import Color, Pose, SceneEntity, SceneUpdate, SpherePrimitive
 from alula.stages.compression.facets import mesh
 from alula.stages.compression.hulls import Hulls
 from alula.stages.runlog.cloud import nearest
-from alula.stages.runlog.messages import entity, facts, quaternion, scene_message, sphere, triangle_list, xyz
+from alula.stages.runlog.messages import entity, facts, quaternion, triangle_list, xyz
 
 SHOWN_ELLIPSOIDS = 3000  # maximum number; those nearest to the paths are shown
 SHOWN_BEYOND_M = 20.0  # around the paths, where an open fence is cut
-_MAP_COLOR = {"r": 0.55, "g": 0.6, "b": 0.68, "a": 0.6}
-_FENCE_COLOR = {"r": 0.1, "g": 0.55, "b": 0.8, "a": 0.12}
+_MAP_COLOR = Color(0.55, 0.6, 0.68, 0.6)
+_FENCE_COLOR = Color(0.1, 0.55, 0.8, 0.12)
 
 
 def map_message(
     flown_through: Artifact, summary: Mapping[str, Any], paths: list[FloatArray], frame: str, time_ns: int
-) -> dict[str, Any]:
-    """`foxglove.SceneUpdate` of a map: hulls, or ellipsoids near the paths at `summary["sigma"]`.
+) -> SceneUpdate:
+    """Map: hulls, or ellipsoids near the paths at `summary["sigma"]`.
 
     Args:
         flown_through: an `alula/cover` or an `alula/scene`.
@@ -37,7 +38,7 @@ def map_message(
         shape = _ellipsoids(flown_through, float(summary["sigma"]), paths)
     else:
         shape = _cover_hulls(flown_through)
-    return scene_message(entity("map", frame, time_ns) | shape)
+    return SceneUpdate(entities=[entity("map", frame, time_ns, **shape)])
 
 
 def world_message(
@@ -48,8 +49,8 @@ def world_message(
     paths: list[FloatArray],
     frame: str,
     time_ns: int,
-) -> dict[str, Any]:
-    """`foxglove.SceneUpdate` of all static obstacles: hulls, ellipsoids near the paths, and the fence.
+) -> SceneUpdate:
+    """All static obstacles: hulls, ellipsoids near the paths, and the fence.
 
     Args:
         hulls: of cover and walls; None without any.
@@ -60,30 +61,21 @@ def world_message(
         frame: name of the frame of all positions.
         time_ns: log time [ns].
     """
-    entities = fence_entities(faces, paths, frame, time_ns)
+    entities = _fence(faces, paths, frame, time_ns)
     if hulls is not None:
         entities.append(_hulls(hulls, frame, time_ns))
     if scene is not None:
-        entities.append(entity("ellipsoids", frame, time_ns) | _ellipsoids(scene, sigma, paths))
-    return scene_message(*entities)
+        entities.append(entity("ellipsoids", frame, time_ns, **_ellipsoids(scene, sigma, paths)))
+    return SceneUpdate(entities=entities)
 
 
-def fence_entities(
-    faces: FloatArray, paths: list[FloatArray], frame: str, time_ns: int
-) -> list[dict[str, Any]]:
-    """The shell of a fence; none without faces.
-
-    Args:
-        faces: shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
-        paths: flown positions, each of shape (T, 3) [m].
-        frame: name of the frame.
-        time_ns: log time [ns].
-    """
+def _fence(faces: FloatArray, paths: list[FloatArray], frame: str, time_ns: int) -> list[SceneEntity]:
+    """The shell of a fence; none without faces."""
     if not len(faces):
         return []
     corners, triangles = fence_shell(faces, paths)
-    shell = {"metadata": facts(), "triangles": [triangle_list(corners, triangles, _FENCE_COLOR)]}
-    return [entity("fence", frame, time_ns) | shell]
+    shell = triangle_list(corners, triangles, _FENCE_COLOR)
+    return [entity("fence", frame, time_ns, triangles=[shell])]
 
 
 def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray, IntArray]:
@@ -127,12 +119,12 @@ def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray,
     return corners, triangles[is_face | ~is_cut]
 
 
-def _hulls(hulls: Hulls, frame: str, time_ns: int) -> dict[str, Any]:
+def _hulls(hulls: Hulls, frame: str, time_ns: int) -> SceneEntity:
     """The surfaces of convex hulls."""
     starts = hulls.vertex_start
     corners = [hulls.vertices_world[starts[k] : starts[k + 1]] for k in range(len(hulls))]
     solids = [triangle_list(points, _surface(points), _MAP_COLOR) for points in corners]
-    return entity("map", frame, time_ns) | {"metadata": facts(hulls=len(hulls)), "triangles": solids}
+    return entity("map", frame, time_ns, metadata=facts(hulls=len(hulls)), triangles=solids)
 
 
 def _surface(corners: FloatArray) -> IntArray:
@@ -167,6 +159,6 @@ def _ellipsoids(scene: Artifact, sigma: float, paths: list[FloatArray]) -> dict[
         reach = sigma * np.asarray(scene["scale"][i], np.float64)
         red, green, blue = (round(int(value) / 255, 3) for value in scene["color"][i])
         attitude = quaternion(scene["quat_wxyz"][i].astype(np.float64))
-        color = {"r": red, "g": green, "b": blue, "a": 0.6}
-        spheres.append(sphere(xyz(scene["mean"][i].astype(np.float64)), attitude, xyz(2 * reach), color))
+        pose = Pose(xyz(scene["mean"][i].astype(np.float64)), attitude)
+        spheres.append(SpherePrimitive(pose, xyz(2 * reach), Color(red, green, blue, 0.6)))
     return {"metadata": facts(ellipsoids=len(scene["mean"]), shown=len(shown)), "spheres": spheres}

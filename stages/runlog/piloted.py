@@ -30,7 +30,7 @@ def pilot_fields(flight: WorldFlight, i: int) -> dict[str, Any]:
     fields: dict[str, Any] = {
         "fence_distance_m": number(flight.rows("distance")[i, 0]),
         "status_name": STATUSES[flight.of_filters("fence_status")[i, 0]],
-        "lambda": number(lambda_),
+        "regulation": number(lambda_),
     }
     if np.isfinite(pilot).all():
         fields |= {"throttle_nom": number(pilot[0]), "rates_nom_rad_s": xyz(pilot[1:])}

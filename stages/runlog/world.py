@@ -5,9 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.log.channels import (
+    OBSTACLES_TOPIC,
+    OF_BARRIER,
+    SAFETY_TOPIC,
+    SIMULATED_TOPICS,
+    Safety,
+    State,
+)
+from alula.schemas.log.foxglove import Pose, PoseInFrame, Time
 from alula.schemas.run import RunRecord, TrialResult
 from alula.schemas.world_check import TRACKING
 from alula.stages.compression.hulls import Hulls
@@ -17,20 +27,17 @@ from alula.stages.runlog.maps import world_message
 from alula.stages.runlog.messages import (
     number,
     obstacle_message,
-    pose_message,
     quaternion_of_mrp,
     transform_message,
     vehicle_message,
     xyz,
 )
 from alula.stages.runlog.piloted import pilot_fields
-from alula.stages.runlog.schemas import FLIGHT_CHANNELS
 from alula.stages.runlog.writer import SIMULATED_EPOCH_NS, LoggedTrial, write_trials
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
 MODES = ("nominal", "avoid", "hover")  # of filters among moving obstacles
-_SAFETY = "/safety"
 _COUNTS = ("active", "candidates", "rows", "iterations")
 
 
@@ -73,23 +80,21 @@ def write_world_log(
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
     """
     each = filters if len(filters) > 1 else []
-    channels = dict(FLIGHT_CHANNELS)
-    if radii_m:
-        channels["/obstacles"] = "foxglove.SceneUpdate"
-    channels |= {f"{_SAFETY}/{name}": "alula.Safety" for name in each}
+    topics = [*SIMULATED_TOPICS, *([OBSTACLES_TOPIC] if radii_m else [])]
+    topics += [f"{SAFETY_TOPIC}/{name}" for name in each]
     paths = [flight.rows("state")[:, :3] for flight in flights]
-    once = {
+    once: dict[str, msgspec.Struct] = {
         "/map": world_message(hulls, scene, sigma, faces, paths, frame, SIMULATED_EPOCH_NS),
         "/vehicle": vehicle_message(radius_m, SIMULATED_EPOCH_NS),
     }
     if scene is not None:
-        channels["/splat"] = "foxglove.PointCloud"
+        topics.append("/splat")
         once["/splat"] = cloud_message(scene, paths, frame, SIMULATED_EPOCH_NS)
     trials = (
         _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m, radius_m)
         for flight in flights
     )
-    write_trials(stream, channels, record, once, trials, frame)
+    write_trials(stream, topics, record, once, trials, frame)
 
 
 def _logged(
@@ -107,31 +112,29 @@ def _logged(
     u_nominal, a_command, a_error = (flight.rows(name) for name in ("u_nominal", "a_command", "a_error"))
     rotors, gate, counts = (flight.rows(name) for name in ("rotor_thrust", "gate_m", "counts"))
     status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
-    mark = np.frombuffer(flight.mark, np.uint8)
+    mark, time_s = np.frombuffer(flight.mark, np.uint8), flight.time_s(dt_s)
+    times = time_s.tolist()
     by_rotors = interface in ("wrench", "body-rates")
     reach = np.array(radii_m, np.float64) + radius_m
     apart = np.linalg.norm(obstacles - state[:, None, :3], axis=2) - reach
 
-    def of_margin(k: int, i: int) -> dict[str, Any]:
-        value = number(margin[i, k]) if margin.shape[1] else None
-        if not filters or filters[k] == "polytope-cbf":
-            return {} if value is None else {"h_m": value}
-        return ({} if value is None else {"margin": value}) | {"margin_unit": "of the filter's barrier"}
-
     def of_filter(k: int, i: int) -> dict[str, Any]:
-        which, bits, gate_m = FilterStatus(int(status[i, k])), int(flags[i, k]), number(gate[i, k])
-        mode = {"mode_name": MODES[bits >> 4]} if filters[k] in TRACKING else {}
-        return {
-            **of_margin(k, i),
+        value = number(margin[i, k]) if margin.shape[1] else None
+        is_distance = not filters or filters[k] == "polytope-cbf"
+        found = {"h_m": value} if is_distance else {"margin": value, "margin_unit": OF_BARRIER}
+        if not filters:
+            return found | {"status": 0, "status_name": "ok"}
+        which, bits = FilterStatus(int(status[i, k])), int(flags[i, k])
+        return found | {
             "status": int(which),
             "status_name": which.name.lower(),
-            **mode,
+            "mode_name": MODES[bits >> 4] if filters[k] in TRACKING else None,
             "infeasible": bool(bits & INFEASIBLE),
             "certified": bool(bits & CERTIFIED),
             "certified_moving": bool(bits & CERTIFIED_MOVING),
             "capped": bool(bits & CAPPED),
+            "gate_m": number(gate[i, k]),
             **dict(zip(_COUNTS, map(int, counts[i, k]), strict=True)),
-            **({} if gate_m is None else {"gate_m": gate_m}),
         }
 
     def of_body(i: int) -> dict[str, Any]:
@@ -146,26 +149,26 @@ def _logged(
             found |= {"thrust_nom_n": number(u_nominal[i, 0]), "torque_nom_body_nm": xyz(u_nominal[i, 1:])}
         return found
 
-    def messages(i: int, now_ns: int) -> Iterator[tuple[str, dict[str, Any]]]:
-        position, attitude = xyz(state[i, :3]), quaternion_of_mrp(state[i, 3:6])
-        yield "/pose", pose_message(position, attitude, frame, now_ns)
-        yield "/tf", transform_message(position, attitude, frame, now_ns)
+    def messages(i: int, now_ns: int) -> Iterator[tuple[str, msgspec.Struct]]:
+        pose = Pose(xyz(state[i, :3]), quaternion_of_mrp(state[i, 3:6]))
+        yield "/pose", PoseInFrame(Time.of(now_ns), frame, pose)
+        yield "/tf", transform_message(pose, frame, now_ns)
+        head: dict[str, Any] = {"trial": trial.index, "time_s": round(times[i], 9)}
         yield (
             "/state",
-            {
-                "position_m": position,
-                "velocity_m_s": xyz(state[i, 6:9]),
-                "attitude": attitude,
-                "omega_body_rad_s": xyz(state[i, 9:12]),
-                "thrust_n": number(command[i, 3]),
-                "torque_body_nm": xyz(command[i, 4:7]),
-                **({"rotor_thrust_n": [number(value) for value in rotors[i]]} if by_rotors else {}),
-            },
+            State(
+                **head,
+                position_m=pose.position,
+                velocity_m_s=xyz(state[i, 6:9]),
+                attitude=pose.orientation,
+                omega_body_rad_s=xyz(state[i, 9:12]),
+                thrust_n=number(command[i, 3]),
+                torque_body_nm=xyz(command[i, 4:7]),
+                rotor_thrust_n=[number(value) for value in rotors[i]] if by_rotors else None,
+            ),
         )
-        none = {"status": 0, "status_name": "ok"}
-        last = of_filter(len(filters) - 1, i) if filters else of_margin(-1, i) | none
+        last = of_filter(len(filters) - 1, i) | {"saturated": bool(mark[i] & LIMITED)} | of_body(i)
         flown = command[i, :3]
-        last |= {"saturated": bool(mark[i] & LIMITED)} | of_body(i)
         if interface == "velocity":
             last |= {"u_nom_m_s": xyz(nominal[i]), "u_safe_m_s": xyz(flown)}
         elif interface == "body-rates":
@@ -173,15 +176,17 @@ def _logged(
         elif interface == "sticks":
             last |= {"throttle_safe": number(command[i, 7]), "rates_safe_rad_s": xyz(command[i, 8:11])}
             last |= pilot_fields(flight, i)
-        yield _SAFETY, last | ({"moving_clearance_m": number(apart[i].min())} if radii_m else {})
+        if radii_m:
+            last["moving_clearance_m"] = number(apart[i].min())
+        yield SAFETY_TOPIC, Safety(**head, **last)
         if len(filters) > 1:
             for k, name in enumerate(filters):
-                yield f"{_SAFETY}/{name}", {"trial": trial.index} | of_filter(k, i)
+                yield f"{SAFETY_TOPIC}/{name}", Safety(trial=trial.index, **of_filter(k, i))
         if radii_m:
-            yield "/obstacles", obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_ns)
+            yield OBSTACLES_TOPIC, obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_ns)
 
     is_good = trial.outcome in ("reached", "held", "passed") and not trial.collision
-    return LoggedTrial(trial, _words(trial), is_good, flight.time_s(dt_s), state[:, :3], messages)
+    return LoggedTrial(trial, _words(trial), is_good, time_s, state[:, :3], messages)
 
 
 def _words(trial: TrialResult) -> str:

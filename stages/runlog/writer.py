@@ -12,20 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.log.channels import schema_name, struct_of
+from alula.schemas.log.json_schema import json_schema
 from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.runlog.messages import nanoseconds, path_message, verdict_message
-from alula.stages.runlog.schemas import SCHEMAS
 
 SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
 _GAP_S = 1.0  # between trials, which follow one another in log time
 _CHUNK_BYTES = 2**20
-_OF_TRIAL = ("/state", "/safety")  # messages that begin with the trial and its time
 
 
 class LogWriter:
@@ -33,30 +33,29 @@ class LogWriter:
 
     Args:
         stream: binary stream to write to.
-        channels: name of the schema, a key of `SCHEMAS`, by topic.
+        topics: of `CHANNELS`, in the order in which the file lists its channels.
         chunk_bytes: bytes that are written together; a crash loses those that are not written yet.
     """
 
-    def __init__(
-        self, stream: BinaryIO, channels: Mapping[str, str], *, chunk_bytes: int = _CHUNK_BYTES
-    ) -> None:
+    def __init__(self, stream: BinaryIO, topics: Iterable[str], *, chunk_bytes: int = _CHUNK_BYTES) -> None:
         from mcap.writer import Writer
 
         self._writer = Writer(stream, chunk_size=chunk_bytes)
         self._writer.start(profile="", library="alula")
         self._channels = {}
-        for topic, schema in channels.items():
-            data = msgspec.json.encode(SCHEMAS[schema], order="sorted")
-            schema_id = self._writer.register_schema(schema, "jsonschema", data)
+        for topic in topics:
+            struct = struct_of(topic)
+            data = msgspec.json.encode(json_schema(struct), order="sorted")
+            schema_id = self._writer.register_schema(schema_name(struct), "jsonschema", data)
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
 
-    def send(self, topic: str, time_ns: int, message: dict[str, Any]) -> None:
+    def send(self, topic: str, time_ns: int, message: msgspec.Struct) -> None:
         """Add a message.
 
         Args:
             topic: one of the channels.
             time_ns: log time: nanoseconds since 1970-01-01 UTC.
-            message: its fields.
+            message: of its Struct.
         """
         self._writer.add_message(self._channels[topic], time_ns, msgspec.json.encode(message), time_ns)
 
@@ -106,8 +105,7 @@ class LoggedTrial:
         is_good: it ended well.
         time_s: times of the samples from the trial's start, shape (T,) [s].
         path: positions, shape (T, 3), world frame [m].
-        messages: topics and messages of sample i, from i and its log time [ns]; of `/state` and `/safety`
-            only the fields beyond trial and time.
+        messages: topics and messages of sample i, from i and its log time [ns].
     """
 
     result: TrialResult
@@ -115,14 +113,14 @@ class LoggedTrial:
     is_good: bool
     time_s: FloatArray
     path: FloatArray
-    messages: Callable[[int, int], Iterable[tuple[str, dict[str, Any]]]]
+    messages: Callable[[int, int], Iterable[tuple[str, msgspec.Struct]]]
 
 
 def write_trials(
     stream: BinaryIO,
-    channels: Mapping[str, str],
+    topics: Iterable[str],
     record: RunRecord,
-    once: Mapping[str, dict[str, Any]],
+    once: Mapping[str, msgspec.Struct],
     trials: Iterable[LoggedTrial],
     frame: str,
 ) -> None:
@@ -134,13 +132,13 @@ def write_trials(
 
     Args:
         stream: binary stream to write to.
-        channels: see `LogWriter`.
+        topics: see `LogWriter`.
         record: summary of the run.
         once: messages at the start, by channel.
         trials: those that are shown.
         frame: name of the frame of all positions.
     """
-    log = LogWriter(stream, channels)
+    log = LogWriter(stream, topics)
     begin_s = 0.0
 
     def log_time(time_s: float) -> int:
@@ -151,10 +149,9 @@ def write_trials(
     for trial in trials:
         log.send("/path", log_time(begin_s), path_message(trial.path, frame, log_time(begin_s)))
         for i, time_s in enumerate(trial.time_s.tolist()):
-            begins = {"trial": trial.result.index, "time_s": round(time_s, 9)}
             now = log_time(begin_s + time_s)
             for topic, message in trial.messages(i, now):
-                log.send(topic, now, begins | message if topic in _OF_TRIAL else message)
+                log.send(topic, now, message)
         begin_s += float(trial.time_s[-1])
         now, result = log_time(begin_s), trial.result
         line = verdict_message(trial.words, now, is_good=trial.is_good, collided=result.collision)

@@ -9,8 +9,8 @@ import zstandard
 
 from alula.cli.main import run
 from alula.schemas.errors import DamagedError
-from alula.schemas.flights import count_messages, read_flights
-from alula.schemas.mcap_log import entries
+from alula.schemas.log.flights import count_messages, read_flights
+from alula.schemas.log.mcap import entries
 from alula.schemas.run import read_run
 
 CHUNK = 6

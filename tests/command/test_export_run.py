@@ -140,7 +140,7 @@ def test_odometry_has_the_twist_in_the_body_frame_and_velocity_that_of_the_world
     body_to_world = Rotation.from_euler("ZYX", [2.0, 0.3, -0.5])
     v_world, omega_body = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.2, -0.3])
     state = {
-        "position_m": dict.fromkeys("xyz", 1.0),
+        **{"trial": 0, "time_s": 0.0, "position_m": dict.fromkeys("xyz", 1.0)},
         "velocity_m_s": dict(zip("xyz", v_world.tolist(), strict=True)),
         "attitude": dict(zip("xyzw", body_to_world.as_quat().tolist(), strict=True)),
         "omega_body_rad_s": dict(zip("xyz", omega_body.tolist(), strict=True)),

@@ -122,7 +122,7 @@ def test_a_deep_certificate(pipeline, tmp_path, capsys):
 
 @pytest.mark.parametrize("topic", ["/state", "/safety", "/supervisor", "/log", "/map"])
 def test_a_log_with_a_deep_message(pipeline, tmp_path, capsys, topic):
-    from alula.schemas.mcap_log import entries
+    from alula.schemas.log.mcap import entries
 
     path = tmp_path / "a.run.mcap"
     with (pipeline / "tiny.run.mcap").open("rb") as file:

@@ -11,7 +11,7 @@ import pytest
 from alula.cli import journal as file
 from alula.cli.main import run
 from alula.schemas.filter_options import GeofenceParameters
-from alula.schemas.flights import read_flights
+from alula.schemas.log.flights import read_flights
 from alula.schemas.run import RunRecord, read_run
 from alula.schemas.world_tables import DisturbanceTable, FenceTable, PilotTable
 from alula.stages.simulation.world import simulate as stage

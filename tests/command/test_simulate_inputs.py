@@ -5,7 +5,7 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import write_artifact
-from alula.schemas.mcap_log import MAGIC
+from alula.schemas.log.mcap import MAGIC
 from alula.schemas.run import read_run
 from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 from support.fabricate import box, make_cover, make_scene

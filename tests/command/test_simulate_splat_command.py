@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from alula.cli.main import run
 from alula.cli.runner import input_ref
 from alula.schemas.artifact import Artifact, make_artifact, write_artifact
-from alula.schemas.flights import read_flights
 from alula.schemas.kinds import SCENE
+from alula.schemas.log.flights import read_flights
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, read_run, record_path
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS

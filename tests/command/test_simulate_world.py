@@ -10,7 +10,7 @@ from alula.cli.main import run
 from alula.cli.set_values import settings_of
 from alula.schemas.artifact import write_artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.flights import read_flights
+from alula.schemas.log.flights import read_flights
 from alula.schemas.run import RunRecord, read_run
 from alula.stages.simulation.world import simulate as stage
 from support.covers import with_manifest

@@ -10,7 +10,7 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifact import write_artifact
-from alula.schemas.cut_run import read_logged
+from alula.schemas.log.cut import read_logged
 from alula.schemas.run import read_run
 from support.small_scenes import box_cover, rest_plan
 

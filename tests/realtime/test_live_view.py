@@ -10,16 +10,16 @@ import time
 import urllib.request
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from alula.schemas.errors import UsageError
+from alula.schemas.log.foxglove import Vector3
 from alula.schemas.run import read_run
-from alula.stages.flight.recorder.channels import PlanSample
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe
+from alula.stages.flight.recorder.samples import PlanSample, encoded
 from alula.stages.runlog.maps import map_message
 from support.browser import drawn, near, opened
 from support.flight_logs import head_of, sample
@@ -101,7 +101,7 @@ def test_it_is_seen_on_loopback_only_and_ends_with_the_pipe():
     with pytest.raises(UsageError, match="in use"):
         open_view(port, view_head(made))
     for i in range(200):
-        pipe.offer(b"t" + msgspec.msgpack.encode(sample(i, 0.01 * i)))
+        pipe.offer(b"t" + encoded(sample(i, 0.01 * i)))
     assert pipe.close(10.0)
 
 
@@ -134,10 +134,11 @@ def test_its_page_shows_the_map_the_vehicle_and_a_new_plan(browser):
     with opened(browser, f"{address}/", width=900, height=520, allowed=allowed) as shown:
         shown.page.wait_for_selector("canvas")
         shown.until(lambda: drawn(left_of(shown)) > 0.01, "the canvas stays blank")
-        pipe.offer(b"p" + msgspec.msgpack.encode(PlanSample(0.1, new)))
+        pipe.offer(encoded(PlanSample(0.1, new)))
         for i, point in enumerate(path):
-            state = msgspec.structs.replace(sample(i), position=tuple(point))
-            pipe.offer(b"t" + msgspec.msgpack.encode(state))
+            seen = sample(i)
+            seen.state.position_m = Vector3(*point)
+            pipe.offer(encoded(seen))
             shown.page.wait_for_timeout(20)
         shown.page.get_by_text("GUIDED, armed").wait_for()
         shown.until(lambda: near(left_of(shown), (231, 41, 138)) > 0.0005, "the new plan is not seen")

@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 
 from alula.schemas.artifact import make_artifact
 from alula.schemas.kinds import COVER, PLAN, SCENE, VOXELS
+from alula.schemas.log.foxglove import KeyValuePair, SceneEntity, SceneUpdate, Time
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import RUN_METADATA, Provenance
 from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, TrialResult, record_path
@@ -203,8 +204,10 @@ def write_run(log: Path, record: RunRecord, steps=60, timing=None, hulls=None) -
             number = writer.register_schema(schema, "jsonschema", b"{}")
             channels[topic] = writer.register_channel(topic, "json", number)
         if hulls is not None:
-            entity = {"id": "map", "metadata": [{"key": "hulls", "value": str(hulls)}], "triangles": []}
-            writer.add_message(channels["/map"], 0, json.dumps({"entities": [entity]}).encode(), 0)
+            entity = SceneEntity(
+                timestamp=Time(0, 0), frame_id="world", id="map", metadata=[KeyValuePair("hulls", str(hulls))]
+            )
+            writer.add_message(channels["/map"], 0, msgspec.json.encode(SceneUpdate(entities=[entity])), 0)
         for trial in record.trials:
             share = np.linspace(0, 1, steps)
             start, goal = np.array(trial.start_m), np.array(trial.goal_m)

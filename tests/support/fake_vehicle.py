@@ -189,12 +189,13 @@ class Kept:
         """The states one after another."""
         found = []
         for sample in self.samples:
-            if not found or found[-1] != sample.state:
-                found.append(sample.state)
+            if not found or found[-1] != sample.supervisor.state_name:
+                found.append(sample.supervisor.state_name)
         return found
 
     def positions(self, *states):
-        return np.array([s.position for s in self.samples if s.state in states and s.position])
+        kept = [s for s in self.samples if s.supervisor.state_name in states and s.state]
+        return np.array([s.state.position_m.tuple for s in kept])
 
 
 def norm(vector):

@@ -3,9 +3,10 @@
 import base64
 import inspect
 
+import msgspec
 from foxglove import messages
 
-from alula.stages.runlog.schemas import SCHEMAS
+from alula.schemas.log.json_schema import json_schema
 
 NUMBERS = {
     1: messages.PackedElementFieldNumericType.Uint8,
@@ -35,6 +36,7 @@ def build(message, schema):
     return of(**fields)
 
 
-def encoded(name, message):
+def encoded(message):
     """Bytes of a message in Foxglove's Protobuf."""
-    return build(message, SCHEMAS[name]).encode()
+    fields = msgspec.json.decode(msgspec.json.encode(message))
+    return build(fields, json_schema(type(message))).encode()

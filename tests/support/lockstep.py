@@ -186,8 +186,8 @@ class Flight(Served):
         """Times and true positions while the supervisor was in these states, shape (T, 4)."""
         rows = np.array(self.truth)
         rows[:, 1:] = self.frame.position_from_ned(rows[:, 1:])
-        ticks = np.array([s.time_s for s in self.recorder.samples]) + self.loop._begin_s
-        names = np.array([s.state for s in self.recorder.samples])
+        ticks = np.array([s.supervisor.time_s for s in self.recorder.samples]) + self.loop._begin_s
+        names = np.array([s.supervisor.state_name for s in self.recorder.samples])
         before = np.searchsorted(ticks, rows[:, 0] - 1e-6, side="right") - 1
         return rows[(before >= 0) & np.isin(names[before], [state.value for state in states])]
 
@@ -229,7 +229,7 @@ class Flight(Served):
         begin, over_s = self.loop._begin_s, self.entered.get(State.HAND_OVER, math.inf)
         flown = {}
         for sample in self.recorder.samples:
-            flown[round(1e3 * (begin + sample.time_s - self.link._session.start_s))] = sample
+            flown[round(1e3 * (begin + sample.supervisor.time_s - self.link._session.start_s))] = sample
         last_ms, moved_ms = -1, -1
         for at, message in self.packets():
             kind = message.get_type()
@@ -249,7 +249,7 @@ class Flight(Served):
                 moved_ms = last_ms
             if message.time_boot_ms in flown:
                 sample = flown[message.time_boot_ms]
-                is_flown = sample.filter is not None and sample.filter.sent
+                is_flown = sample.safety is not None and sample.safety.sent
                 assert is_flown or not self._moves(message), message
             else:
                 assert not self._moves(message), message
@@ -263,15 +263,15 @@ class Flight(Served):
 
     def _judge_ages(self, seen_is_true):
         """What was flown on was as old as it said, by the truth."""
-        flown = [s for s in self.recorder.samples if s.filter is not None and s.filter.sent]
-        assert all(s.age_s <= STALE_S for s in flown)
+        flown = [s for s in self.recorder.samples if s.safety is not None and s.safety.sent]
+        assert all(s.supervisor.state_age_s <= STALE_S for s in flown)
         if not flown or not seen_is_true:
             return
         truth = self.path(State.FLY, State.HOLD, State.LAND)
         speed = np.linalg.norm(np.diff(truth[:, 1:], axis=0), axis=1) / np.diff(truth[:, 0])
-        ticks = np.array([s.time_s for s in flown]) + self.loop._begin_s
+        ticks = np.array([s.supervisor.time_s for s in flown]) + self.loop._begin_s
         there = np.stack([np.interp(ticks, truth[:, 0], truth[:, axis]) for axis in (1, 2, 3)], axis=1)
-        off = np.linalg.norm(there - np.array([s.position for s in flown]), axis=1)
+        off = np.linalg.norm(there - np.array([s.state.position_m.tuple for s in flown]), axis=1)
         assert off.max() <= (STALE_S + 0.03) * speed.max() + 0.03
 
 

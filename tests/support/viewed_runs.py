@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.stages.reporting.material import Run
 from support.fabricate import make_record
 

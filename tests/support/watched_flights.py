@@ -90,7 +90,9 @@ def fly(made, *faults, kind=Watched, recorder=None, **keywords):
 def true_path(loop, served, *states):
     """Where it truly was while the supervisor was in these states, shape (T, 3)."""
     begin = loop._begin_s
-    spans = [(s.time_s + begin) for s in loop.recorder.samples if s.state in states]
+    spans = [
+        (s.supervisor.time_s + begin) for s in loop.recorder.samples if s.supervisor.state_name in states
+    ]
     rows = np.array(served.path)
     return rows[(rows[:, 0] >= spans[0]) & (rows[:, 0] <= spans[-1]), 1:]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.fence_ticks import Ticks
+from alula.schemas.log.fence_ticks import Ticks
 from alula.schemas.run import FenceResult, RunRecord
 from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.statistics import Rate, rate

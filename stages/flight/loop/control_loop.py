@@ -21,7 +21,14 @@ from alula.schemas.errors import LinkError
 from alula.stages.durations import Durations
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander, Decision
-from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
+from alula.stages.flight.links.protocol import (
+    Link,
+    Order,
+    Setpoint,
+    VehicleState,
+    VelocitySetpoint,
+    refusal_words,
+)
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
@@ -45,9 +52,8 @@ from alula.stages.flight.recorder.samples import (
     ERROR,
     INFO,
     WARNING,
-    FilterSample,
+    Flown,
     Recorder,
-    filter_sample,
     level_of,
     tick_sample,
 )
@@ -509,7 +515,7 @@ class ControlLoop:
                 self._try(Action.HOLD, now_s)
         return is_filtered
 
-    def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:
+    def _fly(self, state: VehicleState, now_s: float) -> Flown | None:
         """Compute and send one set-point; failures are left to the supervisor."""
         age, before = max(0.0, now_s - state.received_s), self._clock()
         try:
@@ -542,10 +548,10 @@ class ControlLoop:
         if self._hold_row is None:
             self.plan.advance(period, decision.error_m)
             self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
-            sample = filter_sample(decision, guarded, self.plan, filter_s)
+        flown = Flown(decision, guarded, self.plan.time_s, self.plan.rate, filter_s)
+        if self._hold_row is None:
             self._replan(state, decision, now_s)
-            return sample
-        return filter_sample(decision, guarded, self.plan, filter_s)
+        return flown
 
     def _replan(self, state: VehicleState, decision: Decision, now_s: float) -> None:
         """Continue along a new plan, if there is one; no failure of it changes the flight."""
@@ -585,11 +591,19 @@ class ControlLoop:
         now_s: float,
         late_s: float,
         spent_s: float,
-        flown: FilterSample | None,
+        flown: Flown | None,
     ) -> None:
         times = (now_s - self._begin_s, late_s, spent_s, 0.0 if state is None else state.age_s(now_s))
         self.recorder.tick(
-            tick_sample(times, self.state.value, state, self.link.status, self._fence_m, flown)
+            tick_sample(
+                times,
+                self.state,
+                state,
+                self.link.status,
+                self._fence_m,
+                flown,
+                is_velocity=self.commander.setpoint is VelocitySetpoint,
+            )
         )
 
     def say(self, now_s: float, level: int, words: str) -> None:

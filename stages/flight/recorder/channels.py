@@ -3,43 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.provenance import Provenance
-from alula.stages.flight.recorder.messages import (
-    log_line,
-    pose_message,
-    replay_message,
-    safety_message,
-    state_message,
-    step_message,
-    tick_message,
-    transform_message,
+from alula.schemas.log.channels import (
+    LINE_TOPIC,
+    MAP_TOPIC,
+    PLAN_TOPIC,
+    REPLAY_TOPIC,
+    SAFETY_TOPIC,
+    STATE_TOPIC,
+    SUPERVISOR_TOPIC,
+    State,
 )
-from alula.stages.flight.recorder.samples import Three, TickSample
-from alula.stages.runlog.messages import nanoseconds, path_message, stamp, vehicle_message
+from alula.schemas.log.foxglove import UPRIGHT, Log, PointCloud, Pose, PoseInFrame, SceneUpdate, Time
+from alula.schemas.provenance import Provenance
+from alula.stages.flight.recorder.samples import (
+    LineSample,
+    PlanSample,
+    Sample,
+    StepSample,
+    Three,
+    TickSample,
+)
+from alula.stages.runlog.messages import (
+    nanoseconds,
+    path_message,
+    rounded,
+    transform_message,
+    vehicle_message,
+)
 
-CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/vehicle": "foxglove.SceneUpdate",
-    "/splat": "foxglove.PointCloud",
-    "/plan": "foxglove.PosesInFrame",
-    "/path": "foxglove.PosesInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/pose": "foxglove.PoseInFrame",
-    "/tf": "foxglove.FrameTransform",
-    "/log": "foxglove.Log",
-    "/supervisor": "alula.Supervisor",
-    "/replay": "alula.Replay",
-}
 _PATH_POINTS = 2000
 
-Sent = tuple[str, int, dict[str, Any]]  # topic, log time [ns], message
+Sent = tuple[str, int, msgspec.Struct]  # topic, log time [ns], message
 
 
 class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,8 +51,8 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
         log_every: the log holds every so many ticks.
         radius_m: of the vehicle [m].
         provenance: of the log and its record.
-        map_message: the map as `foxglove.SceneUpdate`; the start of the flight becomes its time.
-        cloud: Gaussians as `foxglove.PointCloud`, with the time as of the map; None without a scene.
+        map_message: the map; the start of the flight becomes its time.
+        cloud: Gaussians, with the time as of the map; None without a scene.
         plan: points of the plan, world frame [m].
     """
 
@@ -65,40 +64,9 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
     log_every: int
     radius_m: float
     provenance: Provenance
-    map_message: dict[str, Any]
-    cloud: dict[str, Any] | None = None
+    map_message: SceneUpdate
+    cloud: PointCloud | None = None
     plan: list[Three] = []
-
-
-class BeginSample(msgspec.Struct, array_like=True):
-    """Start of the flight, from which all its times count: nanoseconds since 1970-01-01 UTC."""
-
-    start_ns: int
-
-
-class StepSample(msgspec.Struct, array_like=True):
-    """A step of the supervisor."""
-
-    time_s: float
-    state: str
-    event: str
-    action: str
-    words: str
-
-
-class LineSample(msgspec.Struct, array_like=True):
-    """A message for the operator."""
-
-    time_s: float
-    level: int
-    words: str
-
-
-class PlanSample(msgspec.Struct, array_like=True):
-    """A new plan that the flight continues along: its points, world frame [m]."""
-
-    time_s: float
-    points: list[Three]
 
 
 class FlightChannels:
@@ -117,47 +85,50 @@ class FlightChannels:
     def first(self) -> Iterator[Sent]:
         """What is known before the flight: `/map`, `/vehicle`, `/splat` and `/plan`."""
         head, start = self._head, self._start_ns
-        entities = [entity | {"timestamp": stamp(start)} for entity in head.map_message.get("entities", [])]
-        yield "/map", start, head.map_message | {"entities": entities}
+        began = Time.of(start)
+        entities = [msgspec.structs.replace(one, timestamp=began) for one in head.map_message.entities]
+        yield MAP_TOPIC, start, SceneUpdate(entities=entities)
         yield "/vehicle", start, vehicle_message(head.radius_m, start)
         if head.cloud is not None:
-            yield "/splat", start, head.cloud | {"timestamp": stamp(start)}
+            yield "/splat", start, msgspec.structs.replace(head.cloud, timestamp=began)
         if head.plan:
-            yield "/plan", start, path_message(np.array(head.plan), head.frame, start)
+            yield PLAN_TOPIC, start, path_message(np.array(head.plan), head.frame, start)
 
-    def tick(self, sample: TickSample) -> Iterator[Sent]:
+    def of(self, sample: Sample) -> Iterator[Sent]:
+        """Messages of a sample: none of the start, files and the end."""
+        if isinstance(sample, TickSample):
+            yield from self._tick(sample)
+        elif isinstance(sample, StepSample):
+            step = sample.supervisor
+            yield SUPERVISOR_TOPIC, self._log_time(step.time_s), rounded(step)
+        elif isinstance(sample, LineSample):
+            now = self._log_time(sample.time_s)
+            yield LINE_TOPIC, now, Log(Time.of(now), sample.level, sample.words, "fly")
+        elif isinstance(sample, PlanSample):  # it replaces the one before
+            now = self._log_time(sample.time_s)
+            yield PLAN_TOPIC, now, path_message(np.array(sample.points), self._head.frame, now)
+
+    def _tick(self, sample: TickSample) -> Iterator[Sent]:
         """Messages of a tick; only `/replay` has each."""
-        now, self._last_s = self._log_time(sample.time_s), sample.time_s
+        self._last_s = sample.supervisor.time_s
+        now = self._log_time(self._last_s)
         self._ticks += 1
-        if sample.filter is not None and sample.position is not None:
-            self._path.append(sample.position)
-        if sample.filter is not None and sample.filter.replay is not None:
-            yield "/replay", now, replay_message(sample.time_s, sample.filter.replay)
+        if sample.safety is not None and sample.state is not None:
+            self._path.append(sample.state.position_m.tuple)
+        if sample.replay is not None:
+            yield REPLAY_TOPIC, now, sample.replay
         if self._ticks % self._head.log_every:
             return
-        yield "/supervisor", now, tick_message(sample)
-        if sample.position is None:
+        yield SUPERVISOR_TOPIC, now, rounded(sample.supervisor)
+        if sample.state is None:
             return
-        yield "/state", now, state_message(sample)
-        yield "/pose", now, pose_message(sample, self._head.frame, now)
-        yield "/tf", now, transform_message(sample, self._head.frame, now)
-        if sample.filter is not None:
-            yield "/safety", now, safety_message(sample, sample.filter, is_splat=self._head.is_splat)
-
-    def step(self, step: StepSample) -> Iterator[Sent]:
-        """Message of a step of the supervisor."""
-        message = step_message(step.time_s, step.state, step.event, step.action)
-        yield "/supervisor", self._log_time(step.time_s), message
-
-    def line(self, line: LineSample) -> Iterator[Sent]:
-        """Message for the operator."""
-        now = self._log_time(line.time_s)
-        yield "/log", now, log_line(line.words, line.level, now)
-
-    def plan(self, plan: PlanSample) -> Iterator[Sent]:
-        """The new plan, which replaces the one before."""
-        now = self._log_time(plan.time_s)
-        yield "/plan", now, path_message(np.array(plan.points), self._head.frame, now)
+        state: State = rounded(sample.state)
+        pose = Pose(state.position_m, state.attitude or UPRIGHT)
+        yield STATE_TOPIC, now, state
+        yield "/pose", now, PoseInFrame(Time.of(now), self._head.frame, pose)
+        yield "/tf", now, transform_message(pose, self._head.frame, now)
+        if sample.safety is not None:
+            yield SAFETY_TOPIC, now, rounded(sample.safety)
 
     def path(self) -> Iterator[Sent]:
         """The path flown so far; none before it begins."""

@@ -18,27 +18,19 @@ from typing import Any
 import msgspec
 
 from alula.schemas.extras import require
+from alula.schemas.log.channels import CHANNELS, FLIGHT_TOPICS, struct_of
+from alula.schemas.log.json_schema import json_schema
 from alula.schemas.text import one_line
-from alula.stages.flight.recorder.channels import (
-    CHANNELS,
-    BeginSample,
-    FlightChannels,
-    FlightHead,
-    LineSample,
-    PlanSample,
-    Sent,
-    StepSample,
-)
+from alula.stages.flight.recorder.channels import FlightChannels, FlightHead, Sent
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
-from alula.stages.flight.recorder.samples import TickSample
+from alula.stages.flight.recorder.samples import BeginSample, TickSample, decoded
 from alula.stages.flight.recorder.served import HOST, NICE, open_served
-from alula.stages.runlog.schemas import SCHEMAS
 
 _BACKLOG = 256  # messages that wait for a slow client; the oldest are dropped
 _PATH_S = 0.5  # between updates of the path
 _DRAIN_S, _CLOSE_S = 0.8, 0.5  # times for the last messages, and for the end of connections
-_LATCHED = ("/map", "/vehicle", "/splat", "/plan", "/path")  # new subscribers get the last message
-_UNSERVED = ("/replay",)  # of use only with each tick
+# New subscribers get the last message.
+_LATCHED = {"/path", *(topic for topic, channel in CHANNELS.items() if channel.is_latched)}
 
 
 def open_foxglove(port: int, head: FlightHead) -> tuple[FlightPipe, str]:
@@ -70,9 +62,9 @@ class _Served:
 
         context = self._context = foxglove.Context()  # channels and server do not keep it
         self._channels = {
-            topic: foxglove.Channel(topic, schema=SCHEMAS[name], context=context)
-            for topic, name in CHANNELS.items()
-            if topic not in _UNSERVED
+            topic: foxglove.Channel(topic, schema=json_schema(struct_of(topic)), context=context)
+            for topic in FLIGHT_TOPICS
+            if CHANNELS[topic].is_live
         }
         self._last: dict[str, tuple[bytes, int]] = {}
         self._subscribed: SimpleQueue[str] = SimpleQueue()  # filled by threads of the server
@@ -91,24 +83,17 @@ class _Served:
 
     def take(self, message: bytes) -> None:
         """Process a message of the flight."""
-        kind, body = message[:1], message[1:]
-        if kind == b"b":
-            start_ns = msgspec.msgpack.decode(body, type=BeginSample).start_ns
-            self._flight = FlightChannels(self._head, start_ns)
+        sample = decoded(message)
+        if isinstance(sample, BeginSample):
+            self._flight = FlightChannels(self._head, sample.start_ns)
             self._send(self._flight.first())
         elif self._flight is None:  # the times of samples are known from the start
             return
-        elif kind == b"t":
-            self._send(self._flight.tick(msgspec.msgpack.decode(body, type=TickSample)))
-            if time.monotonic() - self._path_s > _PATH_S:
+        else:
+            self._send(self._flight.of(sample))
+            if isinstance(sample, TickSample) and time.monotonic() - self._path_s > _PATH_S:
                 self._path_s = time.monotonic()
                 self._send(self._flight.path())
-        elif kind == b"s":
-            self._send(self._flight.step(msgspec.msgpack.decode(body, type=StepSample)))
-        elif kind == b"p":
-            self._send(self._flight.plan(msgspec.msgpack.decode(body, type=PlanSample)))
-        elif kind == b"l":
-            self._send(self._flight.line(msgspec.msgpack.decode(body, type=LineSample)))
         self._repeat()
 
     def finish(self) -> None:

@@ -16,12 +16,13 @@ import msgspec
 import numpy as np
 
 from alula.schemas.errors import AlulaError
+from alula.schemas.log.channels import Safety, State, Supervisor
+from alula.schemas.log.foxglove import UPRIGHT, SceneUpdate
 from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.supervisor_table import Event
-from alula.stages.flight.recorder.channels import LineSample, PlanSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
-from alula.stages.flight.recorder.samples import FilterSample, TickSample
+from alula.stages.flight.recorder.samples import LineSample, PlanSample, StepSample, TickSample, decoded
 from alula.stages.flight.recorder.served import HOST, NICE, open_served
 from alula.stages.show.drawing.content import Body, Content, Lines, Part, segments_of
 from alula.stages.show.viewing.compose import Shown, content_of, fence_parts
@@ -55,7 +56,7 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         name, filter, vehicle: as in `FlightHead`.
         radius_m: radius of the vehicle [m].
-        map_message: the map as `foxglove.SceneUpdate`.
+        map_message: the map.
         plan: points of the plan, world frame [m].
         rotors_m: places of the rotors, body frame [m].
         files: scene and plan, to show the splat and the corridor.
@@ -67,7 +68,7 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
     filter: str
     vehicle: str
     radius_m: float
-    map_message: dict[str, Any]
+    map_message: SceneUpdate
     plan: list[tuple[float, float, float]]
     rotors_m: list[tuple[float, float]] = []
     files: list[str] = []
@@ -147,25 +148,23 @@ class _View:
 
     def take(self, message: bytes) -> None:
         """Process a message of the flight."""
-        kind, body = message[:1], message[1:]
+        sample = decoded(message)
         with self.lock:
             self.heard_s = time.monotonic()
-            if kind == b"t":
-                sample = msgspec.msgpack.decode(body, type=TickSample)
-                self.is_armed = bool(sample.armed)
+            if isinstance(sample, TickSample):
+                self.is_armed = bool(sample.supervisor.armed)
                 self._tick(sample)
-            elif kind == b"s":
-                step = msgspec.msgpack.decode(body, type=StepSample)
-                self.state = step.state
-                self.ending = step.words or step.event
-                if step.event in _REPORTED_DISARMED:  # which ends the flight: no tick follows
+            elif isinstance(sample, StepSample):
+                step = sample.supervisor
+                self.state = step.state_name
+                self.ending = sample.words or step.event_name or ""
+                if step.event_name in _REPORTED_DISARMED:  # which ends the flight: no tick follows
                     self.is_armed = False
                 self._say()
-            elif kind == b"p":
-                self._plan(msgspec.msgpack.decode(body, type=PlanSample))
-            elif kind == b"l":
-                line = msgspec.msgpack.decode(body, type=LineSample)
-                self.lines.append(f"{line.time_s:.1f} s  {line.words}")
+            elif isinstance(sample, PlanSample):
+                self._plan(sample)
+            elif isinstance(sample, LineSample):
+                self.lines.append(f"{sample.time_s:.1f} s  {sample.words}")
                 self._say()
 
     def watch(self) -> None:
@@ -177,9 +176,8 @@ class _View:
     def end(self) -> None:
         """Show the last state of a flight that has ended."""
         with self.lock:
-            sample = self.sample
-            if sample is not None and sample.position is not None and sample.attitude_wxyz is not None:
-                self.vehicle.move(np.array(sample.position), np.array(sample.attitude_wxyz))
+            if self.sample is not None and self.sample.state is not None:
+                self._move(self.sample.state)
             self._path(np.inf)
             last = (
                 "the vehicle last reported that it is armed" if self.is_armed else "the vehicle is disarmed"
@@ -199,16 +197,20 @@ class _View:
     def _tick(self, sample: TickSample) -> None:
         now = time.monotonic()
         self.sample = sample
-        if sample.position is not None and sample.attitude_wxyz is not None and now - self.pose_s > _POSE_S:
+        if sample.state is not None and now - self.pose_s > _POSE_S:
             self.pose_s = now
-            self.vehicle.move(np.array(sample.position), np.array(sample.attitude_wxyz))
-            if sample.armed:
-                status = None if sample.filter is None else FilterStatus(sample.filter.status)
-                self.points.append(sample.position)
+            self._move(sample.state)
+            if self.is_armed:
+                status = None if sample.safety is None else FilterStatus(sample.safety.status)
+                self.points.append(sample.state.position_m.tuple)
                 self.colours.append((90, 90, 90) if status is None else _COLOURS.get(status, _OTHER))
         self._path(now)
         if now - self.text_s > _TEXT_S:
             self._say()
+
+    def _move(self, state: State) -> None:
+        turn = state.attitude or UPRIGHT
+        self.vehicle.move(state.position_m.array, np.array((turn.w, turn.x, turn.y, turn.z)))
 
     def _path(self, now: float) -> None:
         if now - self.path_s <= _PATH_S or len(self.points) < 2:
@@ -243,33 +245,39 @@ class _View:
         return f"{self._head()}{line}<table>{cells}</table><ul>{lines}</ul>"
 
     def _rows(self, sample: TickSample) -> list[tuple[str, str]]:
+        loop = sample.supervisor
         rows = [
-            ("time", f"{sample.time_s:.1f} s"),
+            ("time", f"{loop.time_s:.1f} s"),
             ("state", self.state),
-            ("mode", f"{sample.mode}, {'armed' if sample.armed else 'disarmed'}"),
-            ("battery", _percent(sample.battery_share)),
-            ("age of the position", _age(sample.age_s, self.head.stale_s)),
-            ("tick, late", f"{1e3 * sample.tick_s:.2f}, {1e3 * sample.late_s:.2f} ms"),
+            ("mode", f"{loop.mode}, {'armed' if loop.armed else 'disarmed'}"),
+            ("battery", _percent(loop.battery_share)),
+            ("age of the position", _age(loop.state_age_s, self.head.stale_s)),
+            ("tick, late", f"{1e3 * (loop.tick_s or 0.0):.2f}, {1e3 * (loop.late_s or 0.0):.2f} ms"),
         ]
-        if sample.velocity is not None:
-            rows.append(("speed", f"{float(np.linalg.norm(sample.velocity)):.2f} m/s"))
-        return rows if sample.filter is None else rows + _filter_rows(sample.filter)
+        if sample.state is not None:
+            rows.append(("speed", f"{float(np.linalg.norm(sample.state.velocity_m_s.array)):.2f} m/s"))
+        return rows if sample.safety is None else rows + _filter_rows(loop, sample.safety)
 
     def _head(self) -> str:
         return f"<p><b>{html_text(self.head.name)}</b> behind {html_text(self.head.filter)}</p>"
 
 
-def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
-    sent = ", ".join(f"{value:.2f}" for value in done.sent_values)
+def _filter_rows(loop: Supervisor, done: Safety) -> list[tuple[str, str]]:
+    sent = ", ".join(_number(value) for value in done.sent_values or ())
+    margin = done.h_m if done.margin_unit is None else done.margin
     return [
         ("filter", FilterStatus(done.status).name.lower() + (", infeasible" if done.infeasible else "")),
-        ("h", f"{done.margin:.3f}"),
-        ("deciding obstacle", "none" if done.active < 0 else str(done.active)),
-        ("fence h", f"{done.fence_h_m:.2f} m"),
-        ("fence λ", f"{done.fence_share:.2f}" + (", the fence flies" if done.fence_flies else "")),
-        ("behind the plan", f"{done.error_m:.2f} m"),
+        ("h", _number(margin, 3)),
+        ("deciding obstacle", "none" if done.active is None or done.active < 0 else str(done.active)),
+        ("fence h", f"{_number(loop.fence_h_m)} m"),
+        ("fence λ", _number(loop.fence_share) + (", the fence flies" if loop.fence_flies else "")),
+        ("behind the plan", f"{_number(loop.error_m)} m"),
         ("sent", f"{done.sent} {sent}"),
     ]
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "unknown" if value is None else f"{value:.{digits}f}"
 
 
 def _age(age_s: float | None, stale_s: float) -> str:

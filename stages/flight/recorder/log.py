@@ -11,29 +11,34 @@ from array import array
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError
+from alula.schemas.log.channels import FLIGHT_TOPICS, Supervisor
 from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
 from alula.schemas.start_time import utc_text
 from alula.schemas.text import one_line
 from alula.stages.flight.loop.supervisor import State, Taken
-from alula.stages.flight.recorder.channels import (
-    CHANNELS,
+from alula.stages.flight.recorder.channels import FlightChannels, FlightHead, Sent
+from alula.stages.flight.recorder.pipe import FlightPipe, next_message
+from alula.stages.flight.recorder.samples import (
+    NUMBERS,
     BeginSample,
-    FlightChannels,
-    FlightHead,
+    FileSample,
+    FinishSample,
     LineSample,
     PlanSample,
-    Sent,
+    Sample,
     StepSample,
+    Three,
+    TickSample,
+    decoded,
+    encoded,
 )
-from alula.stages.flight.recorder.pipe import FlightPipe, next_message
-from alula.stages.flight.recorder.samples import Three, TickSample
 from alula.stages.runlog.messages import nanoseconds
 from alula.stages.runlog.writer import LogWriter
 
@@ -43,14 +48,6 @@ _HEAD_S = 60.0  # maximum time for the writer to start
 _WORDS = 1000  # maximum number of characters of a message
 _COLUMNS = 13
 _VIEW_HZ = 25.0  # rate of samples for a live view
-
-
-class FileSample(msgspec.Struct, array_like=True):
-    """A file for the log."""
-
-    time_s: float
-    name: str
-    data: bytes
 
 
 class FlightRecorder:
@@ -106,10 +103,9 @@ class FlightRecorder:
         names = () if path is None or self._temporary is None else (str(self._temporary), str(path))
         self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
-        self._encode = msgspec.msgpack.Encoder().encode
         self._views, self._view_every, self._ticks = views, max(1, round(rate_hz / _VIEW_HZ)), 0
         try:
-            self._pipe.put(b"h" + self._encode(head), _HEAD_S)
+            self._pipe.put(msgspec.msgpack.encode(head), _HEAD_S)
         except OSError as error:
             self.finish(None)
             self.discard()
@@ -140,36 +136,30 @@ class FlightRecorder:
     def tick(self, sample: TickSample) -> None:
         """See `Recorder`."""
         self._ticks += 1
-        self._put(b"t", sample.time_s, sample, is_seen=self._ticks % self._view_every == 0)
-        if sample.position is None or sample.velocity is None:
-            return
-        done = sample.filter
-        if done is not None:
-            flags = done.infeasible + 2 * done.certified
-            last = (done.status, flags, done.margin, done.error_m, done.filter_s, done.plan_s)
-        elif sample.state in (State.FLY.value, State.HOLD.value):
-            last = (-1, 0, np.nan, np.nan, np.nan, np.nan)
-        else:
-            return
-        self._rows.extend((sample.time_s, *sample.position, *sample.velocity, *last))
+        is_seen = self._ticks % self._view_every == 0
+        self._put(sample.supervisor.time_s, sample, is_seen=is_seen)
+        self._rows.extend(row_of(sample))
 
     def step(self, time_s: float, taken: Taken) -> None:
         """See `Recorder`."""
         step = taken.step
         self.has_flown = self.has_flown or step.state is State.TAKE_OFF
-        self._put(
-            b"s",
-            time_s,
-            StepSample(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS]),
+        supervisor = Supervisor(
+            time_s=time_s,
+            state=NUMBERS[step.state],
+            state_name=step.state.value,
+            event_name=taken.event.value,
+            action_name=step.action.value,
         )
+        self._put(time_s, StepSample(supervisor, step.words[:_WORDS]))
 
     def plan(self, time_s: float, points: list[Three]) -> None:
         """See `Recorder`."""
-        self._put(b"p", time_s, PlanSample(time_s, points))
+        self._put(time_s, PlanSample(time_s, points))
 
     def say(self, time_s: float, level: int, words: str) -> None:
         """See `Recorder`."""
-        self._put(b"l", time_s, LineSample(time_s, level, words[:_WORDS]))
+        self._put(time_s, LineSample(time_s, level, words[:_WORDS]))
 
     def attach(self, name: str, time_s: float, data: bytes, timeout_s: float = 30.0) -> None:
         """Add a file to the log, after the flight: this waits for the writer.
@@ -181,7 +171,7 @@ class FlightRecorder:
             timeout_s: maximum time to wait [s].
         """
         with suppress(OSError):  # then `finish` reports that the log is not complete
-            self._pipe.put(b"a" + self._encode(FileSample(time_s, name, data)), timeout_s)
+            self._pipe.put(encoded(FileSample(time_s, name, data)), timeout_s)
 
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
         """Let the writer complete the log and end.
@@ -195,7 +185,7 @@ class FlightRecorder:
         """
         try:
             if record is not None:
-                self._pipe.put(b"f" + self._encode(record), timeout_s)
+                self._pipe.put(encoded(FinishSample(record)), timeout_s)
         except OSError:
             self._pipe.process.kill()
         has_ended = self._pipe.close(timeout_s)
@@ -213,9 +203,9 @@ class FlightRecorder:
         if self._path is not None and not self.has_flown:
             (self._path if self._temporary is None else self._temporary).unlink(missing_ok=True)
 
-    def _put(self, kind: bytes, time_s: float, sample: Any, *, is_seen: bool = True) -> None:
+    def _put(self, time_s: float, sample: Sample, *, is_seen: bool = True) -> None:
         try:
-            message = kind + self._encode(sample)
+            message = encoded(sample)
         except (TypeError, ValueError):  # a value that cannot be encoded
             self.dropped += 1
             return
@@ -229,11 +219,29 @@ class FlightRecorder:
         """Send the start of the flight, `time_s` ago; it is repeated until the writer has it."""
         if self._start_ns is None:
             self._start_ns = time.time_ns() - nanoseconds(time_s)
-        message = b"b" + self._encode(BeginSample(self._start_ns))
+        message = encoded(BeginSample(self._start_ns))
         self._has_begun = self._pipe.offer(message)
         if self._has_begun:
             for view in self._views:
                 view.offer(message)
+
+
+def row_of(sample: TickSample) -> tuple[float, ...]:
+    """Row of `FlightRecorder.rows`; empty for a tick that has none.
+
+    Args:
+        sample: of the tick.
+    """
+    loop, state, done = sample.supervisor, sample.state, sample.safety
+    if state is None or (done is None and loop.state_name not in (State.FLY.value, State.HOLD.value)):
+        return ()
+    last: tuple[float | None, ...] = (-1, 0, None, None, None, None)
+    if done is not None:
+        flags = bool(done.infeasible) + 2 * bool(done.certified)
+        margin = done.h_m if done.margin_unit is None else done.margin
+        last = (done.status, flags, margin, loop.error_m, done.solve_time_s, loop.plan_s)
+    known = (np.nan if value is None else value for value in last)
+    return (loop.time_s, *state.position_m.tuple, *state.velocity_m_s.tuple, *known)
 
 
 def _temporary(path: Path, *, replaces: bool) -> Path | None:
@@ -260,7 +268,7 @@ class _Writer:
 
     def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool, moves: list[Path]) -> None:
         self.head, self.echo, self.moves = head, echo, moves
-        self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
+        self.log = LogWriter(stream, FLIGHT_TOPICS, chunk_bytes=_CHUNK_BYTES)
         self.channels: FlightChannels | None = None
         self.start_ns = 0
 
@@ -279,33 +287,24 @@ class _Writer:
 
     def take(self, message: bytes) -> bool:
         """Process a message; False after the last one."""
-        kind, body = message[:1], message[1:]
-        if kind == b"b":
-            self.begin(msgspec.msgpack.decode(body, type=BeginSample).start_ns)
+        sample = decoded(message)
+        if isinstance(sample, BeginSample):
+            self.begin(sample.start_ns)
             return True
-        if kind == b"f":
+        if isinstance(sample, FinishSample):
             if self.channels is not None:
                 self._send(self.channels.path())
-            self.log.finish(msgspec.msgpack.decode(body, type=RunRecord))
+            self.log.finish(sample.record)
             return False
         assert self.channels is not None  # samples follow the start
-        if kind == b"t":
-            self._send(self.channels.tick(msgspec.msgpack.decode(body, type=TickSample)))
-        elif kind == b"s":
-            step = msgspec.msgpack.decode(body, type=StepSample)
-            self._send(self.channels.step(step))
-            if step.state == State.TAKE_OFF.value and self.moves:
+        self._send(self.channels.of(sample))
+        if isinstance(sample, StepSample) and sample.supervisor.state_name == State.TAKE_OFF.value:
+            if self.moves:
                 _replace(*self.moves)
-        elif kind == b"p":
-            self._send(self.channels.plan(msgspec.msgpack.decode(body, type=PlanSample)))
-        elif kind == b"l":
-            line = msgspec.msgpack.decode(body, type=LineSample)
-            self._send(self.channels.line(line))
-            if self.echo:
-                self._say(f"{line.time_s:7.2f} s  {one_line(line.words)}\n")
-        elif kind == b"a":
-            file = msgspec.msgpack.decode(body, type=FileSample)
-            self.log.attach(file.name, self.start_ns + nanoseconds(file.time_s), file.data)
+        elif isinstance(sample, LineSample) and self.echo:
+            self._say(f"{sample.time_s:7.2f} s  {one_line(sample.words)}\n")
+        elif isinstance(sample, FileSample):
+            self.log.attach(sample.name, self.start_ns + nanoseconds(sample.time_s), sample.data)
         return True
 
     def _send(self, found: Iterable[Sent]) -> None:
@@ -349,7 +348,7 @@ def _write() -> None:
                     writer.log.close()
                 break
             if writer is None:
-                head = msgspec.msgpack.decode(body[1:], type=FlightHead)
+                head = msgspec.msgpack.decode(body, type=FlightHead)
                 writer = _Writer(stream, head, echo=echo, moves=moves)
             elif not writer.take(body):
                 break

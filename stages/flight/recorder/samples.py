@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
+from msgspec.structs import astuple, fields
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.decode import msgpack_decoder
+from alula.schemas.log.channels import OF_BARRIER, Replay, Safety, State, Supervisor
+from alula.schemas.log.foxglove import Quaternion, Vector3
+from alula.schemas.run import RunRecord
 from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -16,8 +21,8 @@ from alula.stages.flight.links.protocol import (
     VehicleStatus,
 )
 from alula.stages.flight.loop.fence_guard import Guarded
-from alula.stages.flight.loop.plan_clock import Reference
-from alula.stages.flight.loop.supervisor import Event, State, Taken
+from alula.stages.flight.loop.supervisor import Event, Taken
+from alula.stages.flight.loop.supervisor import State as Phase
 
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 
@@ -37,89 +42,114 @@ _FINE = frozenset(
     | {Event.PLAN_FINISHED, Event.LANDED, Event.RECOVERED}
 )
 
+NUMBERS = {phase: number for number, phase in enumerate(Phase)}  # of the supervisor's states, in the log
+
 Three = tuple[float, float, float]
 
 
-class ReplaySample(msgspec.Struct, array_like=True, gc=False):
-    """Inputs and set-points of a tick in full precision, see `TickInputs`.
+class TickSample(msgspec.Struct, gc=False):
+    """Messages of one tick of the loop, in full precision.
 
     Attributes:
-        decided: kind of the set-point that was decided; empty for none.
-        decided_values: its numbers, as those of `sent_values`.
-        is_own: it was sent, not one of the geofence.
-        sent, sent_values: kind and numbers of the set-point that was sent.
+        supervisor: state, reports of the vehicle and times of the loop.
+        state: of the vehicle; None without one.
+        safety: result of controller, filter and geofence; None in a tick without a set-point.
+        replay: inputs and set-points of the native flight; None of other commanders.
     """
 
-    number: int
-    repeats: int
-    age_s: float
-    measured: tuple[float, ...]
-    target: tuple[float, ...]
-    decided: str
-    decided_values: tuple[float, ...]
-    is_own: bool
-    sent: str
-    sent_values: tuple[float, ...]
+    supervisor: Supervisor
+    state: State | None = None
+    safety: Safety | None = None
+    replay: Replay | None = None
 
 
-class FilterSample(msgspec.Struct, array_like=True, gc=False):
-    """Result of controller, filter and geofence in a tick; see `Decision` and `Guarded`."""
+class BeginSample(msgspec.Struct, array_like=True, tag=True):
+    """Start of the flight, from which all its times count: nanoseconds since 1970-01-01 UTC."""
 
-    status: int
-    margin: float
-    active: int
-    infeasible: bool
-    certified: bool
-    nominal: Three
-    safe: Three
-    thrust_nominal_n: float | None
-    error_m: float
+    start_ns: int
+
+
+class StepSample(msgspec.Struct, array_like=True, tag=True):
+    """A step of the supervisor, and its words for the operator."""
+
+    supervisor: Supervisor
+    words: str
+
+
+class LineSample(msgspec.Struct, array_like=True, tag=True):
+    """A message for the operator."""
+
+    time_s: float
+    level: int
+    words: str
+
+
+class PlanSample(msgspec.Struct, array_like=True, tag=True):
+    """A new plan that the flight continues along: its points, world frame [m]."""
+
+    time_s: float
+    points: list[Three]
+
+
+class FileSample(msgspec.Struct, array_like=True, tag=True):
+    """A file for the log."""
+
+    time_s: float
+    name: str
+    data: bytes
+
+
+class FinishSample(msgspec.Struct, array_like=True, tag=True):
+    """End of the flight, with its record."""
+
+    record: RunRecord
+
+
+_Told = BeginSample | StepSample | LineSample | PlanSample | FileSample | FinishSample
+Sample = TickSample | _Told
+
+_PARTS: tuple[type[msgspec.Struct], ...] = (Supervisor, State, Safety, Replay)  # of a tick
+# A tick without the names of its fields: the pipe holds half as many again.
+_Packed: Any = msgspec.defstruct(
+    "_Packed",
+    [(part.__name__, tuple[tuple(one.type for one in fields(part))] | None) for part in _PARTS],  # type: ignore[misc]
+    array_like=True,
+    tag=True,
+)
+_encode = msgspec.msgpack.Encoder().encode
+
+
+def encoded(sample: Sample) -> bytes:
+    """Message of the flight to the processes beside it."""
+    if not isinstance(sample, TickSample):
+        return _encode(sample)
+    return _encode(_Packed(*(None if part is None else astuple(part) for part in astuple(sample))))
+
+
+def decoded(message: bytes) -> Sample:
+    """Read a message of the flight; see `encoded`."""
+    found: Any = msgpack_decoder(_Told | _Packed).decode(message)
+    if not isinstance(found, _Packed):
+        told: _Told = found
+        return told
+    parts: Any = (
+        None if values is None else part(**dict(zip(part.__struct_fields__, values, strict=True)))
+        for part, values in zip(_PARTS, astuple(found), strict=True)
+    )
+    return TickSample(*parts)
+
+
+class Flown(NamedTuple):
+    """Set-point of a tick: decision of the commander, result of the geofence, and time of the decision [s].
+
+    `plan_s` and `plan_rate` are the time along the plan [s] and its rate.
+    """
+
+    decision: Decision
+    guarded: Guarded
     plan_s: float
     plan_rate: float
     filter_s: float
-    fence_h_m: float
-    fence_share: float
-    fence_flies: bool
-    sent: str
-    sent_values: tuple[float, ...]
-    replay: ReplaySample | None = None
-    disturbance: Three | None = None
-    disturbance_bound: float = 0.0
-    added_margin_m: float = 0.0
-
-
-class TickSample(msgspec.Struct, array_like=True, gc=False):
-    """One tick of the loop.
-
-    Attributes:
-        time_s: start of the tick, since the start of the flight [s].
-        late_s: time since the deadline of the tick [s].
-        tick_s: duration of the tick before [s].
-        state: name of the supervisor's state.
-        age_s: age of the vehicle's state [s]; None without a state, as are the next four.
-        position, velocity: world frame [m], [m/s].
-        attitude_wxyz: unit quaternion that turns body vectors into the world frame.
-        omega: angular velocity, body components [rad/s].
-        mode, armed, landed, battery_share: as reported by the vehicle; the charge as a fraction.
-        fence_m: distance of the vehicle's sphere to the fence [m]; None where it is not computed.
-        filter: result of controller and filter; None in a tick without a set-point.
-    """
-
-    time_s: float
-    late_s: float
-    tick_s: float
-    state: str
-    age_s: float | None
-    position: Three | None
-    velocity: Three | None
-    attitude_wxyz: tuple[float, float, float, float] | None
-    omega: Three | None
-    mode: str
-    armed: bool | None
-    landed: bool | None
-    battery_share: float | None
-    fence_m: float | None
-    filter: FilterSample | None
 
 
 class Recorder(Protocol):
@@ -168,106 +198,121 @@ def level_of(taken: Taken) -> int:
     Args:
         taken: the step.
     """
-    is_fine = taken.event in _FINE or taken[:2] == (State.LAND, Event.DISARMED)
+    is_fine = taken.event in _FINE or taken[:2] == (Phase.LAND, Event.DISARMED)
     return ERROR if taken.event in _BAD else INFO if is_fine else WARNING
 
 
 def tick_sample(
     times: tuple[float, float, float, float],
-    phase: str,
+    phase: Phase,
     state: VehicleState | None,
     status: VehicleStatus,
     fence_m: float | None,
-    flown: FilterSample | None,
+    flown: Flown | None,
+    *,
+    is_velocity: bool,
 ) -> TickSample:
     """Build the sample of a tick.
 
     Args:
         times: time since the start of the flight, lateness, duration of the tick before, and age of the
             state [s].
-        phase: name of the supervisor's state.
+        phase: the supervisor's state.
         state: of the vehicle, world frame, if there is one.
         status: of the vehicle.
         fence_m: distance to the fence [m], if it was computed.
-        flown: result of controller and filter, if a set-point was computed.
+        flown: the set-point, if there is one.
+        is_velocity: the commander filters velocities, else accelerations.
     """
     now_s, late_s, spent_s, age_s = times
-    position = velocity = omega = attitude = None
-    if state is not None:
-        position, velocity, omega = _three(state.position), _three(state.velocity), _three(state.omega)
-        w, x, y, z = state.attitude_wxyz.tolist()
-        attitude = (w, x, y, z)
-    return TickSample(
+    supervisor = Supervisor(
         time_s=now_s,
-        late_s=late_s,
-        tick_s=spent_s,
-        state=phase,
-        age_s=None if state is None else age_s,
-        position=position,
-        velocity=velocity,
-        attitude_wxyz=attitude,
-        omega=omega,
+        state=NUMBERS[phase],
+        state_name=phase.value,
         mode=status.mode,
         armed=status.armed,
         landed=status.landed,
         battery_share=status.battery_share,
+        state_age_s=None if state is None else age_s,
+        late_s=late_s,
+        tick_s=spent_s,
         fence_m=fence_m,
-        filter=flown,
     )
-
-
-def filter_sample(decision: Decision, guarded: Guarded, plan: Reference, filter_s: float) -> FilterSample:
-    """Build the sample of a decision and of the set-point that was sent after the geofence.
-
-    Args:
-        decision: of the commander.
-        guarded: result of the geofence.
-        plan: time along the plan.
-        filter_s: duration of the decision [s].
-    """
-    kind, values = numbers_of(guarded.setpoint)
-    replay = None
-    if (inputs := decision.inputs) is not None:
-        is_own = guarded.setpoint is not None and guarded.setpoint is decision.setpoint
-        replay = ReplaySample(
-            inputs.number,
-            inputs.repeats,
-            inputs.age_s,
-            tuple(inputs.measured.tolist()),
-            tuple(inputs.target.tolist()),
-            *numbers_of(decision.setpoint),
-            is_own,
-            kind,
-            values,
+    sample = TickSample(supervisor)
+    if state is not None:
+        w, x, y, z = state.attitude_wxyz.tolist()
+        sample.state = State(
+            trial=0,
+            time_s=now_s,
+            position_m=_vector(state.position),
+            velocity_m_s=_vector(state.velocity),
+            attitude=Quaternion(x, y, z, w),
+            omega_body_rad_s=_vector(state.omega),
         )
-    return FilterSample(
+    if flown is not None:
+        guarded = flown.guarded
+        supervisor.fence_h_m, supervisor.fence_share = guarded.h_m, guarded.regulation
+        supervisor.fence_flies, supervisor.error_m = guarded.takes_over, flown.decision.error_m
+        supervisor.plan_s, supervisor.plan_rate = flown.plan_s, flown.plan_rate
+        sample.safety = _safety(now_s, flown, is_velocity=is_velocity)
+        sample.replay = _replay(now_s, flown)
+    return sample
+
+
+def _safety(now_s: float, flown: Flown, *, is_velocity: bool) -> Safety:
+    """Among hulls velocities and a distance in metres; among ellipsoids accelerations and the barrier."""
+    decision = flown.decision
+    kind, values = numbers_of(flown.guarded.setpoint)
+    safety = Safety(
+        trial=0,
+        time_s=now_s,
         status=int(decision.status),
-        margin=decision.margin,
+        status_name=decision.status.name.lower(),
         active=decision.active,
         infeasible=decision.infeasible,
         certified=decision.certified,
-        nominal=_three(decision.nominal),
-        safe=_three(decision.safe),
-        thrust_nominal_n=decision.thrust_nominal_n,
-        error_m=decision.error_m,
-        plan_s=plan.time_s,
-        plan_rate=plan.rate,
-        filter_s=filter_s,
-        fence_h_m=guarded.h_m,
-        fence_share=guarded.regulation,
-        fence_flies=guarded.takes_over,
         sent=kind,
-        sent_values=values,
-        replay=replay,
-        disturbance=None if decision.disturbance is None else _three(decision.disturbance),
-        disturbance_bound=decision.disturbance_bound,
-        added_margin_m=decision.added_margin_m,
+        sent_values=list(values),
+        solve_time_s=flown.filter_s,
+    )
+    if decision.disturbance is not None:
+        safety.disturbance_m_s2 = _vector(decision.disturbance)
+        safety.disturbance_bound_m_s2 = decision.disturbance_bound
+        safety.added_margin_m = decision.added_margin_m
+    nominal, safe = _vector(decision.nominal), _vector(decision.safe)
+    if is_velocity:
+        safety.h_m, safety.u_nom_m_s, safety.u_safe_m_s = decision.margin, nominal, safe
+    else:
+        safety.margin, safety.margin_unit = decision.margin, OF_BARRIER
+        safety.a_nom_m_s2, safety.a_safe_m_s2 = nominal, safe
+        safety.thrust_nom_n = decision.thrust_nominal_n
+    return safety
+
+
+def _replay(now_s: float, flown: Flown) -> Replay | None:
+    decision, setpoint = flown.decision, flown.guarded.setpoint
+    if (inputs := decision.inputs) is None:
+        return None
+    decided, decided_values = numbers_of(decision.setpoint)
+    sent, sent_values = numbers_of(setpoint)
+    return Replay(
+        time_s=now_s,
+        number=inputs.number,
+        repeats=inputs.repeats,
+        age_s=inputs.age_s,
+        measured=tuple(inputs.measured.tolist()),
+        target=tuple(inputs.target.tolist()),
+        decided=decided,
+        decided_values=decided_values,
+        is_own=setpoint is not None and setpoint is decision.setpoint,
+        sent=sent,
+        sent_values=sent_values,
     )
 
 
-def _three(vector: FloatArray) -> Three:
+def _vector(vector: FloatArray) -> Vector3:
     x, y, z = vector.tolist()
-    return x, y, z
+    return Vector3(x, y, z)
 
 
 def numbers_of(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:

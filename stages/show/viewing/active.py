@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.schemas.world_check import TRACKING
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.show.drawing.content import Decides

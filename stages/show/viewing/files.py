@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from alula.schemas.artifact import Artifact, read_artifact
 from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream, printable
 from alula.schemas.kinds import KINDS, SCENE
-from alula.schemas.mcap_log import MAGIC
+from alula.schemas.log.cut import read_logged
+from alula.schemas.log.mcap import MAGIC
 from alula.schemas.parts import is_parts, open_parts
 from alula.schemas.parts_join import joined
 from alula.schemas.salvage import is_artifact_like

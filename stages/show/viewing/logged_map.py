@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import json_decoder
-from alula.schemas.flights import MAP_TOPIC
-from alula.schemas.mcap_log import messages
+from alula.schemas.log.channels import MAP_TOPIC
+from alula.schemas.log.foxglove import SceneUpdate, TriangleListPrimitive, Vector3
+from alula.schemas.log.mcap import messages
+from alula.schemas.log.samples import measured
 from alula.schemas.run import open_log
 from alula.stages.show.drawing.content import CUT, Part
 from alula.stages.show.drawing.solids import Solids, solids_of
@@ -22,7 +22,6 @@ from alula.stages.show.viewing.cut import Cut
 from alula.stages.show.viewing.shapes import balls
 
 _OPACITY = 0.6
-_LARGEST_M = 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,71 +73,6 @@ class LoggedMap:
         ]
 
 
-class _Point(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-
-
-class _Turn(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class _Pose(msgspec.Struct, gc=False):
-    position: _Point
-    orientation: _Turn
-
-
-class _Color(msgspec.Struct, gc=False):
-    r: float
-    g: float
-    b: float
-
-
-class _Sphere(msgspec.Struct):
-    pose: _Pose
-    size: _Point
-    color: _Color
-
-
-class _Triangles(msgspec.Struct):
-    points: list[_Point]
-    indices: list[int]
-
-
-class _Pair(msgspec.Struct):
-    key: str
-    value: str
-
-
-class _Entity(msgspec.Struct):
-    id: str = ""
-    metadata: list[_Pair] = []
-    triangles: list[_Triangles] = []
-    spheres: list[_Sphere] = []
-
-
-class _Update(msgspec.Struct):
-    entities: list[_Entity] = []
-
-
-def map_of(message: Mapping[str, Any]) -> LoggedMap:
-    """Map of a `foxglove.SceneUpdate`.
-
-    Its fence is left out, because the parameters of the run have it too.
-
-    Args:
-        message: decoded.
-
-    Raises:
-        ValueError: it has other fields.
-    """
-    return _map_of(msgspec.convert(message, _Update))
-
-
 def read_map(log: Path) -> LoggedMap | None:
     """Read the map in a log; None when it has none.
 
@@ -151,11 +85,21 @@ def read_map(log: Path) -> LoggedMap | None:
     """
     with open_log(log) as file:
         for _, data in messages(file, (MAP_TOPIC,)):
-            return _map_of(json_decoder(_Update).decode(data))
+            return map_of(json_decoder(SceneUpdate).decode(data))
     return None
 
 
-def _map_of(message: _Update) -> LoggedMap:
+def map_of(message: SceneUpdate) -> LoggedMap:
+    """Hulls and ellipsoids of a map.
+
+    Its fence is left out, because the parameters of the run have it too.
+
+    Args:
+        message: as logged.
+
+    Raises:
+        ValueError: a place is missing or too large.
+    """
     entities = [one for one in message.entities if one.id != "fence"]
     each = [_mesh(one) for entity in entities for one in entity.triangles]
     spheres = [sphere for entity in entities for sphere in entity.spheres]
@@ -167,24 +111,15 @@ def _map_of(message: _Update) -> LoggedMap:
         0.5 * _points([s.size for s in spheres]),
         np.array([(q.w, q.x, q.y, q.z) for q in turns], np.float64).reshape(-1, 4),
         np.clip(255 * color, 0, 255).round().astype(np.uint8),
-        sum(_count(entity) for entity in entities),
+        sum(entity.count("ellipsoids") or 0 for entity in entities),
     )
 
 
-def _count(entity: _Entity) -> int:
-    """Number of ellipsoids that an entity stands for."""
-    values = [pair.value for pair in entity.metadata if pair.key == "ellipsoids"]
-    return int(values[0]) if values and values[0].isascii() and values[0].isdecimal() else 0
+def _points(each: Sequence[Vector3]) -> FloatArray:
+    return measured("place of the map", [point.tuple for point in each], is_known=True).reshape(-1, 3)
 
 
-def _points(each: list[_Point]) -> FloatArray:
-    found = np.array([(p.x, p.y, p.z) for p in each], np.float64).reshape(-1, 3)
-    if np.abs(found).max(initial=0.0) > _LARGEST_M:
-        raise ValueError("a place of the map is too large to be measured")
-    return found
-
-
-def _mesh(one: _Triangles) -> tuple[FloatArray, NDArray[np.int64]]:
+def _mesh(one: TriangleListPrimitive) -> tuple[FloatArray, NDArray[np.int64]]:
     indices = np.array(one.indices, np.int64)
     if len(indices) % 3 or (len(indices) and not 0 <= indices.min() <= indices.max() < len(one.points)):
         raise ValueError("triangles of the map name corners that it does not have")

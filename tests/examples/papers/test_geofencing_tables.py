@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.schemas.fence_ticks import Ticks
+from alula.schemas.log.fence_ticks import Ticks
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult

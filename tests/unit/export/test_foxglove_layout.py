@@ -2,13 +2,16 @@
 
 import json
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
 from alula.cli.main import run
+from alula.schemas.log.channels import CHANNELS
+from alula.schemas.log.foxglove import SceneUpdate
+from alula.schemas.log.json_schema import json_schema
 from alula.stages.export.foxglove_layout import contents, foxglove_layout
-from alula.stages.flight.recorder.channels import CHANNELS
-from alula.stages.runlog.schemas import FLIGHT_CHANNELS, SCHEMAS
+from alula.stages.runlog.messages import entity
 from support.fabricate import make_record, make_trial, write_run
 
 TITLE = {"foxglovePanelTitle"}
@@ -50,19 +53,13 @@ def test_settings_of_panels_are_those_of_foxglove():
 
 
 def test_all_paths_and_channels_of_the_full_layout_exist():
-    channels = {
-        **FLIGHT_CHANNELS,
-        **CHANNELS,
-        "/obstacles": "foxglove.SceneUpdate",
-        "/splat": "foxglove.PointCloud",
-    }
     layout = foxglove_layout("world")
     for path in paths_of(layout):
         topic, field, *modifier = path.split(".")
-        properties = SCHEMAS[channels[topic]]["properties"][field]
+        properties = json_schema(CHANNELS[topic].struct)["properties"][field]
         assert modifier == (["@norm"] if properties.get("title") == "foxglove.Vector3" else [])
-    assert set(layout["configById"]["3D!alula"]["topics"]) <= set(channels)
-    assert layout["configById"]["RosOut!log"]["topicToRender"] in channels
+    assert set(layout["configById"]["3D!alula"]["topics"]) <= set(CHANNELS)
+    assert layout["configById"]["RosOut!log"]["topicToRender"] in CHANNELS
 
 
 def test_the_layout_of_a_run_shows_what_the_run_has(tmp_path, capsys):
@@ -85,7 +82,7 @@ def test_the_layout_of_a_run_shows_what_the_run_has(tmp_path, capsys):
 
 
 def test_the_frame_is_that_of_the_map():
-    message = json.dumps({"entities": [{"frame_id": "site"}]}).encode()
-    assert contents([("/map", message)]) == ("site", {"/map": {"entities"}})
+    message = msgspec.json.encode(SceneUpdate(entities=[entity("map", "site", 0)]))
+    assert contents([("/map", message)]) == ("site", {"/map": {"deletions", "entities"}})
     assert foxglove_layout("site")["configById"]["3D!alula"]["fixedFrame"] == "site"
     assert foxglove_layout("site", {})["layout"] == "3D!alula"

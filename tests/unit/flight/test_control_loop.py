@@ -58,7 +58,7 @@ def test_filters_among_ellipsoids_lead_around_one_in_the_way(name, accepts):
     path = loop.recorder.positions("fly")
     assert np.linalg.norm(path - (2.0, 2.2, 1.0), axis=1).min() > 0.3 + RADIUS_M
     assert np.linalg.norm(path[-1] - GOAL) < 0.25
-    flown = [s.filter for s in loop.recorder.samples if s.filter]
+    flown = [s.safety for s in loop.recorder.samples if s.safety]
     assert any(f.status != FilterStatus.OK for f in flown)
     assert {type(s) for _, _, s in vehicle.sent} <= accepts
     assert all(mode == "GUIDED" for _, mode, _ in vehicle.sent)
@@ -70,7 +70,7 @@ def test_velocities_are_filtered_among_hulls():
     path = loop.recorder.positions("fly", "hold")
     assert path[:, 0].max() < 1.8 - RADIUS_M  # it stays in front of it until it times out
     assert loop.supervision.cause in (Event.TIMED_OUT, Event.HOLDS_USED_UP)
-    margins = [s.filter.margin for s in loop.recorder.samples if s.filter]
+    margins = [s.safety.h_m for s in loop.recorder.samples if s.safety]
     assert min(margins) > -0.05
 
 
@@ -80,7 +80,7 @@ def test_a_shield_is_certified_against_hulls_without_a_scene():
     loop, _ = fly(made, accepts=RATES, position=(0.3, 1.0, 0.0))
     path = loop.recorder.positions("fly", "hold")
     assert 1.2 < path[:, 0].max() < 1.8 - RADIUS_M - made.config.margin_m  # it comes near, and stays in front
-    flown = [s.filter for s in loop.recorder.samples if s.filter]
+    flown = [s.safety for s in loop.recorder.samples if s.safety]
     assert any(f.status == FilterStatus.BACKUP for f in flown)
     assert all(f.certified for f in flown)
 
@@ -100,7 +100,7 @@ def test_without_a_filter_the_plan_is_tracked():
     for accepts in (RATES, ACCELERATIONS):
         loop, _ = fly(mission("none", scene=BALL, plan=clear), accepts=accepts, position=(0.3, 1.0, 0.0))
         assert loop.recorder.states == AS_PLANNED
-        assert max(s.filter.error_m for s in loop.recorder.samples if s.filter) < 0.1
+        assert max(s.supervisor.error_m for s in loop.recorder.samples if s.safety) < 0.1
 
 
 def test_a_dry_run_checks_everything_and_orders_nothing():
@@ -126,8 +126,8 @@ def test_a_frozen_state_is_held_within_the_limit_and_never_flown_on():
     assert loop.recorder.states == ["checks", "arming", "take-off", "fly", "hold", "land", "done"]
     assert loop.supervision.cause is Event.TIMED_OUT  # of the hold
     assert causes(loop).count(Event.STATE_STALE) == 1
-    flown = [s for s in loop.recorder.samples if s.filter]
-    assert max(s.age_s for s in flown) <= 0.15
+    flown = [s for s in loop.recorder.samples if s.safety]
+    assert max(s.supervisor.state_age_s for s in flown) <= 0.15
     assert not [at for at, mode, _ in vehicle.sent if mode != "GUIDED"]
 
 
@@ -267,12 +267,12 @@ def test_a_filter_that_fails_is_held_then_landed(how, event):
     held = [taken for _, taken in loop.taken if taken.step.state is State.HOLD]
     assert len(held) == 4  # three more tries
     assert all(np.isfinite(s.velocity).all() for _, _, s in vehicle.sent)
-    first = next(i for i, s in enumerate(loop.recorder.samples) if s.state == "hold")
+    first = next(i for i, s in enumerate(loop.recorder.samples) if s.supervisor.state_name == "hold")
     assert vehicle.orders.count(Order.HOLD) == 4  # a filtered hold also begins with an order
     if how != "falls back":  # in the very tick
-        assert loop.recorder.samples[first - 1].filter is not None
-        assert not [s for s in loop.recorder.samples[first + 1 :] if s.filter and s.filter.sent]
-        assert len([s for s in loop.recorder.samples[:first] if s.filter]) == 99
+        assert loop.recorder.samples[first - 1].safety is not None
+        assert not [s for s in loop.recorder.samples[first + 1 :] if s.safety and s.safety.sent]
+        assert len([s for s in loop.recorder.samples[:first] if s.safety]) == 99
 
 
 def test_a_hold_is_filtered_where_state_and_filter_are_well():
@@ -298,17 +298,17 @@ def test_a_hold_is_filtered_where_state_and_filter_are_well():
     loop.run()
     loop.commander = None  # the collector of garbage does not see into the native flight
     assert loop.supervision.cause is Event.PLAN_FINISHED
-    held = [s for s in loop.recorder.samples if s.state == "hold"]
-    fresh = [s for s in held if s.age_s < 0.02][2:]
-    stale = [s for s in held if s.age_s > 0.15]
+    held = [s for s in loop.recorder.samples if s.supervisor.state_name == "hold"]
+    fresh = [s for s in held if s.supervisor.state_age_s < 0.02][2:]
+    stale = [s for s in held if s.supervisor.state_age_s > 0.15]
     assert len(fresh) > 80
-    assert all(s.filter is not None and s.filter.sent == "velocity" for s in fresh)
-    assert not any(s.filter for s in stale)
-    place = np.array(fresh[0].position)
+    assert all(s.safety is not None and s.safety.sent == "velocity" for s in fresh)
+    assert not any(s.safety for s in stale)
+    place = fresh[0].state.position_m.array
     nominal = [u for _, state, u, _ in asked if state is State.HOLD]
     assert np.linalg.norm(nominal[0]) < 0.05  # to stand still, here
-    assert np.linalg.norm(np.array(fresh[-1].position) - place) < 0.2
-    assert len({s.filter.plan_s for s in fresh}) == 1
+    assert np.linalg.norm(fresh[-1].state.position_m.array - place) < 0.2
+    assert len({s.supervisor.plan_s for s in fresh}) == 1
 
 
 def test_a_hold_whose_filter_fails_is_the_vehicles_own():
@@ -334,8 +334,8 @@ def test_a_hold_whose_filter_fails_is_the_vehicles_own():
     orders = [order for order in vehicle.orders if order is not Order.NOTHING]
     first = orders.index(Order.HOLD)
     assert orders[first : first + 3] == [Order.HOLD, Order.HOLD, Order.TAKE_CONTROL]
-    holds = [s for s in loop.recorder.samples if s.state == "hold"]
-    assert not any(s.filter for s in holds[20:100])
+    holds = [s for s in loop.recorder.samples if s.supervisor.state_name == "hold"]
+    assert not any(s.safety for s in holds[20:100])
 
 
 def test_a_late_loop_is_held_counted_and_not_made_up_for():
@@ -349,7 +349,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     assert loop.counters.skipped == 30
     assert loop.counters.overruns >= 1
     assert loop.counters.late_s.max_s == pytest.approx(0.3, abs=1e-6)
-    times = [s.time_s for s in loop.recorder.samples]
+    times = [s.supervisor.time_s for s in loop.recorder.samples]
     assert min(np.diff(times)) > 1e-3  # no burst
     assert np.allclose(np.diff(times)[-300:], 0.01, atol=1e-6)  # and back on the grid
 
@@ -363,7 +363,7 @@ def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
     sent, times, inner = [], [], loop.commander
 
     class Watching:
-        ticks = 0
+        ticks, setpoint = 0, inner.setpoint
 
         def reset(self):
             self.ticks = 0
@@ -429,6 +429,6 @@ def test_a_fallback_is_as_long_as_the_clock_says_however_few_its_ticks(late_s):
 
     vehicle.on_poll = every_other
     loop.run()
-    first = next(s.time_s for s in loop.recorder.samples if s.filter and s.filter.status == 3)
+    first = next(s.supervisor.time_s for s in loop.recorder.samples if s.safety and s.safety.status == 3)
     held = next(at for at, taken in loop.taken if taken.event is Event.FALLBACK_LONG)
     assert held - first == pytest.approx(3.0, abs=0.12)

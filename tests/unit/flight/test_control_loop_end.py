@@ -31,8 +31,8 @@ def test_ctrl_c_lands_and_a_second_waits_for_the_ground(seconds):
     assert loop.supervision.cause is Event.INTERRUPT
     assert vehicle.x[2] < 0.03
     assert any("motors stop on the ground only" in words for _, words in loop.recorder.lines)
-    landed = [s for s in loop.recorder.samples if s.state == "land"]
-    assert all(s.armed for s in landed if s.position[2] > 0.05)
+    landed = [s for s in loop.recorder.samples if s.supervisor.state_name == "land"]
+    assert all(s.supervisor.armed for s in landed if s.state.position_m.z > 0.05)
 
 
 def test_an_error_of_the_loop_itself_lands_first():
@@ -88,7 +88,7 @@ def test_the_plan_waits_for_a_vehicle_that_was_moved_off():
             vehicle.x[1] += 0.02
 
     loop, _ = fly(on_poll=push)
-    flown = [s.filter for s in loop.recorder.samples if s.filter]
+    flown = [s.supervisor for s in loop.recorder.samples if s.safety]
     assert min(f.plan_rate for f in flown[220:]) < 0.6
     assert loop.supervision.cause is Event.PLAN_FINISHED
     steps = np.diff([f.plan_s for f in flown])

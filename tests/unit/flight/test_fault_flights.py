@@ -107,7 +107,7 @@ def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
     assert np.linalg.norm(flight.path(State.FLY)[-1, 1:] - room[100.0][name].goal) < 0.4
     assert not flight.copter.is_armed
     assert flight.link.status.bad_packets > 10 or faults is GAPS
-    assert {s.filter.sent for s in flight.recorder.samples if s.filter} == {SENT[name]}
+    assert {s.safety.sent for s in flight.recorder.samples if s.safety} == {SENT[name]}
 
 
 @pytest.mark.every(2)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from alula.schemas.cut_run import read_logged, salvage_run
 from alula.schemas.errors import ArtifactError, DamagedError, OutputError
-from alula.schemas.flights import count_messages, flights_of
-from alula.schemas.mcap_log import messages, metadata
+from alula.schemas.log.cut import read_logged, salvage_run
+from alula.schemas.log.flights import count_messages, flights_of
+from alula.schemas.log.mcap import messages, metadata
 from alula.schemas.run import FLIGHT_METADATA, read_run
 from alula.schemas.start_time import utc_text
 from alula.stages.flight.judge import guarantee_of, timing_of
@@ -86,7 +86,7 @@ def test_log_times_are_those_of_the_wall_clock_or_count_from_the_start_that_is_g
         assert times["/tf"] - times["/map"] == 1_020_000_000
         assert times["/log"] - times["/map"] == 1_100_000_000
         assert noted["start_time"] == utc_text(times["/map"])
-        supervised = [("/supervisor", b'{"time_s": 0.03, "state_name": "fly"}')]
+        supervised = [("/supervisor", b'{"time_s": 0.03, "state": 4, "state_name": "fly"}')]
         with log.open("rb") as file:
             course = flights_of([*messages(file, ("/map", "/log")), *supervised]).course
         assert course.lines[0].time_s == pytest.approx(1.1, abs=1e-9)

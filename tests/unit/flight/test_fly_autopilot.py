@@ -42,8 +42,9 @@ def test_cone_backup_flies_around_an_ellipsoid_and_lands(kind, vehicle):
     assert clearance(made, path) > 0
     assert np.linalg.norm(path[-1] - GOAL) < 0.3
     assert not served.is_armed
-    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"rates"}
-    w, x, y, z = np.array([s.attitude_wxyz for s in loop.recorder.samples if s.filter])[-200:].T
+    assert {s.safety.sent for s in loop.recorder.samples if s.safety} == {"rates"}
+    turns = [s.state.attitude for s in loop.recorder.samples if s.safety][-200:]
+    w, x, y, z = np.array([(q.w, q.x, q.y, q.z) for q in turns]).T
     heading = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
     assert np.ptp(heading) < np.radians(5)
 
@@ -56,7 +57,7 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, la
     loop, served = fly(among_hulls, kind=kind)
     assert loop.recorder.states == AS_PLANNED
     assert clearance(among_hulls, true_path(loop, served, "fly")) > 0
-    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"velocity"}
+    assert {s.safety.sent for s in loop.recorder.samples if s.safety} == {"velocity"}
     assert getattr(served.copter, flown) is land
 
 

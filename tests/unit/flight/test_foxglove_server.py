@@ -12,10 +12,10 @@ import pytest
 
 from alula.cli.main import run
 from alula.schemas.errors import UsageError
-from alula.stages.flight.recorder.channels import CHANNELS
+from alula.schemas.log.channels import FLIGHT_TOPICS, schema_name, struct_of
+from alula.schemas.log.json_schema import json_schema
 from alula.stages.flight.recorder.foxglove_server import open_foxglove
 from alula.stages.flight.recorder.log import FlightRecorder
-from alula.stages.runlog.schemas import SCHEMAS
 from support.flight_logs import head_of, sample
 from support.flights import mission
 
@@ -75,10 +75,12 @@ def test_a_client_gets_the_channels_of_the_log_and_their_messages(served, head):
     assert client.subprotocol == "foxglove.sdk.v1"
     assert client.info["name"] == "alula fly: flight"
     assert client.info["capabilities"] == []  # it can send nothing
-    assert set(client.channels) == set(CHANNELS) - {"/replay"}
+    assert set(client.channels) == set(FLIGHT_TOPICS) - {"/replay"}
     for topic, channel in client.channels.items():
-        assert (channel["encoding"], channel["schemaName"]) == ("json", CHANNELS[topic])
-        assert json.loads(channel["schema"]) == SCHEMAS[CHANNELS[topic]]
+        struct = struct_of(topic)
+        assert channel["encoding"] == "json"
+        assert channel["schemaName"] == schema_name(struct)
+        assert json.loads(channel["schema"]) == json_schema(struct)
     thread, found = collect(client, recorder)
     for i in range(20):
         recorder.tick(sample(i, 0.1 * i))

@@ -4,12 +4,13 @@ from html.parser import HTMLParser
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
-import msgspec
 import pytest
 
+from alula.schemas.log.channels import Supervisor
+from alula.schemas.log.foxglove import SceneUpdate
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.recorder.live_view import ViewHead, _View
-from alula.stages.flight.recorder.log import LineSample, PlanSample, StepSample
+from alula.stages.flight.recorder.samples import LineSample, PlanSample, StepSample, encoded
 from support.flight_logs import sample
 
 OURS = {"p", "b", "table", "tr", "td", "ul", "li"}
@@ -52,13 +53,13 @@ def contents(words: str, monkeypatch) -> list[str]:
         filter=words,
         vehicle=words,
         radius_m=0.1,
-        map_message={"entities": [{}]},
+        map_message=SceneUpdate(),
         plan=[(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)],
     )
     view = _View(server, head)
-    view.take(b"s" + msgspec.msgpack.encode(StepSample(0.0, words, "e", "a", words)))
-    view.take(b"l" + msgspec.msgpack.encode(LineSample(0.1, 2, words)))
-    view.take(b"t" + msgspec.msgpack.encode(msgspec.structs.replace(sample(3), mode=words)))
+    view.take(encoded(step(words, "e", words)))
+    view.take(encoded(LineSample(0.1, 2, words)))
+    view.take(encoded(sample(3, mode=words)))
     assert not server.gui.add_markdown.called
     (first,) = server.gui.add_html.call_args.args
     return [first, view.text.content]
@@ -80,19 +81,25 @@ def view_of(**fields):
     server.gui.add_html.return_value = SimpleNamespace(content="")
     plan = [(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)]
     head = ViewHead(
-        name="n", filter="f", vehicle="v", radius_m=0.1, map_message={"entities": [{}]}, plan=plan, **fields
+        name="n", filter="f", vehicle="v", radius_m=0.1, map_message=SceneUpdate(), plan=plan, **fields
     )
     return _View(server, head), server
 
 
 def tick(**fields):
-    return b"t" + msgspec.msgpack.encode(msgspec.structs.replace(sample(3), **fields))
+    return encoded(sample(3, **fields))
+
+
+def step(state, event, words):
+    return StepSample(
+        Supervisor(time_s=9.0, state=9, state_name=state, event_name=event, action_name="a"), words
+    )
 
 
 def test_the_last_words_say_how_the_flight_ended_however_lately_it_was_told():
     view, _ = view_of()
     view.take(tick(mode="LAND", armed=True))
-    view.take(b"s" + msgspec.msgpack.encode(StepSample(9.0, "done", "disarmed", "a", "disarmed: it is over")))
+    view.take(encoded(step("done", "disarmed", "disarmed: it is over")))
     view.take(tick(mode="LAND", armed=False))  # too soon after the text before to be written at once
     assert "The flight has ended" not in view.text.content
     view.end()
@@ -108,9 +115,7 @@ def test_the_last_words_say_how_the_flight_ended_however_lately_it_was_told():
 def test_a_flight_that_ends_disarmed_is_not_said_to_be_armed(event):
     view, _ = view_of()
     view.take(tick(mode="LAND", armed=True))
-    view.take(
-        b"s" + msgspec.msgpack.encode(StepSample(9.0, "done", event.value, "a", "disarmed: it is over"))
-    )
+    view.take(encoded(step("done", event.value, "disarmed: it is over")))
     view.end()
     text = Page(view.text.content).text
     assert "The flight has ended: disarmed: it is over; the vehicle is disarmed." in text
@@ -120,9 +125,9 @@ def test_a_flight_that_ends_disarmed_is_not_said_to_be_armed(event):
 def test_stale_positions_and_silence_are_called_so(monkeypatch):
     view, _ = view_of(stale_s=0.2)
     monkeypatch.setattr("alula.stages.flight.recorder.live_view._TEXT_S", -1.0)
-    view.take(tick(age_s=0.1))
+    view.take(tick(state_age_s=0.1))
     assert "STALE" not in view.text.content
-    view.take(tick(age_s=0.3))
+    view.take(tick(state_age_s=0.3))
     assert "300 ms, STALE" in Page(view.text.content).text
     view.watch()
     assert "NO DATA" not in view.text.content
@@ -142,7 +147,7 @@ def test_a_new_plan_is_drawn_beside_those_before():
     view, server = view_of()
     points = [(0.0, 0.0, 1.0), (0.5, 0.5, 1.0), (1.0, 0.0, 1.0)]
     for _ in range(2):
-        view.take(b"p" + msgspec.msgpack.encode(PlanSample(2.0, points)))
+        view.take(encoded(PlanSample(2.0, points)))
     drawn = {call.args[0]: call.args[1] for call in server.scene.add_line_segments.call_args_list}
     assert {"/New plan 1", "/New plan 2", "/Plan/curve"} <= drawn.keys()
     assert drawn["/New plan 1"].tolist() == [list(map(list, points[:2])), list(map(list, points[1:]))]

@@ -69,8 +69,9 @@ def test_a_take_off_that_drifts_off_its_column_is_landed(axis):
     assert not vehicle.sent
     room = loop.checks.room_m
     assert 0.1 <= room <= 0.5  # at least the margin, at most --near
-    at = next(s for s in loop.recorder.samples if s.state == "land")
-    off = np.hypot(at.position[0] - START[0], at.position[1] - START[1])
+    at = next(s for s in loop.recorder.samples if s.supervisor.state_name == "land")
+    x, y, _ = at.state.position_m.tuple
+    off = np.hypot(x - START[0], y - START[1])
     assert room < off < room + 0.03  # without delay
     assert any("off the climb path: landing" in words for _, words in loop.recorder.lines)
 
@@ -146,8 +147,8 @@ def test_a_vehicle_whose_mode_is_unknown_and_which_does_not_follow_is_landed(whe
     loops.append(loop_of(mission(), vehicle))
     loops[0].run()
     assert loops[0].supervision.cause is Event.NOT_OBEYED
-    at = next(i for i, s in enumerate(loops[0].recorder.samples) if s.state == "land")
-    deaf = next(i for i, s in enumerate(loops[0].recorder.samples) if s.mode == "")
+    at = next(i for i, s in enumerate(loops[0].recorder.samples) if s.supervisor.state_name == "land")
+    deaf = next(i for i, s in enumerate(loops[0].recorder.samples) if s.supervisor.mode == "")
     assert (at - deaf) * 0.01 == pytest.approx(2.0, abs=0.05)
 
 
@@ -182,7 +183,7 @@ def test_a_vehicle_that_may_still_be_arming_is_not_left():
     loop = loop_of(mission(), vehicle, interrupts=asked)
     loop.run()
     ended(loop, Event.INTERRUPT, "abort", *(["hand-over"] if vehicle.status.armed else []), "done")
-    assert [s.state for s in loop.recorder.samples].count("abort") > 100
+    assert [s.supervisor.state_name for s in loop.recorder.samples].count("abort") > 100
 
 
 def test_a_clock_that_goes_back_stops_nothing():

@@ -32,10 +32,10 @@ def missions_of(monkeypatch):
 
 def outcome_of(flight):
     """Outcome of a flight in its record."""
-    flown = [each for each in flight.recorder.samples if each.filter is not None]
-    followed = flight.made.along.result(
-        np.array([each.position for each in flown]), np.array([each.time_s for each in flown]), []
-    )
+    flown = [each for each in flight.recorder.samples if each.safety is not None]
+    places = np.array([each.state.position_m.tuple for each in flown])
+    times = np.array([each.supervisor.time_s for each in flown])
+    followed = flight.made.along.result(places, times, [])
     return outcome_of_plan("reached" if flight.cause is Event.PLAN_FINISHED else "stopped", followed)
 
 

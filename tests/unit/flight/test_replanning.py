@@ -21,6 +21,7 @@ from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.mission import make_clock
+from alula.stages.flight.recorder.log import row_of
 from alula.stages.flight.replan.of_mission import maps_of, replan_facts
 from alula.stages.flight.replan.replanner import HeldUp
 from alula.stages.flight.replan.task import ReplanAnswer, ReplanRequest, ReplanTask
@@ -64,7 +65,8 @@ def stuck():
 
 def sent(flight):
     """What was sent in each tick along the plan."""
-    return [(s.time_s, s.filter.sent_values) for s in flight.recorder.samples if s.filter is not None]
+    kept = [s.safety for s in flight.recorder.samples if s.safety is not None]
+    return [(safety.time_s, safety.sent_values) for safety in kept]
 
 
 @functools.cache
@@ -77,16 +79,7 @@ def through():
 
 def rows_of(flight):
     """What `FlightRecorder.rows` keeps of a flight."""
-    kept = [s for s in flight.recorder.samples if s.filter is not None]
-    return np.array(
-        [
-            (
-                *(s.time_s, *s.position, *s.velocity, s.filter.status, 0, s.filter.margin),
-                *(s.filter.error_m, s.filter.filter_s, s.filter.plan_s),
-            )
-            for s in kept
-        ]
-    )
+    return np.array([row_of(s) for s in flight.recorder.samples if s.safety is not None])
 
 
 def test_a_flight_that_is_stuck_arrives_with_a_new_plan():
@@ -102,9 +95,10 @@ def test_a_flight_that_is_stuck_arrives_with_a_new_plan():
     assert recorded_s == pytest.approx(joined_s)
     expected = curve_of(made).at(np.linspace(0, made["time"][-1], len(points)))[:, :3]
     assert np.allclose(points, expected)
-    samples = [s for s in flight.recorder.samples if s.filter and joined_s - 2.1 < s.time_s < joined_s - 0.05]
-    assert samples[-1].filter.plan_s - samples[-100].filter.plan_s < 0.1  # it was held up for a second
-    assert samples[-1].filter.plan_s - samples[0].filter.plan_s > 0.1  # and not for much longer
+    ticks = [s.supervisor for s in flight.recorder.samples if s.safety]
+    ticks = [tick for tick in ticks if joined_s - 2.1 < tick.time_s < joined_s - 0.05]
+    assert ticks[-1].plan_s - ticks[-100].plan_s < 0.1  # it was held up for a second
+    assert ticks[-1].plan_s - ticks[0].plan_s > 0.1  # and not for much longer
 
 
 @pytest.mark.parametrize("how", ["no path", "raises"])

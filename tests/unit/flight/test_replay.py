@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import InputError
-from alula.schemas.mcap_log import messages
+from alula.schemas.log.mcap import messages
 from alula.stages.flight.mission import make_commander, make_safety
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.replay import replay
@@ -110,7 +110,7 @@ def test_a_log_that_lacks_a_tick_is_refused(tmp_path):
 
     def losing(sample):
         seen.append(1)
-        if sample.filter is None or sample.filter.replay.number != 50:
+        if sample.replay is None or sample.replay.number != 50:
             tell(sample)
 
     recorder.tick = losing

@@ -34,8 +34,9 @@ def fly(name, speed, *upsets, **words):
 
 def seen(flight):
     """Estimates (T, 3) and bounds (T,) of the ticks with set-points."""
-    found = [s.filter for s in flight.recorder.samples if s.filter is not None]
-    return np.array([f.disturbance for f in found]), np.array([f.disturbance_bound for f in found])
+    found = [s.safety for s in flight.recorder.samples if s.safety is not None]
+    estimate = np.array([f.disturbance_m_s2.tuple for f in found])
+    return estimate, np.array([f.disturbance_bound_m_s2 for f in found])
 
 
 def worst(flight):
@@ -81,7 +82,7 @@ def test_a_wind_that_rises_at_once_towards_an_obstacle_is_countered(monkeypatch,
     assert bound.max() > 0.3
     assert (State.FLY, Event.MODEL_WRONG) not in flight.rows  # a gust that passes is no reason to land
     assert bound[-1] < 0.2 * bound.max()  # released
-    logged = [s.filter.added_margin_m for s in flight.recorder.samples if s.filter is not None]
+    logged = [s.safety.added_margin_m for s in flight.recorder.samples if s.safety is not None]
     way = 0.125 if name == "cone-di" else 0.5 * np.max(flight.made.config.velocity_lag_s)
     assert max(logged) == pytest.approx(bound.max() * way)
 

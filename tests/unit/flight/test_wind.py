@@ -27,13 +27,13 @@ def test_a_wind_that_rises_on_the_way_blows_it_into_nothing(name, wind):
     assert flight.cause is Event.PLAN_FINISHED
     assert flight.clearance(State.FLY, State.HOLD) > 0.1
     flight.judge()
-    found = [s.filter for s in flight.recorder.samples if s.filter is not None]
-    estimate = np.array([f.disturbance for f in found[-50:]]).mean(axis=0)
+    found = [s.safety for s in flight.recorder.samples if s.safety is not None]
+    estimate = np.array([f.disturbance_m_s2.tuple for f in found[-50:]]).mean(axis=0)
     # Drag of the simulated vehicle at rest: 0.242 w + 0.034 |w| w by component.
     drag = np.array([0.242 * w + 0.034 * abs(w) * w for w in wind])
     np.testing.assert_allclose(estimate[:2], drag[:2], atol=0.35)
-    assert max(f.disturbance_bound for f in found) > 1.0  # while it rose
-    assert found[-1].disturbance_bound < 0.5
+    assert max(f.disturbance_bound_m_s2 for f in found) > 1.0  # while it rose
+    assert found[-1].disturbance_bound_m_s2 < 0.5
 
 
 def test_a_wind_that_is_too_strong_holds_and_lands():
@@ -49,7 +49,7 @@ def test_the_wind_that_blows_before_take_off_is_known_at_once():
     made = past_the_pillar()
     flight = Flight(made, [Upset(State.TAKE_OFF, 0.5, blow(0.0, -3.0, 0.0))]).fly()
     assert flight.cause is Event.PLAN_FINISHED
-    first = next(s.filter for s in flight.recorder.samples if s.filter is not None)
-    assert first.disturbance[1] == pytest.approx(-1.032, abs=0.4)  # from the lean with which it hovers
+    first = next(s.safety for s in flight.recorder.samples if s.safety is not None)
+    assert first.disturbance_m_s2.y == pytest.approx(-1.032, abs=0.4)  # from the lean with which it hovers
     off = np.abs(flight.path(State.FLY)[:, 2] - START[1])
     assert off.max() < off[0] + 0.05  # the vehicle's own take-off was blown aside

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.schemas.manifest import Guarantee, producer
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult

@@ -1,13 +1,14 @@
 """Reports on the course of a real flight: its states, its end, and its path without a verdict."""
 
-import json
-
+import msgspec
 import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.cut_run import read_logged
-from alula.schemas.flights import Course, Line, Step, flights_of
+from alula.schemas.log.channels import Supervisor
+from alula.schemas.log.cut import read_logged
+from alula.schemas.log.flights import Course, Line, Step, flights_of
+from alula.schemas.log.foxglove import Log, SceneEntity, SceneUpdate, Time
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.curves import broken, paths_of, spells
@@ -48,14 +49,14 @@ def flown(tmp_path_factory):
     return log, loop
 
 
-@pytest.mark.parametrize("start", [None, 0, 1_777_636_800])
-def test_times_of_messages_count_from_the_start_in_logs_of_any_age(start):
-    entity = {} if start is None else {"timestamp": {"sec": start, "nsec": 750_000_000 if start else 0}}
-    line = {"timestamp": {"sec": 3 + (start or 0), "nsec": 250_000_000}, "level": 2, "message": "words"}
-    step = {"time_s": 0.0, "state_name": "checks", "event_name": "start"}
-    found = [("/map", {"entities": [entity]}), ("/log", line), ("/supervisor", step)]
-    course = flights_of([(topic, json.dumps(fields).encode()) for topic, fields in found]).course
-    assert course.lines == (Line(pytest.approx(2.5 if start else 3.25, abs=1e-9), 2, "words"),)
+def test_times_of_messages_count_from_the_start():
+    start = 1_777_636_800_750_000_000
+    map_ = SceneUpdate(entities=[SceneEntity(timestamp=Time.of(start), frame_id="world", id="map")])
+    line = Log(Time.of(start + 2_500_000_000), 2, "words", "fly")
+    step = Supervisor(time_s=0.0, state=1, state_name="checks", event_name="start")
+    found = [("/map", map_), ("/log", line), ("/supervisor", step)]
+    course = flights_of([(topic, msgspec.json.encode(message)) for topic, message in found]).course
+    assert course.lines == (Line(pytest.approx(2.5, abs=1e-9), 2, "words"),)
 
 
 def test_states_follow_one_another_and_those_that_stay_are_one():
@@ -141,7 +142,7 @@ def test_no_line_is_drawn_over_a_time_without_answers():
 
 
 def test_a_tick_without_numbers_is_no_step():
-    tick = {"time_s": 1.0, "state": 4, "state_name": "fly"}
-    found = flights_of([("/supervisor", json.dumps(tick).encode())])
+    tick = Supervisor(time_s=1.0, state=4, state_name="fly")
+    found = flights_of([("/supervisor", msgspec.json.encode(tick))])
     assert found.course == Course((), (), 1.0)
     assert flights_of([]).course is None

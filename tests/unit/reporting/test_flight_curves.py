@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from alula.schemas.flight_samples import Commands, Moving
-from alula.schemas.flights import Flight, flights_of
+from alula.schemas.log.flights import Flight, flights_of
+from alula.schemas.log.samples import Commands, Moving
 from alula.stages.reporting.flight_curves import worst_flights
 from alula.stages.reporting.flight_figures import flight_figures
 from alula.stages.reporting.material import Material, Run
@@ -93,9 +93,9 @@ def test_a_log_tells_what_each_of_several_filters_did():
     for at, (first, second) in enumerate([("ok", "ok"), ("filtered", "ok"), ("filtered", "backup")]):
         found += [
             message("/state", time_s=0.1 * at, position_m=zero, velocity_m_s=zero),
-            message("/safety", time_s=0.1 * at, status_name=second),
-            message("/safety/dr-acbf", status_name=first),
-            message("/safety/shield", status_name=second),
+            message("/safety", time_s=0.1 * at, status=0, status_name=second),
+            message("/safety/dr-acbf", status=0, status_name=first),
+            message("/safety/shield", status=0, status_name=second),
         ]
     run = run_of(flights_of(found).by_trial[0])
     (curves,) = worst_flights(Material("t", (run,)))

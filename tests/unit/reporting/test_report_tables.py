@@ -9,7 +9,7 @@ import pytest
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import ObstacleResult
 from alula.stages.reporting import curves

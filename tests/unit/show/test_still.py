@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alula.schemas.flights import Flight
+from alula.schemas.log.flights import Flight
 from alula.stages.reporting.fenced import FenceShape
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.palette import BLUE, ORANGE, VERMILLION, run_color, themed

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.flights import Course, NewPlan
+from alula.schemas.log.flights import Course, NewPlan
 from alula.schemas.manifest import PlanPass
 from alula.stages import clearance
 from alula.stages.reporting.material import Run

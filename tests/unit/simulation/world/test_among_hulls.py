@@ -337,11 +337,10 @@ def test_the_log_shows_the_margin_in_metres_and_velocities(name, monkeypatch):
     nominal, command = flight.rows("nominal"), flight.rows("command")
     for i in range(0, len(nominal) - 1, 7):
         safety = dict(logged.messages(i, 0))["/safety"]
-        assert psi[0][i] - 0.1 - 0.02 <= safety["h_m"] <= psi[1][i] - 0.1 + 1e-4
-        assert "margin" not in safety
-        assert "margin_unit" not in safety
-        assert list(safety["u_nom_m_s"].values()) == pytest.approx(nominal[i].tolist(), abs=1e-6)
-        assert list(safety["u_safe_m_s"].values()) == pytest.approx(command[i, :3].tolist(), abs=1e-6)
+        assert psi[0][i] - 0.1 - 0.02 <= safety.h_m <= psi[1][i] - 0.1 + 1e-4
+        assert (safety.margin, safety.margin_unit) == (None, None)
+        assert list(safety.u_nom_m_s.tuple) == pytest.approx(nominal[i].tolist(), abs=1e-6)
+        assert list(safety.u_safe_m_s.tuple) == pytest.approx(command[i, :3].tolist(), abs=1e-6)
 
 
 def test_a_plan_through_a_block_is_held_off():

@@ -6,35 +6,31 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
-from alula.schemas.flight_samples import (
-    Bodies,
-    Commands,
-    Loose,
-    Moving,
-    Quaternion,
-    attitudes,
-    commands_of,
-    measured,
-    moving,
+from alula.schemas.log.channels import (
+    LINE_TOPIC,
+    MAP_TOPIC,
+    OBSTACLES_TOPIC,
+    PLAN_TOPIC,
+    SAFETY_TOPIC,
+    STATE_TOPIC,
+    SUPERVISOR_TOPIC,
+    Safety,
+    State,
+    Supervisor,
+    decoded,
 )
-from alula.schemas.mcap_log import entries, messages
+from alula.schemas.log.foxglove import Log, PosesInFrame, SceneUpdate, Time
+from alula.schemas.log.mcap import entries, messages
+from alula.schemas.log.samples import Commands, Moving, attitudes, commands_of, measured, moving
 from alula.schemas.run import open_log
 
-MAP_TOPIC = "/map"
-STATE_TOPIC = "/state"
-SAFETY_TOPIC = "/safety"
-SUPERVISOR_TOPIC = "/supervisor"
-LINE_TOPIC = "/log"
-OBSTACLES_TOPIC = "/obstacles"
-PLAN_TOPIC = "/plan"
+_READ = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, OBSTACLES_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC, PLAN_TOPIC)
+_MOST_OBSTACLES = 2**40
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,87 +122,6 @@ class Flights:
     course: Course | None = None
 
 
-_Active = Annotated[int, msgspec.Meta(ge=-1, le=2**40)]
-
-
-class _Vector(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-
-
-class _State(msgspec.Struct, gc=False):
-    trial: int
-    time_s: float
-    position_m: _Vector
-    velocity_m_s: _Vector
-    attitude: Quaternion | None = None
-
-
-class _Safety(msgspec.Struct, gc=False):
-    trial: int
-    time_s: float
-    h_m: float | None = None
-    margin: float | None = None
-    margin_unit: str | None = None  # absent among hulls, where h_m is the margin
-    fence_distance_m: float | None = None
-    moving_clearance_m: float | None = None
-    status_name: str = ""
-    active: _Active = -1
-    regulation: float | None = msgspec.field(default=None, name="lambda")
-    u_nom_m_s: Loose | None = None
-    u_safe_m_s: Loose | None = None
-    a_nom_m_s2: Loose | None = None
-    a_safe_m_s2: Loose | None = None
-
-
-class _Status(msgspec.Struct, gc=False):
-    trial: int
-    status_name: str = ""
-    active: _Active = -1
-
-
-class _Supervisor(msgspec.Struct, gc=False):
-    time_s: float
-    state_name: str
-    event_name: str = ""  # only a step has one
-    action_name: str = ""
-
-
-class _Stamp(msgspec.Struct, gc=False, frozen=True):
-    sec: int
-    nsec: int
-
-
-class _Line(msgspec.Struct, gc=False):
-    timestamp: _Stamp
-    level: int
-    message: str
-
-
-class _Pose(msgspec.Struct, gc=False):
-    position: _Vector
-
-
-class _Plan(msgspec.Struct):
-    timestamp: _Stamp
-    poses: list[_Pose]
-
-
-class _Pair(msgspec.Struct):
-    key: str
-    value: str
-
-
-class _Entity(msgspec.Struct):
-    timestamp: _Stamp = _Stamp(0, 0)
-    metadata: list[_Pair] = []
-
-
-class _Map(msgspec.Struct):
-    entities: list[_Entity] = []
-
-
 def read_flights(log: Path) -> Flights:
     """Read the flights in a run's log; none when it holds no states.
 
@@ -227,45 +142,38 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     Raises:
         ValueError: a time, position, velocity or margin is too large to be a measurement.
     """
-    states: dict[int, list[_State]] = {}
-    bodies: dict[int, dict[int, Bodies]] = {}  # by trial and number of the state
+    states: dict[int, list[State]] = {}
+    bodies: dict[int, dict[int, SceneUpdate]] = {}  # by trial and number of the state
     last = None
-    safety: dict[int, list[_Safety]] = {}
-    each: dict[int, dict[str, list[_Status]]] = {}
-    supervised: list[_Supervisor] = []
-    lines: list[_Line] = []
-    plans: list[_Plan] = []
-    hulls, start = None, _Stamp(0, 0)
-    decode_state = json_decoder(_State).decode
-    decode_safety = json_decoder(_Safety).decode
-    decode_supervisor = json_decoder(_Supervisor).decode
-    decode_line = json_decoder(_Line).decode
-    decode_bodies = json_decoder(Bodies).decode
-    decode_status = json_decoder(_Status).decode
-    decode_plan = json_decoder(_Plan).decode
+    safety: dict[int, list[Safety]] = {}
+    each: dict[int, dict[str, list[Safety]]] = {}
+    supervised: list[Supervisor] = []
+    lines: list[Log] = []
+    plans: list[PosesInFrame] = []
+    hulls, start = None, Time(0, 0)
     for topic, data in found:
-        if topic == STATE_TOPIC:
-            state = decode_state(data)
-            states.setdefault(state.trial, []).append(state)
-            last = state.trial
-        elif topic == OBSTACLES_TOPIC:
-            if last is not None:
-                bodies.setdefault(last, {})[len(states[last]) - 1] = decode_bodies(data)
-        elif topic == MAP_TOPIC:
-            shown = json_decoder(_Map).decode(data)
-            hulls, start = _hull_count(shown), _start(shown)
-        elif topic == SAFETY_TOPIC:
-            answer = decode_safety(data)
-            safety.setdefault(answer.trial, []).append(answer)
-        elif topic.startswith(f"{SAFETY_TOPIC}/"):
-            own = decode_status(data)
-            each.setdefault(own.trial, {}).setdefault(topic[len(SAFETY_TOPIC) + 1 :], []).append(own)
-        elif topic == SUPERVISOR_TOPIC:
-            supervised.append(decode_supervisor(data))
-        elif topic == LINE_TOPIC:
-            lines.append(decode_line(data))
-        elif topic == PLAN_TOPIC:
-            plans.append(decode_plan(data))
+        if topic not in _READ and not topic.startswith(f"{SAFETY_TOPIC}/"):
+            continue
+        message = decoded(topic, data)
+        if isinstance(message, State):
+            states.setdefault(message.trial, []).append(message)
+            last = message.trial
+        elif isinstance(message, Safety):
+            if topic == SAFETY_TOPIC:
+                safety.setdefault(message.trial, []).append(message)
+            else:
+                own = each.setdefault(message.trial, {})
+                own.setdefault(topic[len(SAFETY_TOPIC) + 1 :], []).append(message)
+        elif isinstance(message, Supervisor):
+            supervised.append(message)
+        elif isinstance(message, Log):
+            lines.append(message)
+        elif isinstance(message, PosesInFrame):
+            plans.append(message)
+        elif isinstance(message, SceneUpdate) and topic == MAP_TOPIC:
+            hulls, start = _hull_count(message), _start(message)
+        elif isinstance(message, SceneUpdate) and last is not None:
+            bodies.setdefault(last, {})[len(states[last]) - 1] = message
     flights = {
         trial: _flight(states[trial], safety.get(trial, []), bodies.get(trial, {}), each.get(trial, {}))
         for trial in sorted(states)
@@ -273,63 +181,54 @@ def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     return Flights(flights, hulls, _course(supervised, lines, plans, start) if supervised else None)
 
 
-def _start(message: _Map) -> _Stamp:
+def _start(message: SceneUpdate) -> Time:
     """Log time of the start of a flight: that of its map."""
-    return message.entities[0].timestamp if message.entities else _Stamp(0, 0)
+    return message.entities[0].timestamp if message.entities else Time(0, 0)
 
 
-def _since(start: _Stamp, at: _Stamp) -> float:
-    return at.sec - start.sec + 1e-9 * (at.nsec - start.nsec)
-
-
-def _course(supervised: list[_Supervisor], found: list[_Line], plans: list[_Plan], start: _Stamp) -> Course:
-    lines = tuple(Line(_since(start, line.timestamp), line.level, line.message) for line in found)
+def _course(supervised: list[Supervisor], found: list[Log], plans: list[PosesInFrame], start: Time) -> Course:
+    lines = tuple(Line(line.timestamp.since_s(start), line.level, line.message) for line in found)
     new = tuple(
         NewPlan(
-            _since(start, plan.timestamp),
-            measured("position", [(one.position.x, one.position.y, one.position.z) for one in plan.poses]),
+            plan.timestamp.since_s(start),
+            measured("position", [pose.position.tuple for pose in plan.poses], is_known=True),
         )
         for plan in plans
         if plan.timestamp != start and plan.poses  # else the plan before the flight
     )
     steps = tuple(
-        Step(one.time_s, one.state_name, one.event_name, one.action_name)
+        Step(one.time_s, one.state_name, one.event_name, one.action_name or "")
         for one in supervised
         if one.event_name
     )
     return Course(steps, lines, max(one.time_s for one in supervised), new)
 
 
-def _hull_count(message: _Map) -> int | None:
-    for entity in message.entities:
-        for pair in entity.metadata:
-            if pair.key == "hulls" and pair.value.isdecimal():
-                return int(pair.value)
-    return None
+def _hull_count(message: SceneUpdate) -> int | None:
+    counts = [count for entity in message.entities if (count := entity.count("hulls")) is not None]
+    return counts[0] if counts else None
 
 
 def _flight(
-    states: list[_State],
-    safety: list[_Safety],
-    bodies: dict[int, Bodies],
-    each: dict[str, list[_Status]],
+    states: list[State],
+    safety: list[Safety],
+    bodies: dict[int, SceneUpdate],
+    each: dict[str, list[Safety]],
 ) -> Flight:
     order = sorted(range(len(states)), key=lambda i: states[i].time_s)
     states = [states[i] for i in order]
-    safety.sort(key=lambda answer: answer.time_s)
-    position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
-    velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
+    safety.sort(key=lambda answer: answer.time_s or 0.0)
+    position = [state.position_m.tuple for state in states]
+    velocity = measured("velocity", [state.velocity_m_s.tuple for state in states], is_known=True)
     answered = {
         name: own for name, own in each.items() if len(own) == len(safety)
     }  # in the order of the answers
-    active = {name: [one.active for one in own] for name, own in answered.items()}
-    active = active or {"": [one.active for one in safety]}
-    square = np.square(measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
+    active = {name: _active(own) for name, own in answered.items()} or {"": _active(safety)}
     return Flight(
         time_s=measured("time", [state.time_s for state in states]),
-        position_world=measured("position", position).reshape(-1, 3),
-        speed_m_s=np.sqrt(square),
-        margin_time_s=measured("time", [answer.time_s for answer in safety]),
+        position_world=measured("position", position, is_known=True),
+        speed_m_s=np.sqrt(np.square(velocity).sum(axis=1)),
+        margin_time_s=measured("time", [answer.time_s for answer in safety], is_known=True),
         margin=measured("margin", [_margin(answer) for answer in safety]),
         margin_unit=_unit(safety[0]) if safety else "m",
         status=tuple(answer.status_name for answer in safety),
@@ -339,8 +238,16 @@ def _flight(
         moving=moving([bodies.get(i) for i in order]) if bodies else None,
         commands=commands_of(safety),
         each_status={name: tuple(one.status_name for one in own) for name, own in answered.items()},
-        active={name: np.array(numbers, np.int64) for name, numbers in active.items()},
+        active=active,
     )
+
+
+def _active(answers: list[Safety]) -> NDArray[np.int64]:
+    """Numbers of the obstacles that decide, -1 for none."""
+    found = [-1 if answer.active is None else answer.active for answer in answers]
+    if not all(-1 <= one <= _MOST_OBSTACLES for one in found):
+        raise ValueError("a number of an obstacle is out of range")
+    return np.array(found, np.int64)
 
 
 def _known(values: list[float | None]) -> NDArray[np.float64] | None:
@@ -348,14 +255,14 @@ def _known(values: list[float | None]) -> NDArray[np.float64] | None:
     return None if all(value is None for value in values) else measured("distance", values)
 
 
-def _margin(answer: _Safety) -> float | None:
+def _margin(answer: Safety) -> float | None:
     """The true clearance of moving obstacles, or else what the filter reported."""
     if answer.moving_clearance_m is not None:
         return answer.moving_clearance_m
     return answer.h_m if answer.margin_unit is None else answer.margin
 
 
-def _unit(answer: _Safety) -> str:
+def _unit(answer: Safety) -> str:
     return "m" if answer.moving_clearance_m is not None else answer.margin_unit or "m"
 
 

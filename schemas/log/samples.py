@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from alula.schemas.log.channels import Safety, State
+from alula.schemas.log.foxglove import SceneUpdate, SpherePrimitive, Vector3
 
 _LARGEST = 1e12  # [s], [m], [m/s]; larger values are no measurements, and no figure can show them
 
@@ -43,60 +45,7 @@ class Commands:
     quantity: str
 
 
-class Quaternion(msgspec.Struct, gc=False):
-    """Attitude in a log, body to world."""
-
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class Loose(msgspec.Struct, gc=False):
-    """A vector whose unknown components are null."""
-
-    x: float | None
-    y: float | None
-    z: float | None
-
-
-class _Pose(msgspec.Struct):
-    position: Loose
-
-
-class _Sphere(msgspec.Struct):
-    pose: _Pose
-    size: Loose
-
-
-class _Body(msgspec.Struct):
-    id: str = ""
-    spheres: list[_Sphere] = []
-
-
-class Bodies(msgspec.Struct):
-    """Moving obstacles and tracks in a log, as `foxglove.SceneUpdate`."""
-
-    entities: list[_Body] = []
-
-
-class _Stated(Protocol):
-    @property
-    def attitude(self) -> Quaternion | None: ...
-
-
-class _Answered(Protocol):
-    @property
-    def u_nom_m_s(self) -> Loose | None: ...
-    @property
-    def u_safe_m_s(self) -> Loose | None: ...
-    @property
-    def a_nom_m_s2(self) -> Loose | None: ...
-    @property
-    def a_safe_m_s2(self) -> Loose | None: ...
-
-
-def attitudes(states: Sequence[_Stated]) -> NDArray[np.float64] | None:
+def attitudes(states: Sequence[State]) -> NDArray[np.float64] | None:
     """Unit quaternions, the one before where a state has none; None when none has."""
     each = [state.attitude for state in states]
     if all(one is None for one in each):
@@ -110,7 +59,7 @@ def attitudes(states: Sequence[_Stated]) -> NDArray[np.float64] | None:
     return found
 
 
-def moving(each: list[Bodies | None]) -> Moving | None:
+def moving(each: list[SceneUpdate | None]) -> Moving | None:
     """Spheres of the entities `obstacles` and `tracks`, by state."""
     true = [_spheres(one, "obstacles") for one in each]
     tracks = [_spheres(one, "tracks") for one in each]
@@ -121,26 +70,23 @@ def moving(each: list[Bodies | None]) -> Moving | None:
     position, track, radius = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(most)
     for i, (bodies, seen) in enumerate(zip(true, tracks, strict=True)):
         for k, sphere in enumerate(bodies):
-            position[i, k] = _xyz(sphere.pose.position)
+            position[i, k] = sphere.pose.position.tuple
             radius[k] = max(radius[k], 0.5 * (sphere.size.x or 0.0))
         for k, sphere in enumerate(seen[:most]):
-            track[i, k] = _xyz(sphere.pose.position)
+            track[i, k] = sphere.pose.position.tuple
     return Moving(measured("position", position), measured("position", track), measured("size", radius))
 
 
-def _spheres(bodies: Bodies | None, name: str) -> list[_Sphere]:
+def _spheres(bodies: SceneUpdate | None, name: str) -> list[SpherePrimitive]:
     entities = bodies.entities if bodies is not None else []
     return [sphere for entity in entities if entity.id == name for sphere in entity.spheres]
 
 
-def _xyz(vector: Loose | None) -> tuple[float, float, float]:
-    if vector is None:
-        return np.nan, np.nan, np.nan
-    x, y, z = (np.nan if value is None else value for value in (vector.x, vector.y, vector.z))
-    return x, y, z
+def _xyz(vector: Vector3 | None) -> tuple[float, float, float]:
+    return (np.nan, np.nan, np.nan) if vector is None else vector.tuple
 
 
-def commands_of(safety: Sequence[_Answered]) -> Commands | None:
+def commands_of(safety: Sequence[Safety]) -> Commands | None:
     """Velocities if one of them is logged, else accelerations; None without either."""
     for quantity, each in (
         ("velocity [m/s]", [(a.u_nom_m_s, a.u_safe_m_s) for a in safety]),
@@ -152,9 +98,11 @@ def commands_of(safety: Sequence[_Answered]) -> Commands | None:
     return None
 
 
-def measured(name: str, values: Any) -> NDArray[np.float64]:
-    """Convert to an array, None to NaN; raise ValueError for values that are too large."""
+def measured(name: str, values: Any, *, is_known: bool = False) -> NDArray[np.float64]:
+    """Convert to an array, None to NaN; raise ValueError for values that are too large or must be known."""
     found = np.array(values, np.float64)
+    if is_known and not np.isfinite(found).all():
+        raise ValueError(f"a {name} is missing")
     if (np.abs(found) > _LARGEST).any():
         raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is too large to be measured")
     return found

@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
-from alula.schemas.flights import SAFETY_TOPIC, STATE_TOPIC
-from alula.schemas.mcap_log import messages
+from alula.schemas.log.channels import SAFETY_TOPIC, STATE_TOPIC, Safety, State, decoded
+from alula.schemas.log.foxglove import UPRIGHT
+from alula.schemas.log.mcap import messages
 from alula.schemas.run import open_log
 
 
@@ -45,38 +44,6 @@ class Ticks:
     status: tuple[str, ...]
 
 
-class _Vector(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-
-
-class _Attitude(msgspec.Struct, gc=False):
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class _State(msgspec.Struct, gc=False):
-    trial: int
-    time_s: float
-    position_m: _Vector
-    velocity_m_s: _Vector
-    attitude: _Attitude
-
-
-class _Answer(msgspec.Struct, gc=False, rename={"regulation": "lambda"}):
-    trial: int
-    time_s: float
-    throttle_safe: float
-    status_name: str
-    fence_distance_m: float | None = None
-    regulation: float | None = None
-    h_m: float | None = None
-    throttle_nom: float | None = None
-
-
 def read_ticks(log: Path) -> dict[int, Ticks]:
     """Read the flights in a geofence run's log, by trial.
 
@@ -84,44 +51,42 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or states and messages of the filter have different times.
     """
-    states: dict[int, list[_State]] = {}
-    answers: dict[int, list[_Answer]] = {}
-    decode_state = json_decoder(_State).decode
-    decode_answer = json_decoder(_Answer).decode
+    states: dict[int, list[State]] = {}
+    answers: dict[int, list[Safety]] = {}
     with open_log(log) as file:
         for topic, data in messages(file, (STATE_TOPIC, SAFETY_TOPIC)):
-            if topic == STATE_TOPIC:
-                state = decode_state(data)
-                states.setdefault(state.trial, []).append(state)
-            else:
-                answer = decode_answer(data)
-                if answer.fence_distance_m is None:
+            message = decoded(topic, data)
+            if isinstance(message, State):
+                states.setdefault(message.trial, []).append(message)
+            elif isinstance(message, Safety):
+                if message.fence_distance_m is None:
                     raise DamagedError(f"{log}: a message of the filter has no distance to a fence")
-                answers.setdefault(answer.trial, []).append(answer)
+                answers.setdefault(message.trial, []).append(message)
     if {k: len(v) for k, v in states.items()} != {k: len(v) for k, v in answers.items()}:
         raise DamagedError(f"{log}: its states and the messages of the filter have different times")
     return {trial: _ticks(states[trial], answers[trial]) for trial in sorted(states)}
 
 
-def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
+def _ticks(states: list[State], answers: list[Safety]) -> Ticks:
     states.sort(key=lambda state: state.time_s)
-    answers.sort(key=lambda answer: answer.time_s)
-    states, answers = states[:-1], answers[:-1]  # the log ends with the end of the flight, which is no tick
+    answers.sort(key=lambda answer: answer.time_s or 0.0)
+    states, answers = states[:-1], answers[:-1]  # the last is the end of the flight, which is no tick
 
     def known(values: list[float | None]) -> FloatArray:
         return np.array(values, np.float64)  # None becomes NaN
 
-    upright = [1 - 2 * (s.attitude.x**2 + s.attitude.y**2) for s in states]
+    turns = [UPRIGHT if state.attitude is None else state.attitude for state in states]
+    upright = [1 - 2 * (turn.x**2 + turn.y**2) for turn in turns]
     return Ticks(
         time_s=np.array([s.time_s for s in states]),
-        position=np.array([(s.position_m.x, s.position_m.y, s.position_m.z) for s in states]),
-        velocity=np.array([(s.velocity_m_s.x, s.velocity_m_s.y, s.velocity_m_s.z) for s in states]),
+        position=np.array([s.position_m.tuple for s in states]),
+        velocity=np.array([s.velocity_m_s.tuple for s in states]),
         tilt_rad=np.array([math.acos(max(-1.0, min(1.0, c))) for c in upright]),
         regulation=known([a.regulation for a in answers]),
         h_i_m=known([a.h_m for a in answers]),
         distance_m=known([a.fence_distance_m for a in answers]),
         throttle=np.stack(
-            [known([a.throttle_nom for a in answers]), [a.throttle_safe for a in answers]], axis=1
+            [known([a.throttle_nom for a in answers]), known([a.throttle_safe for a in answers])], axis=1
         ),
         status=tuple(a.status_name for a in answers),
     )

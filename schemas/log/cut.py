@@ -13,9 +13,10 @@ import msgspec
 
 from alula.schemas.decode import decode_json, json_decoder
 from alula.schemas.errors import ArtifactError, DamagedError
-from alula.schemas.flights import Flights, flights_of, read_flights
+from alula.schemas.log.channels import SUPERVISOR_TOPIC, Supervisor
+from alula.schemas.log.flights import Flights, flights_of, read_flights
+from alula.schemas.log.mcap import entries
 from alula.schemas.manifest import Guarantee
-from alula.schemas.mcap_log import entries
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import (
     FLIGHT_METADATA,
@@ -40,11 +41,6 @@ class LoggedRun:
     record: RunRecord
     flights: Flights
     damage: str = ""
-
-
-class _Supervisor(msgspec.Struct):
-    time_s: float
-    state_name: str
 
 
 def read_logged(log: Path) -> LoggedRun:
@@ -85,8 +81,8 @@ def salvage_run(log: Path) -> LoggedRun | None:
     try:
         provenance = decode_json(head["provenance"].encode(), Provenance)
         flights = flights_of(messages)
-        decode = json_decoder(_Supervisor).decode
-        ticks = [decode(data) for topic, data in messages if topic == "/supervisor"]
+        decode = json_decoder(Supervisor).decode
+        ticks = [decode(data) for topic, data in messages if topic == SUPERVISOR_TOPIC]
     except (KeyError, ValueError, RecursionError, msgspec.MsgspecError):
         return None
     ended = (
