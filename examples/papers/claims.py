@@ -130,6 +130,15 @@ class Paper:
             raise InputError(f"{self.name}: {name!r} is the row of no claim")
         return self.known[name]
 
+    def limit(self, name: str) -> float:
+        """The number that a row's verdict needs.
+
+        Raises:
+            InputError: no row has this name.
+        """
+        (limit,) = self.row(name)[1].limits
+        return limit
+
 
 def row_id(claim: Claim, row: Row) -> str:
     """Name of a row in its paper."""

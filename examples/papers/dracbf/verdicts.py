@@ -22,7 +22,7 @@ from papers.claims import shown
 from papers.compared import VERDICTS, File, Measured, Verdict, measured
 from papers.dracbf.analysis import collapse_cells, has_collapsed, stop
 from papers.dracbf.cells import HARDWARE
-from papers.dracbf.difficulty import crossing, levels, mean_success, paired
+from papers.dracbf.difficulty import PUBLISHED, crossing, levels, mean_success, paired
 from papers.dracbf.tables import (
     BASE,
     SWEEP,
@@ -34,6 +34,7 @@ from papers.dracbf.tables import (
     success,
 )
 from papers.papers import DRACBF
+from papers.published import DRACBF as PUBLISHED_BY_VARIANT
 from papers.published import DRACBF_PRINTED
 from papers.verdicts import above, holds, settings, stated
 
@@ -50,7 +51,6 @@ _TIMED = {
 }
 _TIMES = File("times.json")
 _RECORDED = 1e-6  # relative difference of a recorded setting to the printed one
-_LOWEST = 77.6  # success in Table II below which a printed equation is refuted [%]
 
 
 def verdict_rows(flown: Sequence[Flown], times: Times) -> list[Measured]:
@@ -113,8 +113,10 @@ def _missing(row: str) -> Measured:
     return measured(row, "not available here", why="not flown in this run")
 
 
-def _limit(row: str) -> float:
-    return DRACBF.row(row)[1].limits[0]
+def _printed_saving(method: str) -> float:
+    """Fraction of computing time that DR-ACBF saves against a method in Table I."""
+    ours, theirs = (DRACBF_PRINTED["table-1"][name]["t_cp"][0] for name in (BASE, method))
+    return float(1 - ours / theirs)
 
 
 def _settings() -> list[Measured]:
@@ -167,8 +169,10 @@ def _flown_settings(flown: Sequence[Flown]) -> list[Measured]:
 
 
 def _claims(flown: Sequence[Flown], times: Times) -> list[Measured]:
-    rows = [_saved("saved-qp", times, "general_qp_tick")]
-    rows += [_saved(f"saved-{n}", times, f"{n.replace('-', '_')}_tick") for n in ("rp-cbf", "cbf-qp", "mpc")]
+    rows = [_saved("saved-qp", times, "general_qp_tick", DRACBF.limit("saved-qp"))]
+    for name in ("rp-cbf", "cbf-qp", "mpc"):
+        key = f"{name.replace('-', '_')}_tick"
+        rows.append(_saved(f"saved-{name}", times, key, _printed_saving(name)))
     base = find(flown, "scenario-1", BASE)
     others = [f for name in ("mpc", "cbf-qp", "rp-cbf") if (f := find(flown, "scenario-1", name)) is not None]
     if base is not None and others:
@@ -179,12 +183,11 @@ def _claims(flown: Sequence[Flown], times: Times) -> list[Measured]:
     return [*rows, *stated(DRACBF, "figures-1-2")]
 
 
-def _saved(row: str, times: Times, key: str) -> Measured:
+def _saved(row: str, times: Times, key: str, published: float) -> Measured:
     """Judge a fraction of computing time saved: refuted when the interval lies below the published one."""
     found = times.get("saved", {}).get(key)
     if found is None or found["value"] is None:
         return _missing(row)
-    published = _limit(row)
     value, low, high = (None if found[k] is None else 100 * found[k] for k in ("value", "low", "high"))
     verdict: Verdict = "reproduced"
     if low is None or high is None:
@@ -205,6 +208,7 @@ def _equations(flown: Sequence[Flown]) -> list[Measured]:
         measured("invariance", "refuted", percent=100 * undershoot / (limit * horizon), fast_m=fast),
         *stated(DRACBF, "cantelli", "envelope/differentiator", "trigger", "southwell/reaches"),
     ]
+    printed = DRACBF_PRINTED["table-1"][BASE]["s"][2]
     for claim, variant in (
         ("risk-shares", "eq-19"),
         ("envelope", "eq-24"),
@@ -219,8 +223,8 @@ def _equations(flown: Sequence[Flown]) -> list[Measured]:
                 continue
             now, gap = success(f), paired(f, reference)
             low, high = now.ends
-            is_same = scenario == "scenario-1" and low <= _limit(row) <= high
-            verdict = "refuted" if (now.value or 0.0) < _LOWEST else holds(is_same, "bounded")
+            is_same = scenario == "scenario-1" and low <= printed <= high
+            verdict = "refuted" if (now.value or 0.0) < PUBLISHED[0] else holds(is_same, "bounded")
             apart = {} if gap is None else {"gap": gap.value, "gap_low": gap.low, "gap_high": gap.high}
             rows.append(measured(row, verdict, [f, reference], now, value=now.value, **apart))
     return rows
@@ -246,8 +250,8 @@ def _success(row: str, f: Flown, obstacle: int | None) -> Measured:
     now = _of_obstacles(f) if obstacle is None else success(f, obstacle)
     low, high = now.ends
     verdict: Verdict = "reproduced"
-    if not low <= _limit(row) <= high:
-        verdict = "not comparable" if _limit(row) < low else "refuted"
+    if not low <= DRACBF.limit(row) <= high:
+        verdict = "not comparable" if DRACBF.limit(row) < low else "refuted"
     return measured(row, verdict, [f], now, value=now.value)
 
 
@@ -264,7 +268,7 @@ def _mean(row: str, f: Flown, get: _Get, obstacle: int | None, published: float)
 
 def _reaction(row: str, f: Flown, obstacle: int | None) -> Measured:
     """Judge a reaction time: simulated time to the end of the first tick with another command."""
-    dt, published = f.dt_s, _limit(row)
+    dt, published = f.dt_s, DRACBF.limit(row)
 
     def reaction(m: ObstacleResult) -> float | None:
         return None if m.reaction_s is None else 1e3 * (round(m.reaction_s / dt) + 1) * dt
@@ -295,7 +299,7 @@ def _cell(row: str, f: Flown, obstacle: int | None) -> Measured:
         mean, std = (milli(f.timing(f"filter_{key}_s")) for key in ("mean", "std"))
         return measured(row, "not comparable", [f], value=mean, std=std)
     gets: dict[str, _Get] = {"v_cl": lambda m: m.closing_m_s, "d_s": lambda m: m.separation_m}
-    return _mean(row, f, gets[symbol], obstacle, _limit(row))
+    return _mean(row, f, gets[symbol], obstacle, DRACBF.limit(row))
 
 
 _OBSTACLES = {"1": 0, "2": 1, "mean": None}
@@ -338,7 +342,7 @@ def _table_2(flown: Sequence[Flown]) -> list[Measured]:
         names = [f"table-2/{name}/{symbol}" for symbol in (order if f is not None else (*_EACH, "t_cp"))]
         rows += [_missing(row) if f is None else _cell(row, f, None) for row in names]
     detection = [level for level in levels(flown) if level.axis == "detection"]
-    published = _limit("difficulty")
+    published = DRACBF_PRINTED["table-2"][BASE]["values"][0]
     at = crossing(detection, BASE, published) if detection else None
     if at is not None:
         near = min(detection, key=lambda level: abs(mean_success(level.runs[BASE]) - published))
@@ -350,7 +354,7 @@ def _table_2(flown: Sequence[Flown]) -> list[Measured]:
         lowest = min(sweep, key=mean_success)
         now = _of_obstacles(lowest)
         row = "every-configuration"
-        verdict = above(now, _limit(row), "bounded")
+        verdict = above(now, PUBLISHED[0], "bounded")
         rows.append(measured(row, verdict, sweep, now, value=now.value, lowest=lowest.variant))
         rows.append(_over_sweep("steady-reaction", sweep, lambda m: m.reaction_s, 1e3))
         rows.append(_over_sweep("steady-separation", sweep, lambda m: m.separation_m, 1.0))
@@ -416,7 +420,9 @@ def _table_3(flown: Sequence[Flown]) -> list[Measured]:
 
 
 def _projection(flown: Sequence[Flown], times: Times) -> list[Measured]:
-    rows = [_saved("projection-time", times, "general_qp_tick"), *stated(DRACBF, "projection-command")]
+    ours_ms, qp_ms = (PUBLISHED_BY_VARIANT["solver"][f"dr-acbf-{name}"]["tick"] for name in ("gs", "qp"))
+    saved = 1 - ours_ms / qp_ms
+    rows = [_saved("projection-time", times, "general_qp_tick", saved), *stated(DRACBF, "projection-command")]
     ours, other = (find(flown, "scenario-2", name) for name in ("dr-acbf-gs", "dr-acbf-qp"))
     gap = None if ours is None or other is None else paired(ours, other)
     if gap is not None and gap.low is not None and gap.high is not None:
@@ -442,7 +448,7 @@ def _hardware(flown: Sequence[Flown]) -> list[Measured]:
         rows += stated(DRACBF, f"hardware/{key}/t_r", f"hardware/{key}/t_cm")
         if f is not None:
             row, now = f"hardware/{key}/safe", success(f, i)
-            verdict: Verdict = "bounded" if now.ends[1] >= _limit(row) else "refuted"
+            verdict: Verdict = "bounded" if now.ends[1] >= DRACBF.limit(row) else "refuted"
             rows.append(measured(row, verdict, [f], now, value=now.value))
     return [*rows, *stated(DRACBF, "hardware-setup")]
 

@@ -14,6 +14,7 @@ from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import Table
 from alula.stages.verdict import wilson_interval
+from papers import published
 from papers.compared import Measured, Verdict, measured
 from papers.fastbridge.sweeps import (
     Sweep,
@@ -57,6 +58,7 @@ _SAFE = {
     **dict.fromkeys(("cone-ecbf", "cone-ecbf-tuned"), "no-collision"),
     "printed-ecbf-14-clf": "no-collision-printed",
 }
+_PRINTED = published.FASTBRIDGE["comparison"]
 _FILTER_HZ = 30
 
 
@@ -232,15 +234,11 @@ def _slow(here: Sequence[Sweep]) -> list[Measured]:
     ]
 
 
-def _limits_of(row: str) -> list[float]:
-    return FASTBRIDGE.row(row)[1].limits
-
-
 def _comparison(here: Sequence[Sweep]) -> list[Measured]:
     rows = []
     if flown := _runs(here, ["cone-ecbf"]):
         ends = [end(s.speed_m_s for s in flown) for end in (min, max)]
-        verdict = holds(ends == _limits_of("sweep"), "not comparable")
+        verdict = holds(ends == FASTBRIDGE.row("sweep")[1].limits, "not comparable")
         rows.append(measured("sweep", verdict, flown, slowest=ends[0], fastest=ends[1], speeds=len(flown)))
     for pair, whose in _WHOSE.items():
         speeds = speeds_of(here, here[0].scene, pair) if here else []
@@ -249,12 +247,15 @@ def _comparison(here: Sequence[Sweep]) -> list[Measured]:
         ours, theirs = ([s for w in speeds if (s := find(here, here[0].scene, v, w))] for v in pair)
         found = compare(ours, theirs)
         of, at = [*ours, *theirs], ", ".join(f"{w:g}" for w in speeds)
-        for row, ratio in (("mean-jerk", found.mean_jerk), ("max-jerk", found.max_jerk)):
+        for row, ratio, key in (
+            ("mean-jerk", found.mean_jerk, "mean_jerk_ratio"),
+            ("max-jerk", found.max_jerk, "max_jerk_ratio"),
+        ):
             if ratio is not None:
-                verdict = below(ratio, *_limits_of(row))
+                verdict = below(ratio, _PRINTED[key])
                 rows.append(measured(row, verdict, of, ratio, value=ratio.value, whose=whose, speeds=at))
         if found.filter_time:
-            verdict = _time_verdict(found.filter_time, *_limits_of("filter-time"))
+            verdict = _time_verdict(found.filter_time, _PRINTED["time_ratio"])
             rows.append(measured("filter-time", verdict, of, value=found.filter_time, whose=whose))
     return rows
 

@@ -20,7 +20,7 @@ PUSH = 2.0  # the constant command of the paper [rad/s^2]
 MICRO = " [us]"
 SOLVER = "solver "
 FILE = File("pendulum.json")  # of the times
-_CALM = 1.0  # maximum chatter of a calm flight [rad/s^2 per s]
+CALM = 1.0  # maximum chatter of a calm flight [rad/s^2 per s]
 _ARRIVED = 0.95  # of the largest angle
 _TAIL = 1 / 3  # last part of a flight, at the boundary
 
@@ -191,12 +191,12 @@ def gains_in_short(swings: Sequence[Swing]) -> str:
     tick = min((s.tick_s for s in swings), default=0.0)
     for rule in (REGULATION, PROGRAM):
         here = [s for s in swings if s.rule == rule and s.tick_s == tick and s.arrival_s is not None]
-        calm = [s for s in here if s.chatter < _CALM]
+        calm = [s for s in here if s.chatter < CALM]
         calmest = min(here, key=lambda s: s.chatter, default=None)
         if calmest is None:
             continue
         words.append(
-            f"{rule}: chatter below {_CALM:g} rad/s² per s at {len(calm)} of {len(here)} gains, minimum "
+            f"{rule}: chatter below {CALM:g} rad/s² per s at {len(calm)} of {len(here)} gains, minimum "
             f"{text(calmest.chatter)} at {GAIN[rule]} {calmest.gain:g}, settled at "
             f"{text(calmest.settled_rad)} rad"
         )

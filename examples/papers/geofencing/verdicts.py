@@ -10,8 +10,9 @@ import numpy as np
 from alula.schemas.filter_options import GeofenceParameters
 from alula.schemas.log.fence_ticks import Ticks
 from alula.stages.reporting.statistics import difference_estimate, rate
-from papers.compared import Measured, Source, measured
-from papers.geofencing.pendulum import FILE, MICRO, PROGRAM, REGULATION, SOLVER, Swing
+from papers import published
+from papers.compared import Measured, Source, Verdict, measured
+from papers.geofencing.pendulum import CALM, FILE, MICRO, PROGRAM, REGULATION, SOLVER, Swing
 from papers.geofencing.tables import (
     BASE,
     KM_H,
@@ -28,7 +29,6 @@ from papers.verdicts import above, close, holds, settings, stated
 _SAME = 0.05  # relative difference up to which a simulated value counts as reproduced
 _SAME_AS_FLIGHT = 0.1
 _REST_M_S = 0.1
-_CHATTER = 1.0  # [rad/s^2 per s] below it the pendulum's input is smooth
 
 
 def paper_rows(
@@ -73,7 +73,7 @@ def _settings() -> list[Measured]:
     ]
 
 
-def _left(row: str, runs: Sequence[Fenced], kept: Any) -> Measured:
+def _left(row: str, runs: Sequence[Fenced], kept: Verdict) -> Measured:
     """A statement that no flight leaves its fence: `kept` where none does."""
     out = [trial.collision for run in runs for trial in run.record.trials]
     return measured(row, kept if not any(out) else "refuted", runs, rate(out), left=sum(out), of=len(out))
@@ -85,16 +85,12 @@ def _first(runs: Sequence[Fenced], scenario: str, variant: str) -> tuple[Fenced,
     return None if run is None or found is None or run.ticks is None else (run, found, run.ticks)
 
 
-def _limit(row: str) -> float:
-    return GEOFENCING.row(row)[1].limits[0]
-
-
 def _claims(runs: Sequence[Fenced]) -> list[Measured]:
     kept = [run for run in select(runs, "wall") if run.record.filter == BASE and not run.left.value]
     held = [KM_H * max(trial.max_speed_m_s for trial in run.record.trials) for run in kept]
     if not held:
         return []
-    fast = sum(speed > _limit("speed") for speed in held)
+    fast = sum(speed > GEOFENCING.limit("speed") for speed in held)
     words = {"slowest": min(held), "fastest": max(held), "fast": fast, "of": len(held)}
     return [measured("speed", holds(fast > 0), kept, **words), *stated(GEOFENCING, "weight", "figures-1-2")]
 
@@ -139,12 +135,12 @@ def _pendulum(swings: Sequence[Swing], measured_times: Mapping[str, Any]) -> lis
     regulated, solved = ([s for s in arrived if s.rule == rule] for rule in (REGULATION, PROGRAM))
     if not regulated or not solved:
         return rows
-    smooth = [s for s in regulated if s.chatter < _CHATTER]
-    rough = sum(s.chatter >= _CHATTER for s in solved)
+    rough = sum(s.chatter >= CALM for s in solved)
+    smooth = [s for s in regulated if s.chatter < CALM]
     settled = max((s.settled_rad for s in smooth), default=None)
     return [
         *rows,
-        measured("oscillation", holds(rough > 0), rough=rough, of=len(solved), **_chatter(solved)),
+        measured("oscillation", holds(rough > 0), rough=rough, of=len(solved), calm=CALM, **_chatter(solved)),
         measured(
             "no-oscillation",
             holds(len(smooth) == len(regulated)),
@@ -170,11 +166,13 @@ def _wall(runs: Sequence[Fenced]) -> list[Measured]:
     beside = (_first(runs, "wall", name) for name in ("from-36", "from-40"))
     slower = [[b.braking_m + r.radius_m, b.peak_km_h] for r, b, _ in filter(None, beside)]
 
-    def same(row: str, values: Sequence[float], limit: float = _SAME) -> Any:
-        return holds(any(close(value, _limit(row), limit) for value in values), "not comparable")
+    printed, steep = published.GEOFENCING["wall"], GEOFENCING.limit("flown-tilt")
+
+    def same(of: str, key: str, values: Sequence[float], limit: float = _SAME) -> Verdict:
+        return holds(any(close(value, printed[of][key], limit) for value in values), "not comparable")
 
     return [
-        measured("simulated-peak", same("simulated-peak", [peak]), [run], peak_km_h=peak),
+        measured("simulated-peak", same("simulation", "peak_km_h", [peak]), [run], peak_km_h=peak),
         measured(
             "simulated-minimum",
             "bounded" if a.least_m >= 0 else "refuted",
@@ -182,14 +180,14 @@ def _wall(runs: Sequence[Fenced]) -> list[Measured]:
             centre_m=centre,
             least_m=a.least_m,
         ),
-        measured("flown-peak", same("flown-peak", [peak], _SAME_AS_FLIGHT), [run], peak_km_h=peak),
+        measured("flown-peak", same("flight", "peak_km_h", [peak], _SAME_AS_FLIGHT), [run], peak_km_h=peak),
         measured(
             "flown-braking",
-            same("flown-braking", [distance for distance, _ in slower]),
+            same("flight", "braking_m", [distance for distance, _ in slower]),
             [find(runs, "wall", "from-36"), run],
             braking=slower,
         ),
-        measured("flown-tilt", holds(a.tilt_deg > _limit("flown-tilt")), [run], tilt_deg=a.tilt_deg),
+        measured("flown-tilt", holds(a.tilt_deg > steep), [run], tilt_deg=a.tilt_deg),
         measured("flown-minimum", "not comparable", [run], centre_m=centre),
         *stated(GEOFENCING, "flown-rates"),
     ]
@@ -221,7 +219,7 @@ def _fall(runs: Sequence[Fenced]) -> list[Measured]:
     ]
     if drag is not None:
         less = a.peak_km_h - drag[1].peak_km_h
-        verdict: Any = "not comparable" if less > 0 else "refuted"
+        verdict: Verdict = "not comparable" if less > 0 else "refuted"
         rows.append(measured("drag", verdict, [run, drag[0]], less_km_h=less))
     return rows
 

@@ -115,7 +115,7 @@ def _sizes(scenes: Sequence[SceneMaps]) -> list[Measured]:
             outside: Verdict = "better" if max(each) < min(printed) else "refuted"
             rows.append(_over(row, holds(overlap, outside), found, each))
     each = [1.0 * m.onboard_bytes / m.half_planes for m in maps if m.onboard_bytes]
-    limit = POLYMERGE.row("bytes-per-plane")[1].limits[0]
+    limit = POLYMERGE.limit("bytes-per-plane")
     return [*rows, _over("bytes-per-plane", "better" if max(each) < limit else "refuted", maps, each)]
 
 
@@ -217,7 +217,7 @@ def _figure_5(scene: str, here: dict[str, Flights]) -> list[Measured]:
         made_of, words = _files("figure-5", ours, theirs), {"scene": scene, "method": method}
         ratio = time_ratio(theirs, ours) if method.startswith(SAFER) else None
         if ratio is not None:
-            limit = POLYMERGE.row("figure-5a")[1].limits[0]
+            limit = POLYMERGE.limit("figure-5a")
             high, low = (ratio.value if end is None else end for end in (ratio.high, ratio.low))
             verdict: Verdict = "refuted" if high < limit else "better" if low > limit else "reproduced"
             us = {"theirs_us": theirs.filter_us, "ours_us": ours.filter_us}
