@@ -132,7 +132,7 @@ def _check_paths(given: Mapping[str, Any], filters: list[str] | None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
+class Trials:
     """All that the trials of a scenario depend on.
 
     Attributes:
@@ -154,7 +154,7 @@ class Mission:
     pairs_run: RunRecord | None = None
 
     @classmethod
-    def of(cls, scenario: WorldScenario, source: Path) -> Mission:
+    def of(cls, scenario: WorldScenario, source: Path) -> Trials:
         """Read what the scenario names besides maps.
 
         Args:

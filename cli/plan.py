@@ -81,11 +81,11 @@ def command(
     MAP is a cover, a scene or an onboard map (.bin); with --scene the plan keeps away from both. Without a
     path exit code 5 says which radius would pass, and where the narrowest place is.
     """
-    from alula.cli.verbs.plan import Given, plan
+    from alula.cli.verbs.plan import PlanInputs, plan
     from alula.cli.verbs.verb import run_step
 
     if count is not None:
-        given = Given.of(map_path, scene, vehicle_name, mission, within, fields)
+        given = PlanInputs.of(map_path, scene, vehicle_name, mission, within, fields)
         found, space = given.free_points(count, seed=common.seed, jobs=common.jobs)
         if common.json:
             print_json({"points_m": found.tolist(), "radius_m": space.keep_m, "frame": space.frame})

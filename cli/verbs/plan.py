@@ -56,7 +56,7 @@ def plan(
         InfeasibleError: there is no path; the message says which radius would pass.
         UsageError: start or goal is missing, or parameters contradict one another.
     """
-    given = Given.of(map, scene, vehicle, mission, within, fields)
+    given = PlanInputs.of(map, scene, vehicle, mission, within, fields)
     config = given.config
     if config.start is None or config.goal is None:
         raise UsageError("--start and --goal are needed; alula plan MAP --free-points 6 prints free points")
@@ -78,7 +78,7 @@ def plan(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Given:
+class PlanInputs:
     """What a plan is made from.
 
     Attributes:
@@ -104,7 +104,7 @@ class Given:
         mission: str | Path | None,
         within: Source | None,
         fields: Mapping[str, Any],
-    ) -> Given:
+    ) -> PlanInputs:
         """Check what goes together; maps are read later.
 
         Args:

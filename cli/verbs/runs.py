@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from alula.cli import runner
-from alula.cli.missions import Mission
+from alula.cli.missions import Trials
 from alula.cli.run_files import check_log_name, write_run
 from alula.cli.verbs.display import table
 from alula.cli.verbs.results import File, Result, on_disk
@@ -39,7 +39,7 @@ class Flown:
         inputs: files and results by role.
     """
 
-    mission: Mission
+    mission: Trials
     flights: WorldRun
     timing: dict[str, Any]
     maps: Mapping[str, Artifact]

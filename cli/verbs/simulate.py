@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli.missions import MAPS, Mission, names_of, scenario_of
+from alula.cli.missions import MAPS, Trials, names_of, scenario_of
 from alula.cli.sources import read_tiles_of
 from alula.cli.verbs.results import File, Result, Source, on_disk
 from alula.cli.verbs.runs import Flown, Run
@@ -101,7 +101,7 @@ def simulate(
             seed=seed,
             given=_settings(settings or {}),
         )
-        mission = Mission.of(scenario, path)
+        mission = Trials.of(scenario, path)
         tiles = read_tiles_of(mission.paths, None if key is None else Path(key))
         inputs: dict[str, Result | Run | File] = {
             role: given[role] if role in given else File.at(file) for role, file in mission.paths.items()
@@ -125,7 +125,7 @@ class Flights:
         jobs: threads; 0 is all processors.
     """
 
-    mission: Mission
+    mission: Trials
     source: Path
     tiles: TileFiles | None
     inputs: Mapping[str, Result | Run | File]
