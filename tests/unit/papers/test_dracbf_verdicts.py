@@ -115,6 +115,14 @@ def test_the_reaction_of_rp_cbf_is_refuted_when_its_first_command_differs():
     assert (row.published, row.ours, row.verdict) == ("59.83 ms", "10 ms", "refuted")
 
 
+def test_without_a_warning_no_reaction_is_judged():
+    run = flown("scenario-1", "dr-acbf", [trial(i, [met(warned=None), met(warned=None)]) for i in range(20)])
+    rows = [row for row in rows_of([run], {}) if row.quantity.startswith("t_r, DR-ACBF, ")]
+    assert [(row.verdict, row.ours) for row in rows if "deviation" not in row.quantity] == [
+        ("not available here", "")
+    ] * 3
+
+
 def test_the_closed_form_is_never_below_and_64_samples_are():
     ours, few = dracbf_warning.errors(0.1, 0.3, count=30)
     assert len(ours) > 8
