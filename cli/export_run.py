@@ -29,8 +29,7 @@ def export_bag(log: Path, common: Common) -> None:
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_folder
     from alula.schemas.extras import require
-    from alula.schemas.log.mcap import timed_messages
-    from alula.schemas.run import open_log
+    from alula.schemas.log.mcap import open_log, timed_messages
     from alula.stages.export.rosbag import METADATA, count_bag, write_bag
 
     require("rosbags")
@@ -105,8 +104,8 @@ def export_layout(log: Path | None, common: Common) -> None:
     from alula.cli.runner import run
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import UsageError
-    from alula.schemas.log.mcap import messages
-    from alula.schemas.run import open_log, read_run
+    from alula.schemas.log.mcap import messages, open_log
+    from alula.schemas.run import read_run
     from alula.stages.export.foxglove_layout import contents, foxglove_layout
 
     if common.output.suffix.lower() != ".json":

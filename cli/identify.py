@@ -108,13 +108,12 @@ def _identify(
     config: IdentifyConfig, guess: Vehicle, link: Link, provenance: Provenance, common: options.Common
 ) -> None:
     """Fly, fit and write."""
-    from alula.schemas.log.foxglove import SceneUpdate
+    from alula.schemas.log.foxglove import INFO, SceneUpdate
     from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.recorder.channels import FlightHead
     from alula.stages.flight.recorder.log import FlightRecorder
-    from alula.stages.flight.recorder.samples import INFO
     from alula.stages.identification.survey import (
         make_step_flight,
         make_step_guard,

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self
+from typing import Any, Literal, Self
 
 import msgspec
 
 from alula.schemas import contents
 from alula.schemas.contents import FenceSummary, RunParameters, RunSummary
 from alula.schemas.decode import MalformedError, decode_json
-from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
-from alula.schemas.files import check_no_stream, what_it_is
-from alula.schemas.log.mcap import MAGIC, metadata
+from alula.schemas.errors import ArtifactError, DamagedError, InputError
+from alula.schemas.files import check_no_stream
+from alula.schemas.log.mcap import metadata, open_log
 from alula.schemas.manifest import VERSION, Guarantee, Vector
 from alula.schemas.provenance import RUN_METADATA, Provenance
 
@@ -349,36 +347,6 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 def record_path(log: Path) -> Path:
     """Path of the record beside a log: R.run.json for R.run.mcap."""
     return log.with_suffix(".json")
-
-
-@contextmanager
-def open_log(log: Path) -> Iterator[BinaryIO]:
-    """Open an MCAP log; any other error of its reader or codecs within the block means that it is damaged.
-
-    Raises:
-        InputError: the log cannot be read.
-        ArtifactError: it is not an MCAP log.
-        DamagedError: truncated or corrupt.
-    """
-    if log.is_dir():
-        raise InputError(f"{log}: is a folder, not a run")
-    check_no_stream(log)
-    try:
-        with log.open("rb") as file:
-            magic = file.read(8)
-            if not magic:
-                raise ArtifactError(f"{log}: is empty")
-            if magic != MAGIC:
-                raise ArtifactError(f"{log}: is not an MCAP log{what_it_is(log)}")
-            file.seek(0)
-            yield file
-    except AlulaError:
-        raise
-    except OSError as error:
-        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
-    except Exception as error:
-        what = str(error) or type(error).__name__
-        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({what})") from error
 
 
 def read_run(log: Path) -> RunRecord:

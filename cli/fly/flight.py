@@ -150,7 +150,7 @@ def fly(
 
 def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
     """Report what the link found at its end: parameters that could not be restored, and their values."""
-    from alula.stages.flight.recorder.samples import WARNING
+    from alula.schemas.log.foxglove import WARNING
 
     for text in link.status.texts:
         recorder.say(time_s, WARNING, f"vehicle: {text}")

@@ -15,7 +15,7 @@ from alula.schemas.decode import decode_json, json_decoder
 from alula.schemas.errors import ArtifactError, DamagedError
 from alula.schemas.log.channels import SUPERVISOR_TOPIC, Supervisor
 from alula.schemas.log.flights import Flights, flights_of, read_flights
-from alula.schemas.log.mcap import entries
+from alula.schemas.log.mcap import entries, open_log
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import (
@@ -23,7 +23,6 @@ from alula.schemas.run import (
     RUN_SCHEMA,
     RUN_VERSION,
     RunRecord,
-    open_log,
     read_run,
 )
 

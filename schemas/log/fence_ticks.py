@@ -12,8 +12,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import DamagedError
 from alula.schemas.log.channels import SAFETY_TOPIC, STATE_TOPIC, Safety, State, decoded
 from alula.schemas.log.foxglove import UPRIGHT
-from alula.schemas.log.mcap import messages
-from alula.schemas.run import open_log
+from alula.schemas.log.mcap import messages, open_log
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,8 @@ from alula.schemas.log.channels import (
     decoded,
 )
 from alula.schemas.log.foxglove import Log, PosesInFrame, SceneUpdate, Time
-from alula.schemas.log.mcap import entries, messages
+from alula.schemas.log.mcap import entries, messages, open_log
 from alula.schemas.log.samples import Commands, Moving, attitudes, commands_of, measured, moving
-from alula.schemas.run import open_log
 
 _READ = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, OBSTACLES_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC, PLAN_TOPIC)
 _MOST_OBSTACLES = 2**40

@@ -14,6 +14,8 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 
+INFO, WARNING, ERROR = 2, 3, 4  # levels of `Log`
+
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 _Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=999_999_999)]
 
@@ -272,7 +274,7 @@ class FrameTransform(msgspec.Struct):
 
 
 class Log(msgspec.Struct):
-    """Line about a run; `level` is 2 for information, 3 for a warning, 4 for an error."""
+    """Line about a run; `level` is `INFO`, `WARNING` or `ERROR`."""
 
     timestamp: Time
     level: int

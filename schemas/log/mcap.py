@@ -9,7 +9,12 @@ import io
 import os
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
+
+from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
+from alula.schemas.files import check_no_stream, what_it_is
 
 if TYPE_CHECKING:
     from mcap.records import Chunk, Message
@@ -20,6 +25,36 @@ _MOST_EXPANSION = 64
 _LEAST_BUDGET = 2**26
 _FOOTER, _CHANNEL, _CHUNK, _METADATA, _MESSAGE = 2, 4, 6, 12, 5
 _NAMES = {_FOOTER: "the footer", _CHUNK: "a chunk", _METADATA: "metadata", _MESSAGE: "a message"}
+
+
+@contextmanager
+def open_log(log: Path) -> Iterator[BinaryIO]:
+    """Open an MCAP log; any other error of its reader or codecs within the block means that it is damaged.
+
+    Raises:
+        InputError: the log cannot be read.
+        ArtifactError: it is not an MCAP log.
+        DamagedError: truncated or corrupt.
+    """
+    if log.is_dir():
+        raise InputError(f"{log}: is a folder, not a run")
+    check_no_stream(log)
+    try:
+        with log.open("rb") as file:
+            magic = file.read(8)
+            if not magic:
+                raise ArtifactError(f"{log}: is empty")
+            if magic != MAGIC:
+                raise ArtifactError(f"{log}: is not an MCAP log{what_it_is(log)}")
+            file.seek(0)
+            yield file
+    except AlulaError:
+        raise
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+    except Exception as error:
+        what = str(error) or type(error).__name__
+        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({what})") from error
 
 
 def messages(file: BinaryIO, topics: Collection[str] | None = None) -> Iterator[tuple[str, bytes]]:

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.log.foxglove import (
+    ERROR,
+    INFO,
     ORIGIN,
+    WARNING,
     Color,
     FrameTransform,
     KeyValuePair,
@@ -37,7 +40,6 @@ BODY_FRAME = "body"  # name of the vehicle's frame: x forward, y left, z up
 _OBSTACLE_COLOR = Color(0.8, 0.3, 0.1, 0.9)
 _TRACK_COLOR = Color(0.1, 0.45, 0.8, 0.35)
 _VEHICLE_COLOR = Color(0.98, 0.82, 0.16, 0.9)
-_LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
 def number(value: Any) -> float | None:
@@ -137,9 +139,9 @@ def verdict_message(words: str, time_ns: int, *, is_good: bool, collided: bool) 
         is_good: the trial ended well; otherwise the line is a warning.
         collided: the line is an error and says so.
     """
-    level = _LEVEL_INFO if is_good else _LEVEL_WARNING
+    level = INFO if is_good else WARNING
     if collided:
-        level, words = _LEVEL_ERROR, words + ", COLLISION"
+        level, words = ERROR, words + ", COLLISION"
     return Log(Time.of(time_ns), level, words, "simulate")
 
 

@@ -25,18 +25,23 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.cloud import cloud_message
 from alula.stages.runlog.maps import world_message
 from alula.stages.runlog.messages import (
+    nanoseconds,
     number,
     obstacle_message,
+    path_message,
     quaternion_of_mrp,
     transform_message,
     vehicle_message,
+    verdict_message,
     xyz,
 )
 from alula.stages.runlog.piloted import pilot_fields
-from alula.stages.runlog.writer import SIMULATED_EPOCH_NS, LoggedTrial, write_trials
+from alula.stages.runlog.writer import LogWriter
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
+SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
+_GAP_S = 1.0  # between trials, which follow one another in log time
 MODES = ("nominal", "avoid", "hover")  # of filters among moving obstacles
 _COUNTS = ("active", "candidates", "rows", "iterations")
 
@@ -57,7 +62,10 @@ def write_world_log(
     sigma: float,
     faces: Any,
 ) -> None:
-    """Write the log of the trials that are shown; see `write_trials`.
+    """Write the log of the trials that are shown; equal arguments give equal bytes.
+
+    `/map`, `/vehicle` and `/splat` come once, `/path` and `/log` for each trial, the others for each sample.
+    Trials follow one another in log time, from `SIMULATED_EPOCH_NS` on, with a second between them.
 
     `/safety` is the last filter, of a pilot's flight with `pilot_fields`, and `/safety/NAME` each filter of a
     list of several. `/obstacles` has a sphere for each moving obstacle, and one of twice its radius at each
@@ -90,14 +98,20 @@ def write_world_log(
     if scene is not None:
         topics.append("/splat")
         once["/splat"] = cloud_message(scene, paths, frame, SIMULATED_EPOCH_NS)
-    trials = (
-        _logged(record.trials[flight.trial], flight, frame, dt_s, interface, filters, radii_m, radius_m)
-        for flight in flights
-    )
-    write_trials(stream, topics, record, once, trials, frame)
+    log, begin_s = LogWriter(stream, topics), 0.0
+    for topic, message in once.items():
+        log.send(topic, SIMULATED_EPOCH_NS, message)
+    for flight in flights:
+        trial = record.trials[flight.trial]
+        begin_s = _GAP_S + _write_trial(
+            log, begin_s, trial, flight, frame, dt_s, interface, filters, radii_m, radius_m
+        )
+    log.finish(record)
 
 
-def _logged(
+def _write_trial(
+    log: LogWriter,
+    begin_s: float,
     trial: TrialResult,
     flight: WorldFlight,
     frame: str,
@@ -106,14 +120,15 @@ def _logged(
     filters: list[str],
     radii_m: list[float],
     radius_m: float,
-) -> LoggedTrial:
+) -> float:
+    """Write a trial that begins at a time after the start of the log; return that of its end [s]."""
     state, nominal, command = flight.rows("state"), flight.rows("nominal"), flight.rows("command")
     obstacles, tracks, margin = flight.rows("obstacles"), flight.rows("tracks"), flight.rows("margin")
     u_nominal, a_command, a_error = (flight.rows(name) for name in ("u_nominal", "a_command", "a_error"))
     rotors, gate, counts = (flight.rows(name) for name in ("rotor_thrust", "gate_m", "counts"))
     status, flags = flight.of_filters("each_status"), flight.of_filters("each_flags")
-    mark, time_s = np.frombuffer(flight.mark, np.uint8), flight.time_s(dt_s)
-    times = time_s.tolist()
+    mark = np.frombuffer(flight.mark, np.uint8)
+    times: list[float] = flight.time_s(dt_s).tolist()
     by_rotors = interface in ("wrench", "body-rates")
     reach = np.array(radii_m, np.float64) + radius_m
     apart = np.linalg.norm(obstacles - state[:, None, :3], axis=2) - reach
@@ -186,7 +201,15 @@ def _logged(
             yield OBSTACLES_TOPIC, obstacle_message(obstacles[i], tracks[i], radii_m, frame, now_ns)
 
     is_good = trial.outcome in ("reached", "held", "passed") and not trial.collision
-    return LoggedTrial(trial, _words(trial), is_good, time_s, state[:, :3], messages)
+    start = SIMULATED_EPOCH_NS + nanoseconds(begin_s)
+    log.send("/path", start, path_message(state[:, :3], frame, start))
+    now = start
+    for i, time_s in enumerate(times):
+        now = SIMULATED_EPOCH_NS + nanoseconds(begin_s + time_s)
+        for topic, message in messages(i, now):
+            log.send(topic, now, message)
+    log.send("/log", now, verdict_message(_words(trial), now, is_good=is_good, collided=trial.collision))
+    return begin_s + times[-1]
 
 
 def _words(trial: TrialResult) -> str:

@@ -1,4 +1,4 @@
-"""Writer of MCAP logs with JSON channels, and of the trials of a run one after another.
+"""Writer of MCAP logs with JSON channels.
 
 Foxglove publishes each of its message types both as Protobuf and as JSON Schema. alula writes JSON, through
 Foxglove's `mcap` library. The other choice is `foxglove-sdk`, whose typed channels write Protobuf, with equal
@@ -10,21 +10,16 @@ classes of `foxglove-sdk`, which know the fields. The live channels are served b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
 import msgspec
 
-from alula.schemas.arrays import FloatArray
 from alula.schemas.log.channels import schema_name, struct_of
 from alula.schemas.log.json_schema import json_schema
 from alula.schemas.provenance import RUN_METADATA
-from alula.schemas.run import RunRecord, TrialResult
-from alula.stages.runlog.messages import nanoseconds, path_message, verdict_message
+from alula.schemas.run import RunRecord
 
-SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
-_GAP_S = 1.0  # between trials, which follow one another in log time
 _CHUNK_BYTES = 2**20
 
 
@@ -93,68 +88,3 @@ class LogWriter:
         encoded = {key: msgspec.json.encode(value, order="sorted").decode() for key, value in texts.items()}
         self._writer.add_metadata(RUN_METADATA, encoded)
         self._writer.finish()
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedTrial:
-    """Trial as a log shows it.
-
-    Attributes:
-        result: the verdict.
-        words: a line about it.
-        is_good: it ended well.
-        time_s: times of the samples from the trial's start, shape (T,) [s].
-        path: positions, shape (T, 3), world frame [m].
-        messages: topics and messages of sample i, from i and its log time [ns].
-    """
-
-    result: TrialResult
-    words: str
-    is_good: bool
-    time_s: FloatArray
-    path: FloatArray
-    messages: Callable[[int, int], Iterable[tuple[str, msgspec.Struct]]]
-
-
-def write_trials(
-    stream: BinaryIO,
-    topics: Iterable[str],
-    record: RunRecord,
-    once: Mapping[str, msgspec.Struct],
-    trials: Iterable[LoggedTrial],
-    frame: str,
-) -> None:
-    """Write the log of a run; equal arguments give equal bytes.
-
-    `/path` and `/log` come per trial, channels of `once` at the start, and the others per sample. Log time
-    starts at `SIMULATED_EPOCH_NS` and trials follow one another with a second between them. The metadata
-    `alula/summary` holds the record without its measured times, and its provenance.
-
-    Args:
-        stream: binary stream to write to.
-        topics: see `LogWriter`.
-        record: summary of the run.
-        once: messages at the start, by channel.
-        trials: those that are shown.
-        frame: name of the frame of all positions.
-    """
-    log = LogWriter(stream, topics)
-    begin_s = 0.0
-
-    def log_time(time_s: float) -> int:
-        return SIMULATED_EPOCH_NS + nanoseconds(time_s)
-
-    for topic, message in once.items():
-        log.send(topic, log_time(0.0), message)
-    for trial in trials:
-        log.send("/path", log_time(begin_s), path_message(trial.path, frame, log_time(begin_s)))
-        for i, time_s in enumerate(trial.time_s.tolist()):
-            now = log_time(begin_s + time_s)
-            for topic, message in trial.messages(i, now):
-                log.send(topic, now, message)
-        begin_s += float(trial.time_s[-1])
-        now, result = log_time(begin_s), trial.result
-        line = verdict_message(trial.words, now, is_good=trial.is_good, collided=result.collision)
-        log.send("/log", now, line)
-        begin_s += _GAP_S
-    log.finish(record)

@@ -9,10 +9,10 @@ import dataclasses
 from collections.abc import Callable
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.log.foxglove import ERROR, INFO
 from alula.stages.flight.links.protocol import Link
 from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.flight.loop.preflight import Needs, Observed, Verdict, verdicts
-from alula.stages.flight.recorder.samples import ERROR, INFO
 
 # Checks that may pass later without any action.
 TRANSIENT = frozenset({"heartbeat", "state", "latency", "rate", "estimator", "loop", "level", "arming"})

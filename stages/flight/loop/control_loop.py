@@ -18,6 +18,7 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import LinkError
+from alula.schemas.log.foxglove import ERROR, INFO, WARNING
 from alula.stages.durations import Durations
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander, Decision
@@ -49,9 +50,6 @@ from alula.stages.flight.loop.supervisor import (
 )
 from alula.stages.flight.loop.watches import HealthWatch, JumpWatch, ModelWatch, ModeWatch, PositionWatch
 from alula.stages.flight.recorder.samples import (
-    ERROR,
-    INFO,
-    WARNING,
     Flown,
     Recorder,
     level_of,

@@ -10,7 +10,7 @@ from msgspec.structs import astuple, fields
 from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import msgpack_decoder
 from alula.schemas.log.channels import OF_BARRIER, Replay, Safety, State, Supervisor
-from alula.schemas.log.foxglove import Quaternion, Vector3
+from alula.schemas.log.foxglove import ERROR, INFO, WARNING, Quaternion, Vector3
 from alula.schemas.run import RunRecord
 from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import (
@@ -23,8 +23,6 @@ from alula.stages.flight.links.protocol import (
 from alula.stages.flight.loop.fence_guard import Guarded
 from alula.stages.flight.loop.supervisor import Event, Taken
 from alula.stages.flight.loop.supervisor import State as Phase
-
-INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}

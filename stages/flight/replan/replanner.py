@@ -11,11 +11,11 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.log.foxglove import INFO, WARNING
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.plan_clock import PlanClock, Reference, heading_of
-from alula.stages.flight.recorder.samples import INFO, WARNING
 from alula.stages.flight.replan.process import Planner
 from alula.stages.flight.replan.task import ReplanAnswer, ReplanRequest, remaining, words_of
 from alula.stages.planning.adherence import FINISHED_M, waits

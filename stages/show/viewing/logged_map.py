@@ -13,9 +13,8 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import json_decoder
 from alula.schemas.log.channels import MAP_TOPIC
 from alula.schemas.log.foxglove import SceneUpdate, TriangleListPrimitive, Vector3
-from alula.schemas.log.mcap import messages
+from alula.schemas.log.mcap import messages, open_log
 from alula.schemas.log.samples import measured
-from alula.schemas.run import open_log
 from alula.stages.show.drawing.content import CUT, Part
 from alula.stages.show.drawing.solids import Solids, solids_of
 from alula.stages.show.viewing.cut import Cut

@@ -313,7 +313,18 @@ def test_the_log_ends_where_the_flight_ended_and_has_the_filters_margin():
 @pytest.mark.parametrize("name", ["polytope-cbf", "none"])
 def test_the_log_shows_the_margin_in_metres_and_velocities(name, monkeypatch):
     shown = []
-    monkeypatch.setattr(runlog, "write_trials", lambda *given: shown.extend(given[4]))
+
+    class Kept:
+        def __init__(self, stream, topics):
+            pass
+
+        def send(self, topic, time_ns, message):
+            shown.extend([message] if topic == "/safety" else [])
+
+        def finish(self, record):
+            pass
+
+    monkeypatch.setattr(runlog, "LogWriter", Kept)
     cover = box_cover(TWO_BLOCKS)
     run = simulated(cover, name, rules={"trials": 1, "logged": 1})
     runlog.write_world_log(
@@ -331,12 +342,12 @@ def test_the_log_shows_the_margin_in_metres_and_velocities(name, monkeypatch):
         sigma=1.0,
         faces=run.world.faces,
     )
-    (logged,), (flight,) = shown, run.flights
+    (flight,) = run.flights
     known = FilterWorld(hulls=run.world.hulls, radius_m=0.1, speed_m_s=1.0, dt_s=0.01, extent_m=10.0)
     psi = barrier(known).psi(np.ascontiguousarray(flight.rows("state")[:, :3]))
     nominal, command = flight.rows("nominal"), flight.rows("command")
     for i in range(0, len(nominal) - 1, 7):
-        safety = dict(logged.messages(i, 0))["/safety"]
+        safety = shown[i]
         assert psi[0][i] - 0.1 - 0.02 <= safety.h_m <= psi[1][i] - 0.1 + 1e-4
         assert (safety.margin, safety.margin_unit) == (None, None)
         assert list(safety.u_nom_m_s.tuple) == pytest.approx(nominal[i].tolist(), abs=1e-6)
