@@ -17,7 +17,7 @@ from firmware import Firmware, FirmwareError
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.vehicles.bodies import quadrotor
 
 FloatArray = NDArray[np.float64]

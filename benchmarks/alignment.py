@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
 from alula.stages.alignment.poses import fit_poses
 from alula.stages.alignment.robust import Fit, fit_similarity
 from alula.stages.alignment.similarity import transform_points

@@ -35,13 +35,13 @@ from real_autopilot import FlyProcess, fly_batches, timed, vehicle, with_section
 from scipy.spatial import cKDTree
 
 from alula.cli.main import run as alula
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.plan import MARGIN_M
-from alula.schemas.kinds import COVER, PLAN, SCENE
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
 from alula.schemas.log.flights import read_flights
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.plan import MARGIN_M
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.schemas.toml_file import toml_value
-from alula.schemas.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.flight.loop.supervisor import Event, State

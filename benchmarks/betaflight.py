@@ -32,7 +32,7 @@ from airframe import IDLE, LOOKS, STEP_S, TICK_S, Airframe, Cockpit, configured,
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.vehicle import Vehicle, read_vehicle
+from alula.schemas.scenarios.vehicle import Vehicle, read_vehicle
 from support.fence_flights import fly_in
 
 FloatArray = NDArray[np.float64]

@@ -18,8 +18,8 @@ sys.path.append(str(Path(__file__).resolve().parent))
 import numpy as np
 import scenes
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.block_tree import OnePart
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks

@@ -31,9 +31,9 @@ import scenes
 import tables
 from tools import run_tool, write_mesh
 
-from alula.schemas.artifact import Artifact, read_artifact, write_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import VOXELS
+from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.density_mesh import density_mesh, simplified
 
 Figures = dict[str, Any]

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.world import WorldScenario, read_world
-from alula.schemas.world_defaults import vehicle_of
+from alula.schemas.scenarios.defaults import vehicle_of
+from alula.schemas.scenarios.scenario import WorldScenario, read_world
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate

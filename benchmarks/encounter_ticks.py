@@ -11,7 +11,7 @@ from emulated import dr_acbf_inputs, replay, single
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.world import read_world
+from alula.schemas.scenarios.scenario import read_world
 
 ENCOUNTER_TICKS, CROWD = 1500, 8
 FloatArray = NDArray[np.float64]

@@ -37,10 +37,10 @@ from real_autopilot import INDOORS, FlyProcess, fly_batches, timed, vehicle, wit
 from scipy.spatial import cKDTree
 
 from alula.cli.main import run as alula
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.kinds import COVER, PLAN
-from alula.schemas.run import record_path
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN
+from alula.schemas.log.run import record_path
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, via_tolerance

@@ -20,7 +20,7 @@ from emulated import Flight, Replay, geofence_inputs, replay
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map

@@ -13,7 +13,7 @@ from measure import FloatArray
 from scenes import room
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.bridge import NativeFilter

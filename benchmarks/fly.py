@@ -35,11 +35,11 @@ from scenes import room
 
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.cli.main import run as alula
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.kinds import COVER, SCENE
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER, SCENE
 from alula.schemas.log.mcap import open_log
-from alula.schemas.run import record_path
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.log.run import record_path
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.sim_vehicle.ardupilot.copter import Copter

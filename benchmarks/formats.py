@@ -28,9 +28,9 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewh
 import numpy as np
 from oracles import KINDS, LARGE, ORACLES, Oracle, differences, large_file
 
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import AlulaError
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.demo_scene import demo_scene
 from alula.stages.reconstruction.formats.registry import SplatFile, formats, read_splats
 from alula.stages.reconstruction.formats.splats import Splats
@@ -213,7 +213,7 @@ def _timed(name: str, label: str, path: Path, runs: int, *, with_memory: bool) -
 _PEAK = """
 import concurrent.futures, resource, sys
 from pathlib import Path
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 def peak():

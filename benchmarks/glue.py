@@ -31,8 +31,8 @@ from emulated import FIRMWARE as FIRMWARE_OF_EMULATOR
 from numpy.typing import NDArray
 from onboard import FIELDS, field
 
-from alula.schemas.provenance import Provenance
-from alula.schemas.targets import TARGETS
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.parameters.targets import TARGETS
 from alula.stages.compression.onboard.layout import encode_map, image_c_header
 
 ROOT = Path(__file__).resolve().parents[1]

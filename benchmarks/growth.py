@@ -15,8 +15,8 @@ from measure import FloatArray
 from peers import write_inria_ply
 from tools import PATIENCE, Clock, Outcome, peak_mb, run_child, run_tool
 
-from alula.schemas.artifact import write_artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from alula.stages.reconstruction.formats.registry import read_splats

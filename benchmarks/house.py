@@ -45,7 +45,7 @@ def sizes() -> list[tuple[str, int]]:
 
 def scenario_keys() -> int:
     """Number of the keys that a scenario can have."""
-    from alula.schemas.world_text import keys_of
+    from alula.schemas.scenarios.text import keys_of
 
     return len(keys_of())
 

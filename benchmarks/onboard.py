@@ -46,10 +46,10 @@ from emulated import (
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import Guarantee
-from alula.schemas.targets import CODE_BYTES, TARGETS
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.parameters.targets import CODE_BYTES, TARGETS
 from alula.stages.compression.onboard.cost import tick_instructions
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map

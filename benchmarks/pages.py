@@ -27,8 +27,8 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewh
 from scenes import room, voxels_of
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 
 _SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")

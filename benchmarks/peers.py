@@ -9,7 +9,7 @@ import numpy as np
 from measure import FloatArray
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reconstruction.formats.splats import Splats, sh0_from_color
 from alula.stages.rotation import matrix_from_quat_wxyz

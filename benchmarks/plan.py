@@ -49,11 +49,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.plan import Gate, PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InfeasibleError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.plan import Gate, PlanConfig, Point
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.merge import merge
 from alula.stages.planning.adherence import PlanJudge
 from alula.stages.planning.corridor import Corridor, find_corridor

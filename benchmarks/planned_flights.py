@@ -34,9 +34,9 @@ from measure import FloatArray
 from plan import World, built_in, connected_chains, random_gate, real_worlds, table
 
 from alula import _core
-from alula.schemas.configs.plan import PlanConfig, Point
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import decoded
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space

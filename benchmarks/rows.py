@@ -13,12 +13,12 @@ from measure import Row, counted, in_turns, peak_memory, timed
 from peers import NumpyFilter, box_voxels, ply_arrays, voxel_keys, write_inria_ply
 
 from alula import _core
-from alula.schemas.artifact import Artifact, write_artifact
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import Artifact, write_artifact
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
@@ -291,7 +291,7 @@ def _only(hulls: Hulls, i: int) -> Hulls:
 _HOLD = """
 import sys
 from pathlib import Path
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 held = [{name: array.copy() for name, array in read_artifact(Path(p)).arrays.items()} for p in sys.argv[1:]]
 """
 

@@ -46,11 +46,11 @@ import numpy as np
 from scale_page import page
 
 from alula import _core
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import VOXELS
-from alula.schemas.parts_join import read_whole
-from alula.schemas.tiles import WHOLE, read_tiles
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.parts_join import read_whole
+from alula.schemas.artifacts.tiles import WHOLE, read_tiles
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.block_tree import OnePart
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks

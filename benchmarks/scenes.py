@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from measure import FloatArray
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import Similarity
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene

@@ -11,7 +11,7 @@ from measure import FloatArray
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 
 _MESH_TOLERANCE = 1e-6  # [voxels]; meshes come with rounding, covers of this library without
 _GAP = 1e-3  # of an edge: the shortest uncovered piece of a line that counts

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from solids import Solids, measure, measure_along_lines, mesh_bytes, outside_every_hull
 
-from alula.schemas.artifact import Artifact, read_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import VOXELS
+from alula.schemas.artifacts.artifact import Artifact, read_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.voxel_mesh import voxel_mesh

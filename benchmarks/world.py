@@ -31,10 +31,10 @@ import msgspec
 import numpy as np
 from scenes import room, voxels_of
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.world import WorldScenario, decoded, plain, read_world
-from alula.schemas.world_defaults import vehicle_of
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.scenarios.defaults import vehicle_of
+from alula.schemas.scenarios.scenario import WorldScenario, decoded, plain, read_world
 from alula.stages.compression.merge import merge
 from alula.stages.simulation.world.judge import hits_static
 from alula.stages.simulation.world.prepare import prepare
@@ -221,9 +221,9 @@ import json, sys
 import numpy as np
 from pathlib import Path
 from alula import _core
-from alula.schemas.artifact import read_artifact
-from alula.schemas.kinds import COVER, SCENE
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import COVER, SCENE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 try:
     from alula.stages.filtering.polytope_cbf import barrier
     from alula.stages.filtering.protocol import FilterWorld as SplatWorld, FilterWorld as World
@@ -397,7 +397,7 @@ def main() -> None:
     figures = count_combinations(8 if options.quick else 1) | combined_figures(rows)
     figures["replay_mismatches"] = replay_mismatches(made)
     if options.before and not options.quick:
-        from alula.schemas.artifact import write_artifact
+        from alula.schemas.artifacts.artifact import write_artifact
 
         with tempfile.TemporaryDirectory() as folder:
             files = [Path(folder) / "room.scene.npz", Path(folder) / "room.cover.npz"]

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import msgspec
 
-from alula.schemas.artifact import Artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import InputRef
+from alula.schemas.artifacts.parts_output import part_name
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import InputRef
-from alula.schemas.parts_output import part_name
 
 
 class FolderStore:

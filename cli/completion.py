@@ -46,7 +46,7 @@ def vehicles(_context: click.Context, _parameter: click.Parameter, given: str) -
     """Names of built-in vehicles, and files."""
     from typing import get_args
 
-    from alula.schemas.world_tables import VehicleName
+    from alula.schemas.scenarios.tables import VehicleName
 
     names = [name for name in get_args(VehicleName) if name.startswith(given)]
     return [*(CompletionItem(name) for name in names), CompletionItem(given, type="file")]

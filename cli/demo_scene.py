@@ -10,7 +10,7 @@ import click
 
 from alula.cli import grouped, options, runner
 from alula.cli.options import PATH, Common
-from alula.schemas.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
 from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
@@ -41,10 +41,10 @@ def command(
     The room is 8 x 6 x 3 m, with z up, the floor at z = 0 and a corner at the origin. The file has an
     arbitrary frame and scale, like the result of a training run; scale-align recovers the room's frame.
     """
+    from alula.schemas.artifacts.manifest import VERSION
+    from alula.schemas.artifacts.provenance import Provenance, parameters_of
     from alula.schemas.atomic import atomic_output, write_text
     from alula.schemas.errors import OutputError, UsageError
-    from alula.schemas.manifest import VERSION
-    from alula.schemas.provenance import Provenance, parameters_of
     from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv
     from alula.stages.reconstruction.demo_scene import demo_scene
     from alula.stages.reconstruction.formats.ply import encode_ply

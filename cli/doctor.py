@@ -114,7 +114,7 @@ def _python() -> Check:
 
 def _native() -> Check:
     try:
-        from alula.schemas.manifest import producer
+        from alula.schemas.artifacts.manifest import producer
 
         made = producer()
     except ImportError as error:

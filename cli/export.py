@@ -9,11 +9,11 @@ import click
 
 from alula.cli import grouped, options
 from alula.cli.options import Common
-from alula.schemas.configs.export import FOLDERS, ExportConfig
+from alula.schemas.parameters.configs.export import FOLDERS, ExportConfig
 
 if TYPE_CHECKING:
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
 
 EXAMPLES = """\b
 Examples:
@@ -71,11 +71,11 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
     from alula.cli.export_run import export_bag, export_layout
     from alula.cli.export_tiles import export_tiles
     from alula.cli.runner import check_output, current, run
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.parts_join import read_whole
     from alula.schemas.atomic import atomic_outputs
     from alula.schemas.errors import InputError, UsageError
-    from alula.schemas.kinds import SCENE
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.targets import TARGETS
+    from alula.schemas.parameters.targets import TARGETS
     from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
     from alula.stages.compression.onboard.image import decode_map
     from alula.stages.compression.onboard.layout import map_facts
@@ -162,8 +162,8 @@ def _header_of(raw: bytes, provenance: Provenance) -> bytes:
 def _write_header(output: Path, header: Path, *, force: bool) -> None:
     """Write the C header of an existing map, unless the header is up to date."""
     from alula.cli.runner import current
+    from alula.schemas.artifacts.provenance import read_provenance
     from alula.schemas.atomic import atomic_output
-    from alula.schemas.provenance import read_provenance
 
     provenance = read_provenance(output)
     assert provenance is not None

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from alula.cli.options import Common
 
 if TYPE_CHECKING:
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
 
 MEMBERS = r"hull-\d+\.obj|model\.config"
 MAIN = {"urdf": "map.urdf", "gazebo": "model.sdf"}  # the file that holds the provenance
@@ -30,9 +30,9 @@ def export_model(source: Path, name: str, parameters: dict[str, Any], common: Co
         OutputError: the folder cannot be written.
     """
     from alula.cli.runner import run
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
+    from alula.schemas.artifacts.kinds import COVER
     from alula.schemas.atomic import atomic_folder
-    from alula.schemas.kinds import COVER
     from alula.stages.export.bodies import gazebo, urdf
     from alula.stages.export.export import located
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from alula.cli.options import Common
 
 if TYPE_CHECKING:
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
 
 
 def export_bag(log: Path, common: Common) -> None:
@@ -67,7 +67,7 @@ def _damage(log: Path) -> str:
     """Where the log of a real flight is truncated, in words; empty for a whole log of any run."""
     from alula.schemas.errors import ArtifactError
     from alula.schemas.log.cut import salvage_run
-    from alula.schemas.run import read_run
+    from alula.schemas.log.run import read_run
 
     try:
         read_run(log)
@@ -105,7 +105,7 @@ def export_layout(log: Path | None, common: Common) -> None:
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import UsageError
     from alula.schemas.log.mcap import messages, open_log
-    from alula.schemas.run import read_run
+    from alula.schemas.log.run import read_run
     from alula.stages.export.foxglove_layout import contents, foxglove_layout
 
     if common.output.suffix.lower() != ".json":

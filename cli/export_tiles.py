@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from alula.cli.options import Common
-from alula.schemas.configs.export import ExportConfig
+from alula.schemas.parameters.configs.export import ExportConfig
 
 if TYPE_CHECKING:
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
 
 _AT_ONCE = 2**24  # bytes of a file that are copied together
 
@@ -37,14 +37,12 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
     import msgspec
 
     from alula.cli.runner import run
-    from alula.schemas.atomic import atomic_folder
-    from alula.schemas.errors import AlulaError
-    from alula.schemas.kinds import COVER
-    from alula.schemas.manifest import map_origin
-    from alula.schemas.parts import open_parts
-    from alula.schemas.parts_join import write_joined_cover
-    from alula.schemas.signing_key import read_key
-    from alula.schemas.tiles import (
+    from alula.schemas.artifacts.kinds import COVER
+    from alula.schemas.artifacts.manifest import map_origin
+    from alula.schemas.artifacts.parts import open_parts
+    from alula.schemas.artifacts.parts_join import write_joined_cover
+    from alula.schemas.artifacts.signing_key import read_key
+    from alula.schemas.artifacts.tiles import (
         BINARY,
         MEMBERS,
         SIGNATURE,
@@ -55,6 +53,8 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
         key_id,
         sign,
     )
+    from alula.schemas.atomic import atomic_folder
+    from alula.schemas.errors import AlulaError
     from alula.stages.compression.onboard.tiles import cut_tiles, fastest_m_s, sealed, tiles_facts
 
     key = None if key_path is None else read_key(key_path)

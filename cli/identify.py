@@ -11,12 +11,12 @@ from alula.cli.fly.conduct import Interrupts, failed_checks, is_of_vehicle, prio
 from alula.cli.fly.contact import Route, of_link, reach
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.present import echo
-from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import CheckError, LinkError, UsageError
+from alula.schemas.parameters.configs.identify import IdentifyConfig
 
 if TYPE_CHECKING:
-    from alula.schemas.provenance import Provenance
-    from alula.schemas.vehicle import Vehicle
+    from alula.schemas.artifacts.provenance import Provenance
+    from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.identification.step_flight import StepFlight
@@ -84,10 +84,10 @@ def command(
     import dataclasses
 
     from alula.cli.runner import check_output, input_ref
-    from alula.schemas.manifest import VERSION
-    from alula.schemas.provenance import Provenance, parameters_of
-    from alula.schemas.vehicle import VEHICLE_SCHEMA, contents
-    from alula.schemas.vehicles import vehicle_named
+    from alula.schemas.artifacts.manifest import VERSION
+    from alula.schemas.artifacts.provenance import Provenance, parameters_of
+    from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, contents
+    from alula.schemas.scenarios.vehicles import vehicle_named
     from alula.stages.identification.survey import make_survey
 
     config = dataclasses.replace(config, speeds_m_s=speeds_m_s)
@@ -190,7 +190,7 @@ def _conclude(
     """Raise the error that the flight ended with, or fit the steps and write the file."""
     from alula.cli.runner import show
     from alula.schemas.atomic import write_text
-    from alula.schemas.vehicle import check_vehicle, contents, vehicle_text
+    from alula.schemas.scenarios.vehicle import check_vehicle, contents, vehicle_text
     from alula.stages.flight.loop.supervisor import Event
     from alula.stages.identification.fit import fit
     from alula.stages.identification.result import disagreements, identified_vehicle

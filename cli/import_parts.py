@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from alula.cli.options import Common
 from alula.cli.parted import run_parts
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.artifacts.provenance import Provenance, parameters_of
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, parameters_of
 
 if TYPE_CHECKING:
-    from alula.schemas.manifest import InputRef, Manifest
-    from alula.schemas.parts_output import PartsWriter, WrittenPart
+    from alula.schemas.artifacts.manifest import InputRef, Manifest
+    from alula.schemas.artifacts.parts_output import PartsWriter, WrittenPart
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reconstruction.formats.splats import Level
     from alula.stages.reconstruction.import_parts import Nothing
@@ -69,7 +69,7 @@ def import_parts(
     Raises:
         UsageError, InputError, OutputError: as `run_parts` and `import_piece`.
     """
-    from alula.schemas.kinds import SCENE
+    from alula.schemas.artifacts.kinds import SCENE
     from alula.stages.distribute import distribute
     from alula.stages.reconstruction.import_parts import Nothing, check_parted, whole_scene
     from alula.stages.reconstruction.pieces import find_splats, levels_of, pieces_of
@@ -113,10 +113,10 @@ def _imported(
     """Import and write the parts of one piece, unless an interrupted run has done so."""
     import msgspec
 
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.kinds import SCENE
-    from alula.schemas.manifest import SceneManifest
-    from alula.schemas.parts_output import kept_part, part_name, write_part
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.manifest import SceneManifest
+    from alula.schemas.artifacts.parts_output import kept_part, part_name, write_part
     from alula.stages.reconstruction.import_parts import Nothing, import_piece
 
     kept = kept_part(folder, part_name(SCENE, piece.file, piece.number, 0), SCENE)

@@ -16,9 +16,9 @@ from alula.cli.addresses import Address, Limits, limited
 from alula.cli.import_parts import import_parts, inputs_of, names_of
 from alula.cli.options import Common
 from alula.cli.progress import shown_progress
-from alula.schemas.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
 from alula.schemas.errors import AlulaError, InputError, UsageError
 from alula.schemas.files import printable
+from alula.schemas.parameters.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
 
 EXAMPLES = """\b
 Examples:

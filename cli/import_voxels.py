@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from alula.cli import grouped, options
-from alula.schemas.configs.import_voxels import ImportVoxelsConfig
+from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
 
 EXAMPLES = """\b
 Examples:

@@ -69,11 +69,11 @@ def _explain(path: Path) -> Explained:
     Raises:
         InputError: the file cannot be opened, or its kind is unknown.
     """
+    from alula.schemas.artifacts.provenance import read_provenance
+    from alula.schemas.artifacts.salvage import is_artifact_like
+    from alula.schemas.artifacts.tiles import is_tiles
     from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.files import check_no_stream
-    from alula.schemas.provenance import read_provenance
-    from alula.schemas.salvage import is_artifact_like
-    from alula.schemas.tiles import is_tiles
     from alula.stages.compression.onboard.image import is_map
     from alula.stages.reporting.inspect import provenance_facts
 
@@ -104,8 +104,8 @@ def _explain(path: Path) -> Explained:
 
 def _parts(path: Path) -> Explained:
     """Read the index of an artifact in parts, and check all parts."""
+    from alula.schemas.artifacts.parts import open_parts
     from alula.schemas.errors import ArtifactError
-    from alula.schemas.parts import open_parts
     from alula.stages.reporting.inspect import parts_facts
 
     try:
@@ -120,9 +120,9 @@ def _parts(path: Path) -> Explained:
 
 
 def _artifact(path: Path) -> Explained:
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
+    from alula.schemas.artifacts.salvage import salvage
     from alula.schemas.errors import ArtifactError, DamagedError
-    from alula.schemas.salvage import salvage
     from alula.stages.reporting.inspect import artifact_facts, manifest_facts
 
     try:
@@ -140,7 +140,7 @@ def _run(path: Path) -> Explained:
     from alula.schemas.errors import ArtifactError, DamagedError
     from alula.schemas.log.cut import salvage_run
     from alula.schemas.log.flights import count_messages
-    from alula.schemas.run import read_run
+    from alula.schemas.log.run import read_run
     from alula.stages.reporting.inspect import about, run_facts
 
     messages, complete = count_messages(path)
@@ -161,8 +161,8 @@ def _run(path: Path) -> Explained:
 
 
 def _map(path: Path) -> Explained:
+    from alula.schemas.artifacts.provenance import read_provenance
     from alula.schemas.errors import ArtifactError
-    from alula.schemas.provenance import read_provenance
     from alula.stages.compression.onboard.image import SCHEMA, VERSION, read_map
     from alula.stages.reporting.inspect import about, map_image_facts, provenance_facts
 
@@ -175,8 +175,8 @@ def _map(path: Path) -> Explained:
 
 
 def _tiles(path: Path) -> Explained:
+    from alula.schemas.artifacts.tiles import read_tiles, read_tiles_index
     from alula.schemas.errors import AlulaError
-    from alula.schemas.tiles import read_tiles, read_tiles_index
     from alula.stages.reporting.inspect import tiles_index_facts
 
     facts = tiles_index_facts(read_tiles_index(path))
@@ -191,10 +191,10 @@ def _toml(path: Path) -> Explained:
     """Read a vehicle, recognised by its `model`, or else a scenario."""
     import msgspec
 
+    from alula.schemas.scenarios.scenario import plain, read_world
+    from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
+    from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, read_vehicle
     from alula.schemas.toml_file import read_tree
-    from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
-    from alula.schemas.world import plain, read_world
-    from alula.schemas.world_tables import SCENARIO_SCHEMA
     from alula.stages.reporting.inspect import about
 
     if "model" in read_tree(path):
@@ -206,8 +206,8 @@ def _toml(path: Path) -> Explained:
 
 
 def _splat(path: Path) -> Explained:
+    from alula.schemas.artifacts.provenance import read_provenance
     from alula.schemas.errors import ArtifactError
-    from alula.schemas.provenance import read_provenance
     from alula.stages.reconstruction.formats.containers import ContainerError
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reporting.inspect import provenance_facts, splat_facts

@@ -11,11 +11,11 @@ from typing import Generic, NoReturn, Protocol, TypeVar
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.cli.present import echo
+from alula.schemas.artifacts.journal import SUFFIX, JournalKind, mismatches, pack, unpack
+from alula.schemas.artifacts.provenance import Provenance, read_provenance
 from alula.schemas.atomic import atomic_output
 from alula.schemas.errors import DamagedError, InputError, OutputError
-from alula.schemas.journal import SUFFIX, JournalKind, mismatches, pack, unpack
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, read_provenance
 
 PERIOD_S = 30.0  # between two writes
 MIN_RUN_S = 3.0  # a shorter interrupted run writes no file

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import grouped, options, parted
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.merge import MergeConfig
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.parts import Parts
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.parts import Parts
 
 EXAMPLES = """\b
 Examples:
@@ -58,10 +58,10 @@ def command(source: Path, config: MergeConfig, scheduler: str | None, common: op
     voxels, or a cover of more than 16,777,216, is refused.
     """
     from alula.cli.merge_blocks import merge_to_file, merge_to_parts
+    from alula.schemas.artifacts.kinds import COVER, VOXELS
+    from alula.schemas.artifacts.parts import open_parts
+    from alula.schemas.artifacts.parts_join import joined
     from alula.schemas.errors import UsageError, WrongKindError
-    from alula.schemas.kinds import COVER, VOXELS
-    from alula.schemas.parts import open_parts
-    from alula.schemas.parts_join import joined
 
     def read() -> Artifact | Parts:
         """A cover, or voxels in parts."""

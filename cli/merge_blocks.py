@@ -14,17 +14,17 @@ from alula.cli.journal import JournalFile
 from alula.cli.options import Common
 from alula.cli.parted import run_parts
 from alula.cli.runner import run_stage
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.journal import MERGE
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import InputRef, Manifest
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.parts_join import joined
+from alula.schemas.artifacts.parts_output import PartsWriter, kept_part, part_name, partial_folder, write_part
+from alula.schemas.artifacts.provenance import Provenance, parameters_of
 from alula.schemas.errors import LinkError, OutputError, UsageError
-from alula.schemas.journal import MERGE
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import InputRef, Manifest
-from alula.schemas.parts import Parts
-from alula.schemas.parts_join import joined
-from alula.schemas.parts_output import PartsWriter, kept_part, part_name, partial_folder, write_part
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, parameters_of
 from alula.stages.compression.merge_blocks import (
     BlockPlan,
     CoverStore,

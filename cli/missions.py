@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.manifest import InputRef, Manifest
-    from alula.schemas.provenance import Provenance
-    from alula.schemas.run import RunRecord
-    from alula.schemas.vehicle import Vehicle
-    from alula.schemas.world import WorldScenario
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.manifest import InputRef, Manifest
+    from alula.schemas.artifacts.provenance import Provenance
+    from alula.schemas.log.run import RunRecord
+    from alula.schemas.scenarios.scenario import WorldScenario
+    from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.simulation.pairs import Pairs
     from alula.stages.simulation.world.simulate import WorldRun
 
@@ -56,8 +56,8 @@ def scenario_of(
         UsageError: options contradict one another, or a value is not one.
         InputError: a file cannot be read or is of another kind.
     """
-    from alula.schemas.world import changed, read_world
-    from alula.schemas.world_source import source_tree, vehicle_table
+    from alula.schemas.scenarios.scenario import changed, read_world
+    from alula.schemas.scenarios.source import source_tree, vehicle_table
 
     changes: dict[str, Any] = {}
     if planned:
@@ -120,7 +120,7 @@ def _relative(path: Path, source: Path) -> str:
 
 def _check_paths(given: Mapping[str, Any], filters: list[str] | None) -> None:
     """Refuse names without a table, such as those of filters' parameters, and say their whole paths."""
-    from alula.schemas.world_text import keys_of
+    from alula.schemas.scenarios.text import keys_of
 
     for path in given:
         if "." in path or path == "name":
@@ -166,11 +166,11 @@ class Trials:
         """
         import msgspec
 
-        from alula.schemas.filter_options import TABLES
-        from alula.schemas.run import read_run
-        from alula.schemas.vehicle import contents
-        from alula.schemas.world import FILES
-        from alula.schemas.world_defaults import vehicle_of
+        from alula.schemas.log.run import read_run
+        from alula.schemas.parameters.filter_options import TABLES
+        from alula.schemas.scenarios.defaults import vehicle_of
+        from alula.schemas.scenarios.scenario import FILES
+        from alula.schemas.scenarios.vehicle import contents
         from alula.stages.simulation.pairs import pairs_flown
 
         folder = source.parent if source.suffix == ".toml" else Path()
@@ -228,8 +228,8 @@ class Trials:
         Raises:
             InputError: the file cannot be read, or is of another kind.
         """
-        from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
-        from alula.schemas.parts_join import read_whole
+        from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN
+        from alula.schemas.artifacts.parts_join import read_whole
 
         kinds = {"cover": COVER, "scene": SCENE, "seen": SEEN, "plan": PLAN}
         return read_whole(self.paths[role], kinds[role]) if role in self.paths else None
@@ -244,7 +244,7 @@ class Trials:
         Raises:
             InputError: the plan was made in another map, and the scenario does not allow it.
         """
-        from alula.schemas.lineage import require_own_map
+        from alula.schemas.artifacts.lineage import require_own_map
 
         return require_own_map(
             self.paths["plan"],

@@ -12,9 +12,9 @@ import click
 from alula.cli import grouped, options, runner
 from alula.cli.interruption import handlers_kept
 from alula.cli.options import PATH
-from alula.schemas.configs.observe import ObserveConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.files import text_of
+from alula.schemas.parameters.configs.observe import ObserveConfig
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
@@ -81,10 +81,10 @@ def command(
     Memory: 14 bytes per voxel of the scene's box, up to 134,217,728 voxels; 160 to 270 bytes per Gaussian;
     per job an image and 1 byte per voxel.
     """
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.kinds import SCENE, SEEN, VOXELS
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.vehicles import vehicle_named
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.kinds import SCENE, SEEN, VOXELS
+    from alula.schemas.artifacts.parts_join import read_whole
+    from alula.schemas.scenarios.vehicles import vehicle_named
     from alula.stages.alignment import colmap as models
     from alula.stages.alignment import nerfstudio as training
     from alula.stages.planning.observe import observe

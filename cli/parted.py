@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.cli.runner import INDEX, run_beside
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance
 
 if TYPE_CHECKING:
-    from alula.schemas.kinds import Kind
-    from alula.schemas.manifest import Manifest
-    from alula.schemas.parts_output import PartsWriter
+    from alula.schemas.artifacts.kinds import Kind
+    from alula.schemas.artifacts.manifest import Manifest
+    from alula.schemas.artifacts.parts_output import PartsWriter
 
 
 def is_parted(output: Path, folder_suffix: str) -> bool:
@@ -54,7 +54,7 @@ def run_parts(
         UsageError, InputError, OutputError: as `runner.run`.
         InterruptedWithAdvice: the command was interrupted, and the parts that it leaves allow it to continue.
     """
-    from alula.schemas.parts_output import partial_folder, parts_output
+    from alula.schemas.artifacts.parts_output import partial_folder, parts_output
 
     left: list[Path] = []
 

@@ -9,8 +9,8 @@ import click
 
 from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.plan import PlanConfig
 
 
 @grouped.command(

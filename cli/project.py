@@ -248,7 +248,7 @@ def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) 
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
     from alula.cli.verbs.import_splat import Splats
     from alula.cli.verbs.verb import made_by
-    from alula.schemas.configs.import_splat import ImportSplatConfig
+    from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
     found = Splats(splats, lod=lod)
@@ -293,7 +293,7 @@ def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) 
 
 
 def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, str]) -> Up:
-    from alula.schemas.manifest import SceneManifest
+    from alula.schemas.artifacts.manifest import SceneManifest
     from alula.stages.reconstruction.look import convention_of, up_given, up_of, up_of_cameras
 
     if up is not None:
@@ -305,7 +305,7 @@ def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, st
     else:
         import numpy as np
 
-        from alula.schemas.configs.scale_align import MIN_NEAR
+        from alula.schemas.parameters.configs.scale_align import MIN_NEAR
         from alula.stages.alignment.colmap import read_model
         from alula.stages.alignment.model_frame import model_frame
 
@@ -388,7 +388,7 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
     """Start, goal and place to stand of a plan that exists; around the map where there is no way in it."""
     import dataclasses
 
-    from alula.schemas.configs.plan import PlanConfig
+    from alula.schemas.parameters.configs.plan import PlanConfig
     from alula.stages.planning.ends import ends_of
     from alula.stages.planning.plan import resolve_plan
     from alula.stages.planning.space import plan_space

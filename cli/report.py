@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from alula.cli import grouped, options
-from alula.schemas.configs.report import ReportConfig
+from alula.schemas.parameters.configs.report import ReportConfig
 
 EXAMPLES = """\b
 Examples:

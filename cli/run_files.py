@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
-    from alula.schemas.run import RunRecord
+    from alula.schemas.log.run import RunRecord
 
 
 def check_log_name(output: Path) -> None:
@@ -17,7 +17,7 @@ def check_log_name(output: Path) -> None:
         UsageError: the name does not end in .mcap.
     """
     from alula.schemas.errors import UsageError
-    from alula.schemas.run import RUN_SUFFIX
+    from alula.schemas.log.run import RUN_SUFFIX
 
     if not output.name.endswith(".mcap"):
         raise UsageError(f"{output}: the output must end in .mcap (usually {RUN_SUFFIX})")
@@ -43,7 +43,7 @@ def write_run(
     import msgspec
 
     from alula.schemas.atomic import atomic_outputs
-    from alula.schemas.run import record_path
+    from alula.schemas.log.run import record_path
 
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     timed = msgspec.structs.replace(record, timing=machine | dict(timing))

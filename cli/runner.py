@@ -14,18 +14,18 @@ import msgspec
 from alula.cli.options import Common
 from alula.cli.present import digits_of, echo, plain, print_json
 from alula.cli.progress import shown_progress
+from alula.schemas.artifacts.provenance import Provenance, differences, parameters_of, read_provenance
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
 from alula.schemas.files import check_no_stream, is_special, printable
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, differences, parameters_of, read_provenance
 
-INDEX = "index.json"  # as `alula.schemas.parts` has it, which imports NumPy
+INDEX = "index.json"  # as `alula.schemas.artifacts.parts` has it, which imports NumPy
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.kinds import Kind
-    from alula.schemas.manifest import InputRef
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.kinds import Kind
+    from alula.schemas.artifacts.manifest import InputRef
 
 
 def input_ref(role: str, path: Path, name: str = "") -> InputRef:
@@ -41,8 +41,8 @@ def input_ref(role: str, path: Path, name: str = "") -> InputRef:
     Raises:
         InputError: the file cannot be read.
     """
-    from alula.schemas.artifact import file_hash
-    from alula.schemas.manifest import InputRef
+    from alula.schemas.artifacts.artifact import file_hash
+    from alula.schemas.artifacts.manifest import InputRef
 
     _check_input(path)
     sha256 = file_hash(index_of(path))
@@ -98,7 +98,7 @@ def run_stage(
     Raises:
         UsageError, InputError, OutputError: as `run`.
     """
-    from alula.schemas.artifact import Artifact, write_artifact
+    from alula.schemas.artifacts.artifact import Artifact, write_artifact
 
     def make(
         provenance: Callable[[], Provenance], progress: Progress
@@ -378,7 +378,7 @@ def facts(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _says_nothing(key: str, value: Any) -> bool:
-    from alula.schemas.run import Outcome
+    from alula.schemas.log.run import Outcome
 
     is_counted = key.endswith("_steps") or (key in get_args(Outcome) and key != "reached")
     return value is None or (is_counted and value == 0 and not isinstance(value, bool))

@@ -12,13 +12,13 @@ from alula.cli import grouped, options, parted
 from alula.cli.alignment_table import show_alignment
 from alula.cli.options import PATH, Common, Numbers, NumbersOption
 from alula.cli.present import print_json
-from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.artifacts.provenance import Provenance, parameters_of
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, parameters_of
 
 if TYPE_CHECKING:
-    from alula.schemas.parts import Parts
-    from alula.schemas.parts_output import PartsWriter
+    from alula.schemas.artifacts.parts import Parts
+    from alula.schemas.artifacts.parts_output import PartsWriter
     from alula.stages.alignment.align_parts import PartsAligner
 
 EXAMPLES = """\b
@@ -96,9 +96,9 @@ def command(
     """
     from alula.cli.verbs.align import Files, evidence_of
     from alula.cli.verbs.verb import run_step
-    from alula.schemas.kinds import SCENE
-    from alula.schemas.manifest import Manifest
-    from alula.schemas.parts import open_parts
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.manifest import Manifest
+    from alula.schemas.artifacts.parts import open_parts
     from alula.stages.alignment.align_parts import PartsAligner
     from alula.stages.progress import share
 
@@ -154,10 +154,10 @@ def align_parts(
     """
     import msgspec
 
-    from alula.schemas.artifact import Artifact, file_hash
-    from alula.schemas.kinds import SCENE
-    from alula.schemas.manifest import InputRef
-    from alula.schemas.parts_output import WrittenPart, kept_part, part_name, write_part
+    from alula.schemas.artifacts.artifact import Artifact, file_hash
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.manifest import InputRef
+    from alula.schemas.artifacts.parts_output import WrittenPart, kept_part, part_name, write_part
     from alula.stages.distribute import distribute
 
     def work(number: int) -> WrittenPart:

@@ -9,7 +9,7 @@ import click
 from alula.cli import grouped, options
 from alula.cli.set_values import settings_of
 from alula.schemas.errors import OutputError, UsageError
-from alula.schemas.scenarios import NAMES
+from alula.schemas.scenarios.examples import NAMES
 
 EXAMPLES = """\b
 Examples:
@@ -75,10 +75,10 @@ def command(
     if file is None:
         raise UsageError("needs a FILE, --example or --keys")
     from alula.schemas.files import printable
-    from alula.schemas.world import TEXTS, read_sources
-    from alula.schemas.world_check import refusal
-    from alula.schemas.world_defaults import vehicle_of
-    from alula.schemas.world_text import moved, toml_of, values_of
+    from alula.schemas.scenarios.check import refusal
+    from alula.schemas.scenarios.defaults import vehicle_of
+    from alula.schemas.scenarios.scenario import TEXTS, read_sources
+    from alula.schemas.scenarios.text import moved, toml_of, values_of
 
     read = read_sources(file, settings_of(settings, TEXTS))
     vehicle = vehicle_of(read.scenario, file.parent)
@@ -96,7 +96,7 @@ def command(
 
 def _show_example(name: str, output: Path | None, *, force: bool, quiet: bool) -> None:
     from alula.cli.present import echo
-    from alula.schemas.scenarios import text_of
+    from alula.schemas.scenarios.examples import text_of
 
     text = text_of(name)
     if output is not None:
@@ -120,7 +120,7 @@ def _json(value: object) -> object:
 
 def _list_keys(part: str, *, json: bool, quiet: bool) -> None:
     from alula.cli.present import echo, print_json
-    from alula.schemas.world_text import keys_of
+    from alula.schemas.scenarios.text import keys_of
 
     keys = keys_of(part)
     if json:

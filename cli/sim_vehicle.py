@@ -153,8 +153,8 @@ def command(
     import json as json_module
     import time
 
-    from alula.schemas.kinds import COVER
-    from alula.schemas.parts_join import read_whole
+    from alula.schemas.artifacts.kinds import COVER
+    from alula.schemas.artifacts.parts_join import read_whole
     from alula.stages.sim_vehicle.common.endpoint import open_endpoint, open_mocap, serve
     from alula.stages.vehicles.ground import ground_of
 
@@ -183,8 +183,8 @@ def command(
         )
         link = f"udpin:{link.removeprefix(_CRTP)}"
     else:
-        from alula.schemas.signing_key import read_key
-        from alula.schemas.vehicles import vehicle_named
+        from alula.schemas.artifacts.signing_key import read_key
+        from alula.schemas.scenarios.vehicles import vehicle_named
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.airframe import Terrain
         from alula.stages.sim_vehicle.common.faults import parse_fault
@@ -240,7 +240,7 @@ def _crazyflie(
     ground: Ground | None,
     seed: int,
 ) -> tuple[str, Vehicle]:
-    from alula.schemas.vehicles import vehicle_named
+    from alula.schemas.scenarios.vehicles import vehicle_named
     from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
 
     if vehicle_name is None:

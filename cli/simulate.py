@@ -11,11 +11,11 @@ import click
 from alula.cli import completion, grouped, options
 from alula.cli.runner import run
 from alula.cli.set_values import settings_of
-from alula.schemas.flight_defaults import COMPARATORS, FILTERS
+from alula.schemas.parameters.flight_defaults import COMPARATORS, FILTERS
 
 if TYPE_CHECKING:
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.progress import Progress
-    from alula.schemas.provenance import Provenance
 
 EXAMPLES = """\b
 Examples:
@@ -81,9 +81,9 @@ def command(
     from alula.cli.run_files import check_log_name
     from alula.cli.verbs.runs import check_trials
     from alula.cli.verbs.simulate import simulate
-    from alula.schemas.journal import TRIALS
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
-    from alula.schemas.world import TEXTS
+    from alula.schemas.artifacts.journal import TRIALS
+    from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, read_run
+    from alula.schemas.scenarios.scenario import TEXTS
     from alula.stages.simulation.chunks import TrialJournal
     from alula.stages.simulation.world.chunks import FlownChunk
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from alula.schemas.errors import UsageError, WrongKindError
 
 if TYPE_CHECKING:
-    from alula.schemas.tiles import TileFiles
+    from alula.schemas.artifacts.tiles import TileFiles
 
 
 def map_role(path: Path) -> str:
@@ -20,8 +20,8 @@ def map_role(path: Path) -> str:
     Raises:
         WrongKindError: it is another artifact.
     """
-    from alula.schemas.kinds import COVER, SCENE
-    from alula.schemas.parts import manifest_of
+    from alula.schemas.artifacts.kinds import COVER, SCENE
+    from alula.schemas.artifacts.parts import manifest_of
 
     found = manifest_of(path).schema
     if found not in (COVER.name, SCENE.name):
@@ -38,7 +38,7 @@ def map_files(path: Path) -> dict[str, Path]:
     Raises:
         WrongKindError: it is another artifact.
     """
-    from alula.schemas.tiles import WHOLE, is_tiles
+    from alula.schemas.artifacts.tiles import WHOLE, is_tiles
 
     return {"cover": path / WHOLE, "tiles": path} if is_tiles(path) else {map_role(path): path}
 
@@ -55,9 +55,9 @@ def source_files(source: Path, map_path: Path | None, scene: Path | None) -> dic
         WrongKindError: a file is of another kind.
         UsageError: the files do not go together.
     """
-    from alula.schemas.kinds import COVER, PLAN, SCENE
-    from alula.schemas.parts import manifest_of
-    from alula.schemas.tiles import is_tiles
+    from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
+    from alula.schemas.artifacts.parts import manifest_of
+    from alula.schemas.artifacts.tiles import is_tiles
 
     found = COVER.name if is_tiles(source) else manifest_of(source).schema
     if found not in (COVER.name, PLAN.name, SCENE.name):
@@ -91,10 +91,10 @@ def read_tiles_of(paths: dict[str, Path], key_path: Path | None) -> TileFiles | 
         InputError, ArtifactError: they cannot be read, or are of another cover than the file `cover`.
         CheckError: they are not signed with the key.
     """
-    from alula.schemas.artifact import file_hash
+    from alula.schemas.artifacts.artifact import file_hash
+    from alula.schemas.artifacts.signing_key import read_key
+    from alula.schemas.artifacts.tiles import TILES, read_tiles
     from alula.schemas.errors import InputError
-    from alula.schemas.signing_key import read_key
-    from alula.schemas.tiles import TILES, read_tiles
 
     if "tiles" not in paths:
         if key_path is not None:

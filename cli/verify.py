@@ -12,10 +12,10 @@ from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.certificate import Certificate
-    from alula.schemas.kinds import Kind
-    from alula.schemas.parts import Parts
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.certificate import Certificate
+    from alula.schemas.artifacts.kinds import Kind
+    from alula.schemas.artifacts.parts import Parts
     from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
@@ -132,16 +132,16 @@ def command(
     from alula.cli.progress import shown_progress
     from alula.cli.sources import map_role
     from alula.cli.verify_parts import has_domains, verified, verified_part
-    from alula.schemas.artifact import read_manifest
+    from alula.schemas.artifacts.artifact import read_manifest
+    from alula.schemas.artifacts.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, certificate_text
+    from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
+    from alula.schemas.artifacts.lineage import require_own_map
+    from alula.schemas.artifacts.parts_join import read_whole
+    from alula.schemas.artifacts.provenance import Provenance, read_provenance
+    from alula.schemas.artifacts.signing_key import read_key
+    from alula.schemas.artifacts.tiles import TILES, WHOLE, is_tiles, open_tiles
     from alula.schemas.atomic import write_text
-    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, certificate_text
     from alula.schemas.errors import CheckError, UsageError
-    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
-    from alula.schemas.lineage import require_own_map
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.provenance import Provenance, read_provenance
-    from alula.schemas.signing_key import read_key
-    from alula.schemas.tiles import TILES, WHOLE, is_tiles, open_tiles
     from alula.stages.compression.imported_files import read_imported
     from alula.stages.compression.onboard.image import read_map
     from alula.stages.compression.onboard.verify_tiles import verify_tiles
@@ -257,9 +257,9 @@ def command(
 
 def _open(path: Path, kind: Kind) -> Artifact | Parts:
     """Voxels or a scene as parts, which are not joined; all else as a whole."""
-    from alula.schemas.kinds import COVER
-    from alula.schemas.parts import open_parts
-    from alula.schemas.parts_join import read_whole
+    from alula.schemas.artifacts.kinds import COVER
+    from alula.schemas.artifacts.parts import open_parts
+    from alula.schemas.artifacts.parts_join import read_whole
 
     return read_whole(path, kind) if kind is COVER else open_parts(path, kind)
 
@@ -296,10 +296,10 @@ def prove(
 
 def _is_plan(path: Path) -> bool:
     """Test whether a file is a plan; the reader reports a file that cannot be read."""
-    from alula.schemas.artifact import read_manifest
+    from alula.schemas.artifacts.artifact import read_manifest
+    from alula.schemas.artifacts.kinds import PLAN
     from alula.schemas.errors import AlulaError
     from alula.schemas.files import is_special
-    from alula.schemas.kinds import PLAN
 
     if is_special(path):
         return False

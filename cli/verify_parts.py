@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from alula.schemas.artifact import file_hash, read_artifact
-from alula.schemas.certificate import Certificate, PartsCertificate
+from alula.schemas.artifacts.artifact import file_hash, read_artifact
+from alula.schemas.artifacts.certificate import Certificate, PartsCertificate
+from alula.schemas.artifacts.kinds import COVER, SCENE, VOXELS
+from alula.schemas.artifacts.parts import Parts, is_parts, open_parts
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.schemas.files import read_small
-from alula.schemas.kinds import COVER, SCENE, VOXELS
-from alula.schemas.parts import Parts, is_parts, open_parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.verify_parts import prove_part, verify_parts
 

@@ -10,8 +10,8 @@ import click
 from alula.cli import grouped, options
 from alula.cli.options import Common
 from alula.cli.present import echo, print_json
-from alula.schemas.configs.view import PictureConfig, ViewConfig
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.view import PictureConfig, ViewConfig
 
 if TYPE_CHECKING:
     from alula.cli.verbs.pages import Page

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from alula.cli import grouped, options
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 
 EXAMPLES = """\b
 Examples:
@@ -60,9 +60,9 @@ def command(
     from alula.cli.parted import is_parted
     from alula.cli.runner import index_of, run_stage
     from alula.cli.voxelize_parts import voxelize_parts
-    from alula.schemas.artifact import Artifact, read_artifact
+    from alula.schemas.artifacts.artifact import Artifact, read_artifact
+    from alula.schemas.artifacts.kinds import SCENE, VOXELS
     from alula.schemas.errors import InfeasibleError, InputError, UsageError
-    from alula.schemas.kinds import SCENE, VOXELS
     from alula.schemas.progress import Progress
     from alula.stages.compression.voxelize import voxelize
 

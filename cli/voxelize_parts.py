@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 from alula.cli.options import Common
 from alula.cli.parted import is_parted, run_parts
 from alula.cli.runner import run_stage
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.provenance import Provenance, parameters_of
 from alula.schemas.errors import InfeasibleError, InputError, OutputError
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, parameters_of
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.manifest import Manifest
-    from alula.schemas.parts_output import PartsWriter, WrittenPart
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.manifest import Manifest
+    from alula.schemas.artifacts.parts_output import PartsWriter, WrittenPart
     from alula.stages.compression.voxelize_parts import BlockVoxelizer
 
 
@@ -38,7 +38,7 @@ def voxelize_parts(
     Raises:
         UsageError, InputError, InfeasibleError, LinkError: see `BlockVoxelizer`.
     """
-    from alula.schemas.kinds import VOXELS
+    from alula.schemas.artifacts.kinds import VOXELS
     from alula.stages.compression.voxelize import tile_edge
     from alula.stages.compression.voxelize_parts import BLOCK_ELLIPSOIDS, EDGE, voxelize_whole
 
@@ -66,8 +66,8 @@ def _voxelizer(
     scene: Path, config: VoxelizeConfig, edge: int, most: int | None, folder: Path | None
 ) -> Iterator[BlockVoxelizer]:
     """Context with a voxelizer, whose temporary files are in a folder; errors name the scene."""
-    from alula.schemas.kinds import SCENE
-    from alula.schemas.parts import open_parts
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.parts import open_parts
     from alula.stages.compression.voxelize_parts import BlockVoxelizer
 
     parts = open_parts(scene, SCENE)
@@ -86,9 +86,9 @@ def _parts(
     voxelizer: BlockVoxelizer, folder: Path | None, scheduler: str | None, jobs: int, progress: Progress
 ) -> list[WrittenPart]:
     """Make and write all parts that an interrupted run has not finished, in the order of the blocks."""
-    from alula.schemas.artifact import read_artifact
-    from alula.schemas.kinds import VOXELS
-    from alula.schemas.parts_output import kept_part, part_name, write_part
+    from alula.schemas.artifacts.artifact import read_artifact
+    from alula.schemas.artifacts.kinds import VOXELS
+    from alula.schemas.artifacts.parts_output import kept_part, part_name, write_part
     from alula.stages.compression.voxelize_parts import ASSIGNED
     from alula.stages.progress import share
 

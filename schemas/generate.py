@@ -1,8 +1,8 @@
 """`python -m alula.schemas.generate ROOT` writes all files of a checkout that follow from the schemas.
 
-The filter parameters in `schemas/filters/*.toml` become the C++ and C option structs, the field lists of
-the bindings, the Python module `alula.schemas.filter_options` and the tables in the documentation. The JSON
-Schema of every artifact kind follows from the Python structs.
+The filter parameters in `schemas/parameters/filters/*.toml` become the C++ and C option structs, the field
+lists of the bindings, the Python module `alula.schemas.parameters.filter_options` and the tables in the
+documentation. The JSON Schema of every artifact kind follows from the Python structs.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.filters import emit_docs, emit_native, emit_python, source
+from alula.schemas.parameters.filters import emit_docs, emit_native, emit_python, source
 
 PAGES = ("docs/theory/filters.md", "docs/theory/moving.md", "docs/theory/geofence.md")
 
@@ -27,38 +27,38 @@ def filter_files(root: Path) -> dict[str, str]:
     Returns:
         File contents by path in the checkout.
     """
-    structs = source.load(root / "schemas/filters")
+    structs = source.load(root / "schemas/parameters/filters")
     native = structs.values()
     files = {
         "native/core/include/alula/filters/options.hpp": emit_native.cpp_header(native),
         "native/core/include/alula/filters/option_fields.hpp": emit_native.field_lists(native),
         "native/onboard/include/alula_options.h": emit_native.c_header(native),
-        "schemas/filter_options.py": emit_python.module(structs),
+        "schemas/parameters/filter_options.py": emit_python.module(structs),
     }
     return files | {page: emit_docs.with_tables((root / page).read_text(), structs) for page in PAGES}
 
 
 def keyword_files() -> dict[str, str]:
     """What follows from the configurations: file contents by path in the checkout."""
-    from alula.schemas.configs import emit_keywords  # depends on files that `main` writes first
+    from alula.schemas.parameters.configs import emit_keywords  # depends on files that `main` writes first
 
-    return {"schemas/keywords.py": emit_keywords.module()}
+    return {"schemas/parameters/keywords.py": emit_keywords.module()}
 
 
 def documents() -> dict[str, bytes]:
     """The JSON Schema of the manifest or record of each kind, by file name."""
     # These modules depend on files that `main` writes first.
-    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, CertificateFile
-    from alula.schemas.kinds import KINDS
-    from alula.schemas.manifest import VERSION
-    from alula.schemas.mission import MISSION_SCHEMA, Mission
-    from alula.schemas.parts import PARTS_SCHEMA, PARTS_VERSION, PartsIndex
-    from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION, Report
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
-    from alula.schemas.tiles import TILES_SCHEMA, TILES_VERSION, TilesIndex
-    from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
-    from alula.schemas.world import WORLD_VERSION, WorldScenario
-    from alula.schemas.world_tables import SCENARIO_SCHEMA
+    from alula.schemas.artifacts.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, CertificateFile
+    from alula.schemas.artifacts.kinds import KINDS
+    from alula.schemas.artifacts.manifest import VERSION
+    from alula.schemas.artifacts.parts import PARTS_SCHEMA, PARTS_VERSION, PartsIndex
+    from alula.schemas.artifacts.report import REPORT_SCHEMA, REPORT_VERSION, Report
+    from alula.schemas.artifacts.tiles import TILES_SCHEMA, TILES_VERSION, TilesIndex
+    from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+    from alula.schemas.scenarios.mission import MISSION_SCHEMA, Mission
+    from alula.schemas.scenarios.scenario import WORLD_VERSION, WorldScenario
+    from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
+    from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, Vehicle
 
     types: list[tuple[str, str, type[Any]]] = [
         *((kind.name, kind.version, kind.manifest) for kind in KINDS.values()),
@@ -84,7 +84,7 @@ def documents() -> dict[str, bytes]:
 
 def _open_to_others(schema: dict[str, Any]) -> None:
     """Let `[safety]` have tables of other packages' filters; leave out what a file cannot have."""
-    from alula.schemas.world import ELSEWHERE
+    from alula.schemas.scenarios.scenario import ELSEWHERE
 
     definitions = schema["$defs"]
     safety = definitions["SafetyTable"]

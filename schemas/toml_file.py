@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from alula.schemas.artifacts.manifest import VERSION, parse_version
 from alula.schemas.decode import MOST_TOML, MalformedError, convert, decode_toml
 from alula.schemas.errors import InputError, UsageError, VersionError
 from alula.schemas.files import check_no_stream
-from alula.schemas.manifest import VERSION, parse_version
 
 Table = TypeVar("Table", bound=msgspec.Struct)
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.compression.hulls import Hulls
 

@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from alula.schemas.artifacts.manifest import producer
 from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.extras import load
-from alula.schemas.manifest import producer
 from alula.stages.loopback import is_loopback
 
 Chunk = TypeVar("Chunk")

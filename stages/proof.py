@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from alula.schemas.certificate import Check, Offence
+from alula.schemas.artifacts.certificate import Check, Offence
 
 LISTED = 100  # maximum number of offences that a check lists
 

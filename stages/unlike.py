@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from alula.schemas.manifest import InputRef
-from alula.schemas.provenance import Provenance
+from alula.schemas.artifacts.manifest import InputRef
+from alula.schemas.artifacts.provenance import Provenance
 
 MAPS = ("cover", "scene", "seen", "within", "tiles", "map")  # roles of inputs that are obstacles
 _VEHICLE, _MAP = ("vehicle", "vehicle_file"), ("world",)  # tables of a run's parameters

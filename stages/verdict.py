@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from alula.schemas.errors import InputError
-from alula.schemas.run import Outcome, TrialResult
+from alula.schemas.log.run import Outcome, TrialResult
 
 UNFILTERED = "No filter was flown; nothing was guaranteed beforehand."
 _CLOSED_SHARE = 0.005  # of the path: a course that ends so near to where it begins is closed

@@ -10,7 +10,7 @@ import click
 from alula.cli import grouped, options
 from alula.cli.fly.contact import of_link
 from alula.cli.set_values import settings_of
-from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.parameters.configs.fly import FlyConfig
 
 EXAMPLES = """\b
 Examples:

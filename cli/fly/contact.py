@@ -13,7 +13,7 @@ from alula.cli.present import echo
 from alula.schemas.errors import LinkError
 
 if TYPE_CHECKING:
-    from alula.schemas.vehicle import Vehicle
+    from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.watchdog.watchdog import Watchdog
 
@@ -48,7 +48,7 @@ class Route(NamedTuple):
             vehicle: the vehicle file.
             more: further fields of `LinkOptions`.
         """
-        from alula.schemas.signing_key import read_key
+        from alula.schemas.artifacts.signing_key import read_key
         from alula.stages.flight.links.open_link import open_link
         from alula.stages.flight.links.options import LinkOptions
         from alula.stages.vehicles.frames import LocalFrame

@@ -15,8 +15,8 @@ from alula.cli.present import echo
 from alula.schemas.errors import CheckError, LinkError, OutputError
 
 if TYPE_CHECKING:
-    from alula.schemas.provenance import Provenance
-    from alula.schemas.run import RunRecord, TrialResult
+    from alula.schemas.artifacts.provenance import Provenance
+    from alula.schemas.log.run import RunRecord, TrialResult
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.mission import Mission
@@ -228,8 +228,8 @@ def _finish(
     import msgspec
 
     from alula.cli.runner import show
-    from alula.schemas.artifact import encode_artifact
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.schemas.artifacts.artifact import encode_artifact
+    from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
     from alula.stages.flight.judge import guarantee_of, judge, summary_of, timing_of
     from alula.stages.flight.mission import describe
 

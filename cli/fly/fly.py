@@ -11,12 +11,12 @@ from alula.cli.fly.contact import Route
 from alula.cli.options import Common
 from alula.cli.present import echo
 from alula.cli.verbs.keywords import configured
-from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.fly import FlyConfig
 
 if TYPE_CHECKING:
-    from alula.schemas.vehicle import Vehicle
-    from alula.schemas.world import Read
+    from alula.schemas.scenarios.scenario import Read
+    from alula.schemas.scenarios.vehicle import Vehicle
 
 
 def fly(
@@ -63,16 +63,16 @@ def fly(
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.cli.sources import read_tiles_of
+    from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN
+    from alula.schemas.artifacts.lineage import require_own_map
+    from alula.schemas.artifacts.parts_join import read_whole
+    from alula.schemas.artifacts.provenance import Provenance, parameters_of
     from alula.schemas.extras import require
-    from alula.schemas.flight_defaults import filter_in
-    from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN
-    from alula.schemas.lineage import require_own_map
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.provenance import Provenance, parameters_of
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
-    from alula.schemas.start_time import start_time_ns
-    from alula.schemas.vehicle import contents
-    from alula.schemas.vehicles import vehicle_named
+    from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, record_path
+    from alula.schemas.log.start_time import start_time_ns
+    from alula.schemas.parameters.flight_defaults import filter_in
+    from alula.schemas.scenarios.vehicle import contents
+    from alula.schemas.scenarios.vehicles import vehicle_named
     from alula.stages.flight.mission import Mission, make_mission
     from alula.stages.vehicles.ground import ground_of
 
@@ -151,8 +151,8 @@ def _from_scenario(
     vehicle: Vehicle | None,
 ) -> tuple[FlyConfig, str | None, Vehicle]:
     """Configuration, link and vehicle of the scenario; options on the command line take precedence."""
-    from alula.schemas.world_defaults import vehicle_of
-    from alula.schemas.world_fly import flown_filter, flown_settings, flown_vehicle
+    from alula.schemas.scenarios.defaults import vehicle_of
+    from alula.schemas.scenarios.fly import flown_filter, flown_settings, flown_vehicle
     from alula.stages.compression.voxelize import sigma_of_confidence
 
     given = {name: getattr(config, name) for name in fields}

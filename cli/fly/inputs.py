@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.schemas.world import Read
+    from alula.schemas.scenarios.scenario import Read
 
 
 def inputs_of(
@@ -29,8 +29,8 @@ def inputs_of(
         UsageError: the files do not go together, or there is no plan.
     """
     from alula.cli.sources import map_files, source_files
-    from alula.schemas.world import read_sources
-    from alula.schemas.world_fly import flown_files
+    from alula.schemas.scenarios.fly import flown_files
+    from alula.schemas.scenarios.scenario import read_sources
 
     read = None
     if source.suffix == ".toml":
@@ -61,8 +61,8 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     Raises:
         UsageError: there is no such filter, or its map is missing.
     """
-    from alula.schemas.flight_defaults import NO_FILTER
-    from alula.schemas.world_check import TRACKING
+    from alula.schemas.parameters.flight_defaults import NO_FILTER
+    from alula.schemas.scenarios.check import TRACKING
     from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
     from alula.stages.filtering.registry import FLIES_AMONG_HULLS, filter_kind
 

@@ -11,15 +11,15 @@ from alula.cli import runner
 from alula.cli.library.bar import shown
 from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.results import RESULTS, Cover, File, Plan, Result, Scene, Seen, Voxels
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import CheckError, InfeasibleError, InputError, UsageError, WrongKindError
-from alula.schemas.provenance import Provenance
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 
 if TYPE_CHECKING:
     from alula.cli.verbs.runs import Run
-    from alula.schemas.certificate import Certificate
-    from alula.schemas.keywords import (
+    from alula.schemas.artifacts.certificate import Certificate
+    from alula.schemas.parameters.keywords import (
         MergeFields,
         VoxelizeFields,
     )
@@ -39,9 +39,9 @@ def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
     Raises:
         InputError: the file cannot be read, is damaged, or is a splat file, which `import_splat` reads.
     """
+    from alula.schemas.artifacts.parts_join import read_whole
+    from alula.schemas.artifacts.salvage import is_artifact_like
     from alula.schemas.log.mcap import MAGIC
-    from alula.schemas.parts_join import read_whole
-    from alula.schemas.salvage import is_artifact_like
 
     file = Path(path).expanduser()
     with_magic = b""
@@ -104,7 +104,7 @@ def merge(source: Source, *, jobs: int = 0, **fields: Unpack[MergeFields]) -> Co
     Raises:
         InfeasibleError: there is no cover within the limits.
     """
-    from alula.schemas.artifact import Artifact
+    from alula.schemas.artifacts.artifact import Artifact
     from alula.stages.compression.merge import merge as stage
 
     config = configured("merge", MergeConfig, fields)
@@ -141,8 +141,8 @@ class Proof:
             UsageError: another file is there.
             OutputError: the file cannot be written.
         """
+        from alula.schemas.artifacts.certificate import certificate_text
         from alula.schemas.atomic import write_text
-        from alula.schemas.certificate import certificate_text
 
         target = Path(path).expanduser()
         if target.suffix != ".json":
@@ -193,7 +193,7 @@ def verify(
         UsageError: the files do not go together.
     """
     from alula.cli.verify import prove
-    from alula.schemas.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION
+    from alula.schemas.artifacts.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION
 
     found = proven if isinstance(proven, Result) else read(proven)
     role = type(found).__name__.lower()
@@ -218,7 +218,7 @@ def verify(
     files |= {} if scene is None else {"scene": Scene.of(scene)}
     refs = [one.ref(name) for name, one in files.items()]
     if isinstance(found, Plan):
-        from alula.schemas.lineage import require_own_map
+        from alula.schemas.artifacts.lineage import require_own_map
 
         require_own_map(
             Path("the plan" if isinstance(proven, Result) else proven),

@@ -6,11 +6,11 @@ import dataclasses
 from functools import cache
 
 from alula.cli.pages.tables import code, structs, summary_and_attributes, table
-from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.artifacts.kinds import KINDS, Kind
+from alula.schemas.artifacts.manifest import FEATURES
 from alula.schemas.decode import decode_plain_json
 from alula.schemas.generate import documents
-from alula.schemas.kinds import KINDS, Kind
-from alula.schemas.manifest import FEATURES
+from alula.schemas.parameters.configs.fly import FlyConfig
 
 _RULES = {
     "finite": "finite",

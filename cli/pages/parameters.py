@@ -11,10 +11,10 @@ from typing import Any
 
 from alula.cli.options import option_of
 from alula.cli.pages.tables import code, table
-from alula.schemas import configs
-from alula.schemas.filter_options import FILTERS, TABLES
-from alula.schemas.filters.values import Entry, entries
-from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.parameters import configs
+from alula.schemas.parameters.filter_options import FILTERS, TABLES
+from alula.schemas.parameters.filters.values import Entry, entries
+from alula.schemas.scenarios.check import FILTER_COMMANDS
 
 COMMANDS = {
     "velocity": "velocities [m/s]",

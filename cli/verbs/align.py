@@ -12,15 +12,15 @@ from alula.cli.interruption import handlers_kept
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Scene, Source, source_of
 from alula.cli.verbs.verb import Step, verb
-from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import UsageError
 from alula.schemas.files import text_of
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.keywords import ScaleAlignFields
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.parameters.keywords import ScaleAlignFields
     from alula.stages.alignment.evidence import Correspondences
     from alula.stages.alignment.nerfstudio import TrainingFrame
     from alula.stages.alignment.scale_align import Evidence

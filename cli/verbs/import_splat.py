@@ -10,14 +10,14 @@ from alula.cli.import_parts import inputs_of
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Scene
 from alula.cli.verbs.verb import Step, verb
-from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.files import printable
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.keywords import ImportSplatFields
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.parameters.keywords import ImportSplatFields
     from alula.stages.reconstruction.formats.splats import Splats as Read
 
 

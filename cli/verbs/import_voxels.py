@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Unpack
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Voxels
 from alula.cli.verbs.verb import Step, verb
-from alula.schemas.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.errors import InfeasibleError, InputError
+from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.keywords import ImportVoxelsFields
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.parameters.keywords import ImportVoxelsFields
 
 
 @verb(ImportVoxelsConfig)

@@ -11,20 +11,20 @@ from alula.cli.sources import map_role
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import Cover, File, Plan, Result, Scene, Source, source_of
 from alula.cli.verbs.verb import Step, verb
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.kinds import COVER, SCENE, SEEN
 from alula.schemas.errors import InputError, UsageError, WrongKindError
-from alula.schemas.flight_defaults import filter_in, planned_interface
-from alula.schemas.kinds import COVER, SCENE, SEEN
-from alula.schemas.mission import Mission, read_mission
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.parameters.flight_defaults import filter_in, planned_interface
 from alula.schemas.progress import Progress
-from alula.schemas.vehicles import vehicle_named
+from alula.schemas.scenarios.mission import Mission, read_mission
+from alula.schemas.scenarios.vehicles import vehicle_named
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.keywords import PlanFields
-    from alula.schemas.vehicle import Vehicle
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.parameters.keywords import PlanFields
+    from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.planning.space import PlanSpace
 
 Maps = Mapping[str, Result | File]

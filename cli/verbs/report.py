@@ -15,15 +15,15 @@ from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.pages import Page, path_of
 from alula.cli.verbs.results import Source, on_disk
 from alula.cli.verbs.runs import Run
-from alula.schemas.configs.report import ReportConfig
+from alula.schemas.artifacts.provenance import Provenance, read_provenance
+from alula.schemas.artifacts.report import REPORT_SCHEMA, REPORT_VERSION
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.schemas.log.run import record_path
+from alula.schemas.parameters.configs.report import ReportConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, read_provenance
-from alula.schemas.report import REPORT_SCHEMA, REPORT_VERSION
-from alula.schemas.run import record_path
 
 if TYPE_CHECKING:
-    from alula.schemas.keywords import ReportFields
+    from alula.schemas.parameters.keywords import ReportFields
     from alula.stages.reporting.material import Material
 
 
@@ -136,7 +136,7 @@ def _contents_of(
     progress: Progress,
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
     """Contents of the files of a report, the output first, and the facts to print."""
-    from alula.schemas.provenance import in_ascii
+    from alula.schemas.artifacts.provenance import in_ascii
     from alula.stages.reporting.content import content_of, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
     from alula.stages.reporting.tables import to_csv
@@ -202,11 +202,11 @@ def _read_material(
     title: str, runs: Sequence[Path], inputs: Mapping[str, Path], provenance: Provenance
 ) -> Material:
     """Read the files of a report."""
-    from alula.schemas.certificate import decode_certificate
+    from alula.schemas.artifacts.certificate import decode_certificate
+    from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
+    from alula.schemas.artifacts.parts_join import read_whole
     from alula.schemas.files import size_of
-    from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.log.cut import read_logged
-    from alula.schemas.parts_join import read_whole
     from alula.stages.reporting.material import Material, Run, cover_hash
 
     flown: list[Run] = []

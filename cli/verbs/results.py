@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from alula.cli import runner
 from alula.cli.verbs.display import table
-from alula.schemas.artifact import Artifact, encode_artifact, file_hash, write_artifact
+from alula.schemas.artifacts.artifact import Artifact, encode_artifact, file_hash, write_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
+from alula.schemas.artifacts.manifest import CoverManifest, InputRef, LevelManifest, Manifest
+from alula.schemas.artifacts.parts_join import read_whole
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import InputError, WrongKindError
-from alula.schemas.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
-from alula.schemas.manifest import CoverManifest, InputRef, LevelManifest, Manifest
-from alula.schemas.parts_join import read_whole
-from alula.schemas.provenance import Provenance
 
 _Ints = NDArray[np.signedinteger[Any]]
 _Floats = NDArray[np.floating[Any]]
@@ -358,7 +358,7 @@ class Cover(Result):
             InfeasibleError: there are fewer.
         """
         from alula.cli.verbs.keywords import configured
-        from alula.schemas.configs.plan import PlanConfig
+        from alula.schemas.parameters.configs.plan import PlanConfig
         from alula.stages.planning.endpoints import free_points
         from alula.stages.planning.plan import resolve_plan
         from alula.stages.planning.space import plan_space

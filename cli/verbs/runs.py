@@ -14,16 +14,16 @@ from alula.cli.missions import Trials
 from alula.cli.run_files import check_log_name, write_run
 from alula.cli.verbs.display import table
 from alula.cli.verbs.results import File, Result, on_disk
+from alula.schemas.artifacts.manifest import InputRef
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import CheckError, UsageError
 from alula.schemas.log.cut import read_logged
-from alula.schemas.manifest import InputRef
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import PLAN_OUTCOMES, RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, RunRecord, TrialResult
+from alula.schemas.log.run import PLAN_OUTCOMES, RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, RunRecord, TrialResult
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
+    from alula.schemas.artifacts.artifact import Artifact
     from alula.schemas.log.flights import Flight
-    from alula.schemas.world import WorldScenario
+    from alula.schemas.scenarios.scenario import WorldScenario
     from alula.stages.simulation.world.simulate import WorldRun
 
 

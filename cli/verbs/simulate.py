@@ -15,15 +15,15 @@ from alula.cli.verbs.runs import Flown, Run
 from alula.cli.verbs.verb import verb
 from alula.schemas.errors import UsageError
 from alula.schemas.files import printable
-from alula.schemas.foreign_filters import provided
+from alula.schemas.parameters.foreign_filters import provided
 from alula.schemas.progress import Progress
-from alula.schemas.world import TEXTS
+from alula.schemas.scenarios.scenario import TEXTS
 
 if TYPE_CHECKING:
-    from alula.schemas.artifact import Artifact
-    from alula.schemas.manifest import InputRef
-    from alula.schemas.provenance import Provenance
-    from alula.schemas.tiles import TileFiles
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.manifest import InputRef
+    from alula.schemas.artifacts.provenance import Provenance
+    from alula.schemas.artifacts.tiles import TileFiles
     from alula.stages.simulation.chunks import TrialJournal
     from alula.stages.simulation.world.chunks import FlownChunk
 

@@ -12,7 +12,7 @@ from alula.cli.library.bar import shown
 from alula.cli.options import Common
 from alula.cli.verbs.keywords import keywords
 from alula.cli.verbs.results import File, Result
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.progress import Progress
 
 P = ParamSpec("P")

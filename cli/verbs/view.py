@@ -14,13 +14,13 @@ from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.pages import Page, path_of
 from alula.cli.verbs.results import Source, on_disk
 from alula.cli.verbs.runs import Run
-from alula.schemas.configs.view import PictureConfig, ViewConfig
+from alula.schemas.artifacts.provenance import Provenance, parameters_of
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.view import PictureConfig, ViewConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance, parameters_of
 
 if TYPE_CHECKING:
-    from alula.schemas.keywords import ViewFields
+    from alula.schemas.parameters.keywords import ViewFields
     from alula.stages.show.drawing.content import Content
     from alula.stages.show.viewing.compose import Shown
 
@@ -142,7 +142,7 @@ def _picture(
     jobs: int,
 ) -> tuple[bytes, dict[str, Any]]:
     """Bytes of a still or moving picture, and the figures to print."""
-    from alula.schemas.provenance import in_ascii
+    from alula.schemas.artifacts.provenance import in_ascii
     from alula.stages.show.viewing import encode
     from alula.stages.show.viewing.film import film, still
 

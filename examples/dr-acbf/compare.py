@@ -8,7 +8,7 @@ the same tables as one Markdown page into FILE.
 
 import json
 
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from alula.stages.reporting.table import folded
 from papers.comparison import comparison_words, this_machine, write_comparison, write_record
 from papers.dracbf import analysis as dracbf_analysis

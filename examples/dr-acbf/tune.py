@@ -8,7 +8,7 @@ A run is METHOD_CONDITION_SETTING.run.mcap with its record beside it.
 import sys
 from pathlib import Path
 
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from papers.dracbf.difficulty import chosen
 from papers.dracbf.tables import Flown
 

@@ -5,7 +5,7 @@ Usage: python ablations.py [--markdown FILE] FOLDER RUN [RUN ...]
 
 from pathlib import Path
 
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from alula.stages.reporting.material import Run
 from papers.comparison import comparison_words, write_comparison
 from papers.fastbridge import tables as fastbridge

@@ -10,7 +10,7 @@ import csv
 from pathlib import Path
 
 from alula.schemas.log.flights import read_flights
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.table import Table
 from papers.comparison import comparison_words, write_comparison, write_record

@@ -20,9 +20,9 @@ from typing import Any
 
 from scipy.stats import qmc
 
-from alula.schemas.artifact import Artifact, read_artifact
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.world import decoded
+from alula.schemas.artifacts.artifact import Artifact, read_artifact
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.simulation.world.simulate import simulate_world
 
 ROOM_SPEED_M_S, TILE_SPEED_M_S = 4.1, 3.1

@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 
 from alula.schemas.log.fence_ticks import read_ticks
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from alula.stages.reporting.table import folded
 from papers.comparison import comparison_words, this_machine, write_comparison, write_record
 from papers.geofencing import figures as geofencing_figures

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import msgspec
 
+from alula.schemas.artifacts.manifest import Producer
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Producer
 from papers.claims import Claim, Paper, Row, Shown, counts, judged, row_id, shown
 from papers.compared import Compared, ComparedFigure, Comparison, Verdict
 from papers.papers import PAPERS

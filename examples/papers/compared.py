@@ -12,9 +12,9 @@ from typing import Any, Literal, Protocol
 
 import msgspec
 
+from alula.schemas.artifacts.manifest import Producer
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Producer
 from alula.stages.reporting.statistics import Estimate, Rate
 
 COMPARISON_SCHEMA = "papers/comparison"

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from alula.cli.runner import input_ref
+from alula.schemas.artifacts.manifest import producer
 from alula.schemas.atomic import write_text
-from alula.schemas.manifest import producer
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.page import page

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 import msgspec
 
-from alula.schemas.manifest import Producer
+from alula.schemas.artifacts.manifest import Producer
 from alula.stages.reporting.figures import Figure
 from papers.claims import Claim, Paper
 from papers.compared import (

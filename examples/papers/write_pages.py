@@ -11,8 +11,8 @@ as seen from OUTPUT.html.
 import argparse
 from pathlib import Path
 
+from alula.schemas.artifacts.manifest import producer
 from alula.schemas.atomic import write_text
-from alula.schemas.manifest import producer
 from papers.collected import collect
 from papers.compared import read_comparison, write_comparison_record
 from papers.markdown import papers_markdown

@@ -47,7 +47,7 @@ def decompose(mesh: Path, output: Path, limit_s: float) -> None:
 
 def main() -> None:
     """Make the surface, run CoACD on it, and write its parts or none."""
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
     from alula.schemas.atomic import atomic_output
     from alula.stages.compression.density_mesh import density_mesh, simplified
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.table import folded

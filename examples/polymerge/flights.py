@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from alula import _core
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.atomic import write_text
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import decoded
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf

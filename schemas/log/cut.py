@@ -11,14 +11,14 @@ from pathlib import Path
 
 import msgspec
 
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.decode import decode_json, json_decoder
 from alula.schemas.errors import ArtifactError, DamagedError
 from alula.schemas.log.channels import SUPERVISOR_TOPIC, Supervisor
 from alula.schemas.log.flights import Flights, flights_of, read_flights
 from alula.schemas.log.mcap import entries, open_log
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import (
+from alula.schemas.log.run import (
     FLIGHT_METADATA,
     RUN_SCHEMA,
     RUN_VERSION,

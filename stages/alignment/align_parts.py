@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.manifest import Manifest, SceneManifest
-from alula.schemas.parts import Parts
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import Manifest, SceneManifest
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.schemas.progress import Progress
 from alula.stages.alignment.estimates import VISIBLE, Evidence
 from alula.stages.alignment.scale_align import (

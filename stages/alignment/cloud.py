@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import CheckError, InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.sampling import blocks, jackknife, thinned_to
 from alula.stages.alignment.similarity import compose, is_collinear, transform_points, umeyama

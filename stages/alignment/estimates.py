@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import Similarity
+from alula.schemas.parameters.configs.scale_align import Distance, ScaleAlignConfig
 from alula.stages.alignment.cloud import Cloud, fit_cloud
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.poses import fit_poses

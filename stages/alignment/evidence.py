@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import inverse, transform_points
 
 UNCHECKED = (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import CheckError, InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.plane_search import SLAB, Plane, best_level_plane, fit_plane
 from alula.stages.alignment.sampling import blocks, jackknife, thinned
 from alula.stages.alignment.uncertainty import Uncertainty

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.scale_align import MIN_NEAR
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import AlulaError, CheckError
-from alula.schemas.manifest import Similarity
+from alula.schemas.parameters.configs.scale_align import MIN_NEAR
 from alula.stages.alignment.cloud import CloudFit, fit_cloud
 from alula.stages.alignment.evidence import UNCHECKED, Landmarks
 from alula.stages.alignment.recipes import recipes, right_angles

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.correlation import CORRELATED, disagreement, with_correlation
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
 from alula.stages.alignment.similarity import is_collinear, transform_points

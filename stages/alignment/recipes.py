@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
 from alula.stages.alignment.evidence import Landmarks
 from alula.stages.alignment.similarity import compose, transform_points
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.correlation import CORRELATED, disagreement, with_correlation
 from alula.stages.alignment.similarity import COLLINEAR, from_moments, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import (

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.manifest import Guarantee, SceneManifest, Similarity, map_origin
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import CheckError, InputError, UsageError
-from alula.schemas.kinds import SCENE
-from alula.schemas.manifest import Guarantee, SceneManifest, Similarity, map_origin
-from alula.schemas.provenance import parameters_of
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.stages.alignment.cloud import Cloud
 from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
 
 COLLINEAR = 1e-3  # second over first singular value below this: no rotation
 

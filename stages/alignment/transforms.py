@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.decode import MalformedError, decode_plain_json
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.tables import LARGEST
 
 _ORTHONORMAL = 1e-4

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.quantiles import fisher_quantile, student_quantile
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.configs.merge import BOX_PLANES, MergeConfig
 from alula.schemas.errors import InfeasibleError
+from alula.schemas.parameters.configs.merge import BOX_PLANES, MergeConfig
 
 _FINER = 6.0  # hulls of all blocks over the final number
 _FINER_AT_LAST = 2.5  # the same before the last join

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import Manifest, level_fields
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import Manifest, level_fields
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge, merge_sets
 
 Ints = NDArray[Any]

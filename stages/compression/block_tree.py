@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.errors import InputError
-from alula.schemas.parts import Parts
 from alula.stages.compression.limits import LATTICE_LIMIT, require_near
 
 Place = tuple[int, int, int]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Check, Offence
 from alula.stages.compression.cover_checks import (
     LATTICE_LIMIT,
     MEMBERS,

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Check, Offence
+from alula.schemas.artifacts.manifest import LEVEL, CoverManifest, LevelManifest, Manifest, VoxelsManifest
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError, InputError
-from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, Manifest, VoxelsManifest
-from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.rotation import matrix_from_quat_wxyz
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import SPLAT_LOSS, LevelManifest, SceneManifest
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import SPLAT_LOSS, LevelManifest, SceneManifest
 from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.properties import unknown_words
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import IntArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.hulls import is_outer, outer_solids
 

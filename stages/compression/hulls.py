@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import MapImage
 

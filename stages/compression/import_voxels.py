@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.import_voxels import ImportVoxelsConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.manifest import IMPORTED_MAP, Guarantee, ImportedMap
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import IMPORTED_MAP, Guarantee, ImportedMap
+from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
 from alula.stages.compression.imported import (
     NAMES,
     OCTREE_HALF,

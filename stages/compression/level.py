@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import LEVEL, ImportedMap, LevelManifest
 from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import LEVEL, ImportedMap, LevelManifest
 
 
 def mass_within(sigma: float) -> float:

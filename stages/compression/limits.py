@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.configs.voxelize import MERGE_VOXELS as MERGE_VOXELS
 from alula.schemas.errors import InputError
+from alula.schemas.parameters.configs.voxelize import MERGE_VOXELS as MERGE_VOXELS
 
 # Measured peak memory; the help of the commands states it, and a test checks it.
 BASE_BYTES = 2**26  # Python, NumPy and the libraries

@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.merge import BOX_PLANES, MergeConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import (
+    OUTER_POLYTOPES,
+    CoverManifest,
+    Guarantee,
+    VoxelsManifest,
+    level_fields,
+)
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest, level_fields
+from alula.schemas.parameters.configs.merge import BOX_PLANES, MergeConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
 from alula.stages.compression.block_budgets import HEADER_BYTES, HULL_BYTES
 from alula.stages.compression.limits import LATTICE_LIMIT, MERGE_VOXELS, require_at_most, require_near
 from alula.stages.progress import WHOLE, share

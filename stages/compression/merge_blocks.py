@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest, level_fields
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest, level_fields
-from alula.schemas.parts import Parts
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.schemas.progress import Progress
 from alula.stages.compression.block_budgets import (
     Curve,

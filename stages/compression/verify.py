@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check
-from alula.schemas.errors import UsageError
-from alula.schemas.manifest import (
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check
+from alula.schemas.artifacts.manifest import (
     LEVEL,
     CoverManifest,
     InputRef,
@@ -22,7 +21,8 @@ from alula.schemas.manifest import (
     SceneManifest,
     VoxelsManifest,
 )
-from alula.schemas.parts import Parts
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
 from alula.stages.compression.cover_checks import (
     LATTICE_LIMIT,

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Check
-from alula.schemas.manifest import LevelManifest
-from alula.schemas.parts import Parts
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Check
+from alula.schemas.artifacts.manifest import LevelManifest
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CellHulls, HullProof, boxes_of, hull_proof, members_of_own
 from alula.stages.compression.cover_checks import SCENE_CHECK, scene_check

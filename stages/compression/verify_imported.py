@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import IntArray
-from alula.schemas.certificate import Check
+from alula.schemas.artifacts.certificate import Check
+from alula.schemas.artifacts.manifest import LevelManifest
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.manifest import LevelManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.imported import (
     NAMES,

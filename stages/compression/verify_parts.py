@@ -9,13 +9,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 
-from alula.schemas import merkle
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check, Offence, PartProof, PartsCertificate
+from alula.schemas.artifacts import merkle
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check, Offence, PartProof, PartsCertificate
+from alula.schemas.artifacts.manifest import LEVEL, CoverManifest
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import ArtifactError, CheckError, InputError, UsageError
-from alula.schemas.manifest import LEVEL, CoverManifest
-from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cell_hulls import CUBE_CHECK
 from alula.stages.compression.cover_checks import (

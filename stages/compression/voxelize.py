@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula._core import MAX_VOXELS
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.manifest import SPLAT_LOSS, Guarantee, SceneManifest, map_origin
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest, map_origin
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, lacks_of, retained, rows_of
 from alula.stages.compression.forecast import (
     dominant,

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.manifest import SceneManifest
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import exact
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import SceneManifest
-from alula.schemas.parts import Parts
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import retained
 from alula.stages.compression.forecast import estimated_voxels, largest_volume, may_exceed
 from alula.stages.compression.lattice_blocks import Block, Corner, Tally, along_a_curve, crop_of

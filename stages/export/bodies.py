@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.provenance import Provenance
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.provenance import Provenance
 from alula.stages.export.pieces import ROUNDED, hull_color, pieces
 
 Files = Iterator[tuple[str, bytes]]

@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import map_origin
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import UsageError, WrongKindError
-from alula.schemas.manifest import map_origin
-from alula.schemas.provenance import Provenance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import map_binary, map_c_header
 from alula.stages.export import bodies, grids

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.provenance import Provenance
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.export.pieces import hull_name

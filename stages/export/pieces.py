@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.compression.facets import Mesh, mesh
 
 ROUNDED = (

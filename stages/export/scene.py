@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.provenance import Provenance
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.provenance import Provenance
 from alula.stages.reconstruction.formats.ply import decode_ply, encode_ply
 from alula.stages.reconstruction.formats.splat import decode_splat, encode_splat
 from alula.stages.reconstruction.formats.splats import Splats

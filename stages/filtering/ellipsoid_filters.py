@@ -7,8 +7,8 @@ from typing import Any
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS, PARTS
-from alula.schemas.filters.values import Part, complaint, defaults, entries
+from alula.schemas.parameters.filter_options import FILTERS, PARTS
+from alula.schemas.parameters.filters.values import Part, complaint, defaults, entries
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.obstacles import ellipsoid_index, union_of
 from alula.stages.filtering.protocol import FilterWorld

@@ -10,7 +10,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS, GeofenceParameters
+from alula.schemas.parameters.filter_options import FILTERS, GeofenceParameters
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.protocol import FilterWorld
 

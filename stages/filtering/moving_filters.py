@@ -9,7 +9,12 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS, NATIVE_NAMES, NATIVE_VALUES, MovingFilterParameters
+from alula.schemas.parameters.filter_options import (
+    FILTERS,
+    NATIVE_NAMES,
+    NATIVE_VALUES,
+    MovingFilterParameters,
+)
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.obstacles import union_of
 from alula.stages.filtering.protocol import FilterWorld

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.errors import ArtifactError, InputError, UsageError
-from alula.schemas.tiles import TileFiles
 from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import retained, rows_of
 

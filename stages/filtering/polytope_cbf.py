@@ -9,8 +9,8 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import NATIVE_NAMES, PARTS, PolytopeCbfParameters
-from alula.schemas.filters.values import entries
+from alula.schemas.parameters.filter_options import NATIVE_NAMES, PARTS, PolytopeCbfParameters
+from alula.schemas.parameters.filters.values import entries
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.protocol import FilterWorld
 

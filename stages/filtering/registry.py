@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from alula.schemas.errors import UsageError
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.foreign_filters import foreign_filter, foreign_names, kind_of
-from alula.schemas.world_check import FILTER_COMMANDS
-from alula.schemas.world_tables import default_shield_map
+from alula.schemas.parameters.flight_defaults import NO_FILTER
+from alula.schemas.parameters.foreign_filters import foreign_filter, foreign_names, kind_of
+from alula.schemas.scenarios.check import FILTER_COMMANDS
+from alula.schemas.scenarios.tables import default_shield_map
 from alula.stages.filtering.ellipsoid_filters import (
     ELLIPSOID_FILTERS,
     HULLS,

@@ -7,8 +7,8 @@ from typing import Any
 
 from alula._core import Fence
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.flight import FlightConfig
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.parameters.configs.flight import FlightConfig
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint
 from alula.stages.flight.loop.departures import Departures
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import Guarantee
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import Guarantee
-from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
+from alula.schemas.log.run import PLAN_OUTCOMES, Outcome, TrialResult
 from alula.stages.clearance import (
     is_collision,
     path_metrics,

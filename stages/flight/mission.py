@@ -11,14 +11,14 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.configs.plan import BEYOND_MAP
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import map_origin
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
-from alula.schemas.manifest import map_origin
-from alula.schemas.tiles import TileFiles
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.parameters.configs.fly import FlyConfig
+from alula.schemas.parameters.configs.plan import BEYOND_MAP
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.hulls import Hulls

@@ -7,7 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
-from alula.schemas.vehicle import DisturbanceTable, IdentifiedTable, RatesTable, Vehicle, VelocitiesTable
+from alula.schemas.scenarios.vehicle import (
+    DisturbanceTable,
+    IdentifiedTable,
+    RatesTable,
+    Vehicle,
+    VelocitiesTable,
+)
 from alula.stages.identification.estimates import Estimate
 from alula.stages.identification.fit import Identification
 from alula.stages.vehicles.own_limits import AXES, Limit, own_limits

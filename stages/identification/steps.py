@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.vehicles.velocity_lag import LAG_MARGIN, stop_m, stop_time_s
 
 # A step and its stop each last this many times the predicted time of 63 %, and a constant.

@@ -11,9 +11,9 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.parameters.configs.identify import IdentifyConfig
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions

@@ -9,12 +9,12 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import PlanPass
 from alula.schemas.decimals import at_least, at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import PlanPass
-from alula.schemas.run import Outcome, PassResult, PlanResult
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.log.run import Outcome, PassResult, PlanResult
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.passes import laps_of, name_of, passes_of
 from alula.stages.planning.passing import passed_of

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from alula._core import ObstacleMap, PolytopeSet, check_curves
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls

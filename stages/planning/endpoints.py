@@ -9,8 +9,8 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.plan import BEYOND_MAP, PlanConfig, Point
 from alula.schemas.errors import InfeasibleError
+from alula.schemas.parameters.configs.plan import BEYOND_MAP, PlanConfig, Point
 from alula.schemas.progress import Progress
 from alula.stages.planning.inside import ENCLOSED, inside_of, lattice_of
 from alula.stages.planning.space import PlanSpace, mapped_box, room_around

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InfeasibleError
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
 from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import PlanSpace

@@ -11,7 +11,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InfeasibleError
-from alula.schemas.mission import Mission, PassTable
+from alula.schemas.scenarios.mission import Mission, PassTable
 from alula.stages.planning.limits import Limits
 from alula.stages.planning.trajectory import DEGREE, evaluate
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.manifest import LevelManifest, SceneManifest
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import LevelManifest, SceneManifest
 
 _WAYS = np.array([w for w in itertools.product((-1, 0, 1), repeat=3) if any(w)])
 ENCLOSED = 0.9  # of the ways from a point, along the axes and diagonals, that end at an obstacle

@@ -9,9 +9,9 @@ from math import perm
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import PlanManifest
 from alula.schemas.errors import ArtifactError
-from alula.schemas.manifest import PlanManifest
 
 LEAST_DURATION_S = 1e-3
 """Minimum duration of a piece [s]."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alula._core import MotionLimits
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.vehicles.following import following_options

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.decimals import at_most, exact
 from alula.stages.planning.trajectory import control_points, subdivided
 

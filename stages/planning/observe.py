@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.observe import LONGEST_RADIUS_VOXELS, ObserveConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import SEEN
+from alula.schemas.artifacts.manifest import Guarantee, SceneManifest, map_origin
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import SEEN
-from alula.schemas.manifest import Guarantee, SceneManifest, map_origin
+from alula.schemas.parameters.configs.observe import LONGEST_RADIUS_VOXELS, ObserveConfig
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
 from alula.stages.alignment.estimates import VISIBLE
 from alula.stages.alignment.evidence import UNCHECKED
 from alula.stages.alignment.model_frame import ModelFrame, model_frame

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import PlanManifest, PlanPass
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.manifest import PlanManifest, PlanPass
-from alula.schemas.mission import Mission, PassTable, complaint
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
+from alula.schemas.scenarios.mission import Mission, PassTable, complaint
 from alula.stages.planning.exact import THROUGH_M
 from alula.stages.planning.opening import Opening
 from alula.stages.planning.plan_samples import curve_of

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.manifest import PlanPass
-from alula.schemas.run import PassResult
+from alula.schemas.artifacts.manifest import PlanPass
+from alula.schemas.log.run import PassResult
 from alula.stages.planning.passes import laps_of, name_of
 
 _TIMING_S = 1e-6  # that a time at a waypoint may be short of it

@@ -19,9 +19,9 @@ from alula._core import (
     widest_passage,
 )
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.plan import PlanConfig, Point
 from alula.schemas.decimals import at_least, at_most
 from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
 from alula.schemas.progress import Progress
 from alula.stages.planning.endpoints import free_points_of_flight
 from alula.stages.planning.passes import Passage, mission_of, passages_of, through

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.colmap import image_names, read_model
 from alula.stages.alignment.evidence import Positions
 

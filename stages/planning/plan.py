@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import MARGIN_M, PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import PLAN
+from alula.schemas.artifacts.manifest import Guarantee, PlanPass, PlanZone
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import Guarantee, PlanPass, PlanZone
-from alula.schemas.mission import Mission
+from alula.schemas.parameters.configs.plan import MARGIN_M, PlanConfig, Point
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import parameters_of
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.scenarios.mission import Mission
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.compression.level import without
 from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.configs.observe import LONGEST_RADIUS_VOXELS
+from alula.schemas.parameters.configs.observe import LONGEST_RADIUS_VOXELS
 
 Mask = NDArray[np.bool_]
 _FAR = 30_000  # more than the largest limit; twice it fits into 16 bits

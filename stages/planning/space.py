@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.lineage import origins_of
+from alula.schemas.artifacts.manifest import CoverManifest, SceneManifest
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.lineage import origins_of
-from alula.schemas.manifest import CoverManifest, SceneManifest
+from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import removed_from

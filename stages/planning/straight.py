@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import PLAN
+from alula.schemas.artifacts.manifest import UNPROVEN_PLAN, Guarantee
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_least
 from alula.schemas.errors import InfeasibleError
-from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import UNPROVEN_PLAN, Guarantee
-from alula.schemas.provenance import parameters_of
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
 from alula.stages.compression.level import without
 from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, Certificate, certify_in
 from alula.stages.planning.endpoints import free_points_of_flight

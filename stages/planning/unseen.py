@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import SeenManifest
 from alula.schemas.errors import InfeasibleError
-from alula.schemas.manifest import SeenManifest
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.reach import Mask
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.manifest import CoverManifest, PlanManifest, PlanPass, SceneManifest
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import CoverManifest, PlanManifest, PlanPass, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles
 from alula.stages.compression.cover_checks import require_solid_hulls
 from alula.stages.compression.ellipsoids import removed_from, retained, rows_of

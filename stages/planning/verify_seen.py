@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.manifest import LEVEL, SceneManifest, SeenManifest
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import LEVEL, SceneManifest, SeenManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import (
     UnprovenVoxels,

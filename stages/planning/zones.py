@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.mission import ZoneTable
+from alula.schemas.scenarios.mission import ZoneTable
 
 _GAP_M = 0.05  # before and behind a zone, where a path is split
 _BESIDE_M = 1e-3  # that a cell keeps from a zone that its segment does not touch

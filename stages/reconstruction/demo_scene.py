@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.room import HOOPS, SIZE, room
 from alula.stages.reconstruction.surfaces import Surface

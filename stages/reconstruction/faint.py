@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.configs.import_splat import DRAWN
+from alula.schemas.parameters.configs.import_splat import DRAWN
 
 FAINT = 0.1
 LIMITS = (DRAWN, 0.02, 0.05, FAINT, 0.2, 0.5)

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import SPLAT_LOSS, Manifest, SceneManifest
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.manifest import SPLAT_LOSS, Manifest, SceneManifest
+from alula.schemas.parameters.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.stages.reconstruction.faint import FAINT
 from alula.stages.reconstruction.formats.capture import lacking, level_facts
 from alula.stages.reconstruction.formats.splats import LOSSES, Level, Properties

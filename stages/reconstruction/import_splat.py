@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.manifest import SPLAT_LOSS, Guarantee
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import SCENE
-from alula.schemas.manifest import SPLAT_LOSS, Guarantee
-from alula.schemas.provenance import parameters_of
+from alula.schemas.parameters.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.stages.coordinates import single_rounding, spacing
 from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters

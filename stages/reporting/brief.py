@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
+from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.stages.reporting import plain
 from alula.stages.reporting.fenced import fence_distance, fence_figures, is_fenced
 from alula.stages.reporting.guarantees import guarantees, statements

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.provenance import Provenance
-from alula.schemas.report import (
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.report import (
     REPORT_SCHEMA,
     REPORT_VERSION,
     Report,

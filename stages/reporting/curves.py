@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.log.flights import Course
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.fenced import fence_shape
 from alula.stages.reporting.material import (

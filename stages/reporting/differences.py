@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.reporting import plain
 from alula.stages.reporting.headline import successful
 from alula.stages.reporting.material import Material, Run, clearance_of

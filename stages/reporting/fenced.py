@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.run import FenceResult, TrialResult
+from alula.schemas.log.run import FenceResult, TrialResult
 from alula.stages.reporting.material import Run, outcome_of
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.log.flights import Flight
-from alula.schemas.manifest import InputRef
 from alula.stages.clearance import hull_obstacles, kept_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.curves import Spell, encounter_clearance, spells

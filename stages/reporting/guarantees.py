@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from alula.schemas.flight_defaults import NO_FILTER
+from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, Material, coverage, elsewhere, omitted
 from alula.stages.reporting.plain import deviations

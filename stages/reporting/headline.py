@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
+from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.stages.reporting.material import Material, Run, clearance_of, coverage, is_composed, outcome_of
 from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import (

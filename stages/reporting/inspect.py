@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.parts import Parts
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RunRecord
-from alula.schemas.tiles import TilesIndex
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.tiles import TilesIndex
+from alula.schemas.log.run import RunRecord
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, MapImage
 from alula.stages.compression.onboard.layout import map_facts

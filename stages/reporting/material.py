@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from alula._core import EllipsoidSet
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.log.flights import Course, Flight
-from alula.schemas.manifest import InputRef
-from alula.schemas.run import RunRecord, TrialResult
+from alula.schemas.log.run import RunRecord, TrialResult
 
 OUTCOMES = (
     *(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 
-from alula.schemas.run import PLAN_OUTCOMES
+from alula.schemas.log.run import PLAN_OUTCOMES
 from alula.stages.reporting.material import NOT_JUDGED
 
 BLUE, SKY, GREEN, ORANGE, PURPLE, VERMILLION = (

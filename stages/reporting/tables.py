@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.run import PLAN_OUTCOMES, FenceResult, TrialResult
+from alula.schemas.log.run import PLAN_OUTCOMES, FenceResult, TrialResult
 from alula.stages.compression.level import obstacle_of
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.log.foxglove import ORIGIN, PackedElementField, PointCloud, Time
 
 SHOWN_POINTS = 10_000  # maximum number; those nearest to the paths are shown

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.kinds import SCENE
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.log.foxglove import Color, Pose, SceneEntity, SceneUpdate, SpherePrimitive
 from alula.stages.compression.facets import mesh
 from alula.stages.compression.hulls import Hulls

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.log.channels import (
     OBSTACLES_TOPIC,
     OF_BARRIER,
@@ -18,8 +18,8 @@ from alula.schemas.log.channels import (
     State,
 )
 from alula.schemas.log.foxglove import Pose, PoseInFrame, Time
-from alula.schemas.run import RunRecord, TrialResult
-from alula.schemas.world_check import TRACKING
+from alula.schemas.log.run import RunRecord, TrialResult
+from alula.schemas.scenarios.check import TRACKING
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.cloud import cloud_message

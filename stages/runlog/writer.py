@@ -15,10 +15,10 @@ from typing import BinaryIO
 
 import msgspec
 
+from alula.schemas.artifacts.provenance import RUN_METADATA
 from alula.schemas.log.channels import schema_name, struct_of
 from alula.schemas.log.json_schema import json_schema
-from alula.schemas.provenance import RUN_METADATA
-from alula.schemas.run import RunRecord
+from alula.schemas.log.run import RunRecord
 
 _CHUNK_BYTES = 2**20
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import STILL, Figure, all_figures, drawing

@@ -8,8 +8,8 @@ from typing import Generic, Protocol, TypeVar
 import msgspec
 
 from alula.schemas.decode import msgpack_decoder
+from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.run import TrialResult
 from alula.stages.distribute import distribute
 
 

@@ -10,8 +10,8 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.run import ObstacleResult
-from alula.schemas.world_moving import DetectorTable, ObstacleTable, TrackerTable, interval
+from alula.schemas.log.run import ObstacleResult
+from alula.schemas.scenarios.moving import DetectorTable, ObstacleTable, TrackerTable, interval
 
 _EVENTS = ("separation_m", "closing_m_s", "detected_s", "warned_s", "reaction_s", "avoid_s")
 

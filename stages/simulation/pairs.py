@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 
 _BLOCK = 256  # candidates drawn at a time
 _BLOCKS = 64  # blocks per trial before giving up

@@ -9,12 +9,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InfeasibleError
+from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import PlanSpace, plan_space

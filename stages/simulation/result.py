@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.run import PLAN_OUTCOMES, Outcome, TrialResult
+from alula.schemas.log.run import PLAN_OUTCOMES, Outcome, TrialResult
 
 LOOP_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # native numbers, from 1
 

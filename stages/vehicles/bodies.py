@@ -13,7 +13,7 @@ from alula._core import (
     TrackingGains,
 )
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 
 
 def quadrotor(vehicle: Vehicle) -> Quadrotor:

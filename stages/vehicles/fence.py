@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alula._core import Fence
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls

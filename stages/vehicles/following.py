@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula import _core
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.vehicles.velocity_lag import stop_time_s
 
 _SPEEDS_M_S = (1.0, 2.0)  # of a law whose speeds are not known

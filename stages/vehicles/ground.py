@@ -10,8 +10,8 @@ import numpy as np
 
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.manifest import LevelManifest, SceneManifest
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import LevelManifest, SceneManifest
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 

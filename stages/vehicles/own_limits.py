@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 
 _DEGREE, _CENTI = math.pi / 180, 0.01
 

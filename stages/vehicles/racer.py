@@ -7,7 +7,7 @@ from typing import Any
 
 from alula._core import Fence, Geofence, RacerModel, RacerOptions
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 
 
 def racer_model(vehicle: Vehicle) -> RacerModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from alula.schemas.vehicle import VelocitiesTable
+from alula.schemas.scenarios.vehicle import VelocitiesTable
 
 # A factor for what a first-order model leaves out, and the longest lag that a filter is given.
 LAG_MARGIN, MAX_LAG_S = 1.25, 5.0

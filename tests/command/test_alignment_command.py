@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.alignment.colmap import read_model
 from alula.stages.alignment.similarity import inverse, transform_points
 from alula.stages.reconstruction.demo_scene import world_from_scene

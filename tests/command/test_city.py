@@ -5,8 +5,8 @@ import json
 import numpy as np
 
 from alula.cli.main import run
-from alula.schemas.artifact import encode_artifact
-from alula.schemas.parts_join import read_whole
+from alula.schemas.artifacts.artifact import encode_artifact
+from alula.schemas.artifacts.parts_join import read_whole
 from alula.stages.reconstruction.formats.splat import RECORD
 
 

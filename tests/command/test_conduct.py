@@ -11,7 +11,7 @@ import pytest
 
 from alula.cli.main import COMMANDS, cli, run
 from alula.cli.present import plain, print_sections
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from support.fabricate import make_scene
 
 ALULA = [sys.executable, "-P", "-m", "alula.cli"]
@@ -159,7 +159,7 @@ def test_long_sequences_are_printed_in_brief(capsys):
 
 
 def test_an_interruption_is_one_word_however_other_code_words_it(here, monkeypatch, capsys):
-    import alula.schemas.artifact as artifact
+    import alula.schemas.artifacts.artifact as artifact
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt("decoding with 'cp437' codec failed")

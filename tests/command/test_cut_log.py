@@ -11,7 +11,7 @@ from alula.cli.main import run
 from alula.schemas.errors import DamagedError
 from alula.schemas.log.flights import count_messages, read_flights
 from alula.schemas.log.mcap import entries
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 
 CHUNK = 6
 

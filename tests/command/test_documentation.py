@@ -10,10 +10,10 @@ from PIL import Image
 
 from alula.cli.main import run
 from alula.cli.pages.all import generated_pages
+from alula.schemas.artifacts.kinds import KINDS
 from alula.schemas.errors import ExitCode
-from alula.schemas.filter_options import FILTERS, TABLES
-from alula.schemas.filters.values import entries
-from alula.schemas.kinds import KINDS
+from alula.schemas.parameters.filter_options import FILTERS, TABLES
+from alula.schemas.parameters.filters.values import entries
 from support.command_lines import PAGES, command_lines
 from support.paths import DOCS, ROOT
 

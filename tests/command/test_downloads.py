@@ -15,10 +15,10 @@ import pytest
 from alula.cli import download
 from alula.cli.addresses import Address, ByteCount
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.errors import UsageError
-from alula.schemas.kinds import SCENE
-from alula.schemas.parts import open_parts
 from support import splat_files
 
 SPLAT = splat_files.splat(splat_files.some_gaussians(50))["a.splat"]

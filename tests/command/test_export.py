@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from alula.cli.main import run
-from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import make_artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.provenance import read_provenance
 from support.fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
 
 G = 0.05
@@ -114,7 +114,7 @@ def test_json_holds_the_exact_integers(cover, hulls, tmp_path):
 def test_ply_is_a_splat_file_again(folder, tmp_path):
     path = export(folder / "m.scene.npz", tmp_path / "s.ply")
     assert run(["import-splat", str(path), "-o", str(tmp_path / "s.scene.npz"), "--min-opacity", "0"]) == 0
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
 
     first, second = read_artifact(folder / "m.scene.npz"), read_artifact(tmp_path / "s.scene.npz")
     assert len(second["mean"]) == 400
@@ -261,7 +261,7 @@ def test_real_scenes_come_back_within_what_is_told_and_allowed_for(tmp_path, nam
 def test_an_opaque_gaussian_gets_a_finite_logit(tmp_path):
     scene = make_scene(3)
     scene.arrays["opacity"][:] = [0.0, 0.5, 1.0]
-    from alula.schemas.provenance import Provenance
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.stages.export.export import export as stage
 
     raw = b"".join(stage(scene, "ply", Provenance.now("alula/export", "1.0", {}, None, [])))
@@ -275,7 +275,7 @@ def test_a_scene_becomes_coloured_points(folder, tmp_path, suffix):
     import trimesh
 
     path = export(folder / "m.scene.npz", tmp_path / f"s.{suffix}")
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
 
     scene = read_artifact(folder / "m.scene.npz")
     if suffix == "glb":

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.clearance import hull_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.export.grids import geodetic

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.export.ros_messages import RosMessages
 from alula.stages.flight.recorder.log import FlightRecorder
 from support.flight_logs import head_of, record_of

@@ -9,9 +9,9 @@ import pytest
 
 from alula import _core
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.provenance import read_provenance
-from alula.schemas.targets import CODE_BYTES, TARGETS, Target
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.provenance import read_provenance
+from alula.schemas.parameters.targets import CODE_BYTES, TARGETS, Target
 from alula.stages.compression.onboard.cost import (
     ASSUMED,
     largest_budget,

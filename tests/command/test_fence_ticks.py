@@ -7,9 +7,9 @@ from alula import _core
 from alula.cli.main import run
 from alula.schemas.errors import DamagedError
 from alula.schemas.log.fence_ticks import read_ticks
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import read_vehicle
-from alula.schemas.world import read_world
+from alula.schemas.log.run import read_run
+from alula.schemas.scenarios.scenario import read_world
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.racer import racer_model, racer_options
 from support.fence_flights import STATUSES, fly_in
 from support.paths import ROOT

@@ -9,10 +9,10 @@ import pytest
 
 from alula.cli.fly import flight as fly_run
 from alula.cli.options import Common
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import CheckError, ExitCode, LinkError, OutputError
 from alula.schemas.log.cut import read_logged
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
+from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, read_run
 from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.loop import control_loop
 from alula.stages.flight.loop.supervisor import Event, State, Taken

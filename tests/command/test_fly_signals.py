@@ -7,8 +7,8 @@ import pytest
 
 from alula.cli.fly.flight import fly
 from alula.cli.options import Common
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, mission
 

@@ -8,7 +8,7 @@ import pytest
 
 from alula.cli.fly import contact
 from alula.cli.main import run
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from support.paths import VEHICLES
 from support.sim_vehicle_process import free_port
 

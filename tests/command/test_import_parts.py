@@ -8,11 +8,11 @@ import pytest
 from unit.reconstruction.test_streamed_sog import capture
 
 from alula.cli import import_parts, main
-from alula.schemas.artifact import file_hash, read_artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.parts import INDEX, open_parts
-from alula.schemas.parts_join import read_whole
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import file_hash, read_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.parts import INDEX, open_parts
+from alula.schemas.artifacts.parts_join import read_whole
+from alula.schemas.artifacts.provenance import read_provenance
 from support.pipeline import write_tiny_splat
 from support.splat_files import some_gaussians, splat
 

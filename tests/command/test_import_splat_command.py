@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.kinds import SCENE
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import SCENE
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 

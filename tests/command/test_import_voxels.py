@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.kinds import COVER, VOXELS
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import COVER, VOXELS
 from support.mesh_files import Glb
 
 SIZE = 0.25
@@ -160,7 +160,7 @@ def test_points_mark_balls_and_few_of_them_are_left_out(tmp_path):
 
 
 def test_the_proof_names_a_voxel_that_is_missing(solid, tmp_path, capsys):
-    from alula.schemas.artifact import make_artifact, write_artifact
+    from alula.schemas.artifacts.artifact import make_artifact, write_artifact
 
     whole = read_artifact(solid / "box.voxels.npz", VOXELS)
     names = ("frame", "unit", "guarantee", "parameters", "summary", "voxel_size_m", "sigma", "min_overlap")

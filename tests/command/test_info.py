@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.kinds import PLAN
-from alula.schemas.salvage import salvage
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.artifacts.kinds import PLAN
+from alula.schemas.artifacts.salvage import salvage
 from support.fabricate import (
     box,
     make_cover,

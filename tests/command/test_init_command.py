@@ -13,9 +13,9 @@ import pytest
 import alula
 from alula.cli.main import run
 from alula.cli.project import LEARN_SCALE
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InputError
-from alula.schemas.world import read_world
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.scenario import read_world
 from alula.stages.planning.space import plan_space
 from support.doc_files import write_garden
 from support.pipeline import COLUMNS

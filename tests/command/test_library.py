@@ -15,7 +15,7 @@ import alula
 from alula.cli.library import bar
 from alula.cli.main import run
 from alula.cli.verbs.results import RESULTS
-from alula.schemas import kinds
+from alula.schemas.artifacts import kinds
 from support.paths import DOCS, EXAMPLES
 
 OWN_FILTER = DOCS / "howto/own-filter.md"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import Artifact, make_artifact, read_artifact, write_artifact
-from alula.schemas.kinds import VOXELS
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import VOXELS
 from alula.stages.compression import limits, merge
 from alula.stages.compression import verify as certificate
 from alula.stages.compression.onboard import verify as map_certificate

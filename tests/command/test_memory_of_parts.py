@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command.test_memory_bounds import peak
 
-from alula.schemas.parts import open_parts
+from alula.schemas.artifacts.parts import open_parts
 from alula.stages.compression.verify_cubes import CELL_ELLIPSOIDS
 
 ROWS = 120_000

@@ -13,9 +13,9 @@ import pytest
 
 from alula.cli import merge_blocks as command
 from alula.cli.main import run
-from alula.schemas.artifact import Artifact, read_artifact, write_artifact
-from alula.schemas.manifest import InputRef, producer
-from alula.schemas.parts import open_parts
+from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.manifest import InputRef, producer
+from alula.schemas.artifacts.parts import open_parts
 from alula.stages.compression import block_tree
 from support.covers import furniture, voxels_of
 from support.parted import write_parts

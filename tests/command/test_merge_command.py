@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import Artifact, make_artifact, read_artifact, write_artifact
-from alula.schemas.kinds import COVER, VOXELS
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER, VOXELS
 
 FIELDS = (
     *("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "conservativeness", "certificate"),

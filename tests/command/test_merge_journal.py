@@ -15,12 +15,12 @@ import pytest
 from alula import _core
 from alula.cli import journal as file
 from alula.cli.main import run
-from alula.schemas.artifact import make_artifact, write_artifact
+from alula.schemas.artifacts.artifact import make_artifact, write_artifact
+from alula.schemas.artifacts.journal import mismatches, pack, unpack
+from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.manifest import producer
+from alula.schemas.artifacts.provenance import Provenance, read_provenance
 from alula.schemas.errors import DamagedError, VersionError
-from alula.schemas.journal import mismatches, pack, unpack
-from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import producer
-from alula.schemas.provenance import Provenance, read_provenance
 from alula.stages.compression import merge as stage
 
 # The command line with a journal that is written at once and often, by a program of the same commit even when

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import SEEN
 from alula.schemas.errors import UsageError
-from alula.schemas.kinds import SEEN
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.fly import FlyConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.level import level_words
 from alula.stages.flight.mission import make_mission, make_safety
 

@@ -11,9 +11,9 @@ import pytest
 
 from alula import _core
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.export import c_name
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.provenance import read_provenance
+from alula.schemas.parameters.configs.export import c_name
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.image import decode_map
 from support.paths import ROOT

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from alula.cli import main
-from alula.schemas import parts_join
-from alula.schemas.artifact import Artifact, make_artifact, read_artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.parts import open_parts
-from alula.schemas.run import read_run
+from alula.schemas.artifacts import parts_join
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.parts import open_parts
+from alula.schemas.log.run import read_run
 from support.parted import write_parts
 
 

@@ -5,8 +5,8 @@ import shutil
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.run import read_run
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.log.run import read_run
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import pytest
 
 from alula.cli.main import COMMANDS, run
 from alula.cli.plan import command
-from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
-from alula.schemas.kinds import COVER, PLAN
+from alula.schemas.artifacts.artifact import make_artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN
 from support.paths import VEHICLES
 
 

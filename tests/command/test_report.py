@@ -13,9 +13,9 @@ import pytest
 
 from alula.cli.main import run
 from alula.cli.runner import input_ref
-from alula.schemas.artifact import write_artifact
-from alula.schemas.provenance import Provenance, read_provenance
-from alula.schemas.report import Report
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.artifacts.provenance import Provenance, read_provenance
+from alula.schemas.artifacts.report import Report
 from alula.stages.reporting.table import Table, folded, text
 from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
 
@@ -179,7 +179,7 @@ def test_the_numbers_are_those_of_the_record(report, folder):
     path = report("a.run.mcap", "--cover", "m.cover.npz")
     links = Links()
     links.feed(path.read_text())
-    from alula.schemas.run import read_run
+    from alula.schemas.log.run import read_run
 
     record = read_run(folder / "a.run.mcap")
     for key in ("success_rate", "min_map_clearance_m", "mean_path_ratio", "collisions"):

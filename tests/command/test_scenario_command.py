@@ -7,11 +7,11 @@ from typing import get_args, get_type_hints
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.scenarios import NAMES
-from alula.schemas.world import decoded, read_world
-from alula.schemas.world_presets import PRESETS
-from alula.schemas.world_tables import EstimationTable, SafetyTable, SensorTable
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.scenarios.examples import NAMES
+from alula.schemas.scenarios.presets import PRESETS
+from alula.schemas.scenarios.scenario import decoded, read_world
+from alula.schemas.scenarios.tables import EstimationTable, SafetyTable, SensorTable
 from support.covers import boxes_cover
 from support.paths import EXAMPLES
 

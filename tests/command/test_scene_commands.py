@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.provenance import read_provenance
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.reconstruction.demo_scene import world_from_scene
 
 

@@ -13,11 +13,11 @@ from mcap.reader import make_reader
 
 from alula.cli.main import run
 from alula.cli.runner import input_ref
-from alula.schemas.artifact import make_artifact, write_artifact
-from alula.schemas.kinds import COVER, PLAN, VOXELS
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import read_provenance
-from alula.schemas.run import RunRecord, read_run, record_path
+from alula.schemas.artifacts.artifact import make_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, VOXELS
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import read_provenance
+from alula.schemas.log.run import RunRecord, read_run, record_path
 
 BLOCKS = np.array([((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))])
 FAST = ["--set", "mission.bounds_m=0,0,0,4,4,2", "--trials", "3"]

@@ -10,10 +10,10 @@ import pytest
 
 from alula.cli import journal as file
 from alula.cli.main import run
-from alula.schemas.filter_options import GeofenceParameters
 from alula.schemas.log.flights import read_flights
-from alula.schemas.run import RunRecord, read_run
-from alula.schemas.world_tables import DisturbanceTable, FenceTable, PilotTable
+from alula.schemas.log.run import RunRecord, read_run
+from alula.schemas.parameters.filter_options import GeofenceParameters
+from alula.schemas.scenarios.tables import DisturbanceTable, FenceTable, PilotTable
 from alula.stages.simulation.world import simulate as stage
 from support.paths import VEHICLES
 

@@ -4,10 +4,10 @@ import msgspec
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.log.mcap import MAGIC
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
+from alula.schemas.log.run import read_run
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, contents, read_vehicle
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
 

@@ -14,11 +14,11 @@ import pytest
 
 from alula.cli import journal as file
 from alula.cli.main import run
-from alula.schemas.journal import TRIALS, unpack
+from alula.schemas.artifacts.journal import TRIALS, unpack
+from alula.schemas.artifacts.manifest import producer
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.mcap import messages
-from alula.schemas.manifest import producer
-from alula.schemas.run import RunRecord, read_run
+from alula.schemas.log.run import RunRecord, read_run
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.world import simulate as stage
 from alula.stages.simulation.world.chunks import FlownChunk

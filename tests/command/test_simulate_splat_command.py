@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
 from alula.cli.runner import input_ref
-from alula.schemas.artifact import Artifact, make_artifact, write_artifact
-from alula.schemas.kinds import SCENE
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.log.flights import read_flights
-from alula.schemas.manifest import InputRef
-from alula.schemas.run import RunRecord, read_run, record_path
+from alula.schemas.log.run import RunRecord, read_run, record_path
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES

@@ -8,10 +8,10 @@ import pytest
 from alula.cli import journal as file
 from alula.cli.main import run
 from alula.cli.set_values import settings_of
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import read_flights
-from alula.schemas.run import RunRecord, read_run
+from alula.schemas.log.run import RunRecord, read_run
 from alula.stages.simulation.world import simulate as stage
 from support.covers import with_manifest
 from support.small_scenes import box_cover, line_plan

@@ -7,8 +7,8 @@ import pytest
 from mcap.reader import make_reader
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.run import read_run
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.log.run import read_run
 from support.fabricate import make_scene
 from support.paths import VEHICLES
 

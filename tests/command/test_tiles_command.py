@@ -9,10 +9,10 @@ from shutil import copytree
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.provenance import read_provenance
-from alula.schemas.run import read_run
-from alula.schemas.tiles import read_tiles
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.artifacts.provenance import read_provenance
+from alula.schemas.artifacts.tiles import read_tiles
+from alula.schemas.log.run import read_run
 from support.covers import cover_of, furniture, voxels_of
 from support.small_scenes import line_plan
 from support.tiled import KEY, posts

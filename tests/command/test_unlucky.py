@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.atomic import atomic_outputs
 from alula.schemas.errors import OutputError
 from support.paths import ROOT

@@ -9,9 +9,9 @@ import pytest
 
 from alula.cli.main import run
 from alula.cli.runner import input_ref
-from alula.schemas.artifact import describe_arrays, read_artifact, write_artifact
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import producer
+from alula.schemas.artifacts.artifact import describe_arrays, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import producer
 
 
 @pytest.fixture

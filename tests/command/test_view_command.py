@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from alula.cli.main import run
+from alula.schemas.artifacts.provenance import read_provenance
 from alula.schemas.errors import UsageError
-from alula.schemas.provenance import read_provenance
 from alula.stages.show.viewing.serve import PageServer
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
-from alula.schemas.kinds import SCENE, VOXELS
+from alula.schemas.artifacts.artifact import make_artifact, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE, VOXELS
 
 
 def write_scene(path, **fields):

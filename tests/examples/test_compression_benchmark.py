@@ -149,7 +149,7 @@ def test_a_tool_that_is_absent_slow_or_fails_is_a_row_that_says_so(tmp_path):
 import json
 from pathlib import Path
 import scenes, tools
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 folder = Path(sys.argv[2])
 voxels, answer = folder / "hoop.voxels.npz", folder / "answer.json"
 write_artifact(voxels, scenes.voxels_of(scenes.hoops(1, 5000), 0.1))

@@ -74,7 +74,7 @@ def test_differences_are_measured_and_a_half_turn_is_found():
     in_benchmarks("""
 import numpy as np
 from oracles import differences
-from alula.schemas.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
 from alula.stages.reconstruction.demo_scene import demo_scene
 from alula.stages.reconstruction.import_splat import turned
 ours = demo_scene(DemoSceneConfig(gaussians=2000), 0)

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.run import read_run
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.log.run import read_run
 from support.paths import ROOT
 
 # file: metres per unit where nothing better is known, voxel size [m], hulls, extra options of the import

@@ -9,9 +9,9 @@ import time
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.log.cut import read_logged
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from support.small_scenes import box_cover, rest_plan
 
 SIM = "sim:?start=0.5,1.5,0"

@@ -9,7 +9,7 @@ import threading
 import pytest
 from mcap.reader import make_reader
 
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 
 START = 1_777_636_800_000_000_000  # 2026-05-01T12:00:00Z
 

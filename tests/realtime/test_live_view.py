@@ -15,7 +15,7 @@ import pytest
 
 from alula.schemas.errors import UsageError
 from alula.schemas.log.foxglove import Vector3
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import encode_artifact, write_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import encode_artifact, write_artifact
+from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import PLAN
-from alula.schemas.run import read_run
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.stages.flight.links.own_safety import Action, Failsafe, OwnSafety, WayHome
 from alula.stages.flight.replan.of_mission import maps_of, replan_facts
 from alula.stages.flight.replan.process import PlannerProcess

@@ -12,7 +12,7 @@ from contextlib import suppress
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from support.paths import ROOT
 from support.sim_vehicle_process import free_port, until, vehicle
 from support.small_scenes import box_cover

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S
 from support.ardupilot_sitl import LOOSE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
 from alula.stages.flight.mission import make_commander, make_safety

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.velocity_lag import stop_time_s
 from support.ardupilot_sitl import LOOSE, sitl
 from support.paths import VEHICLES

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
 from alula.stages.flight.mission import make_commander, make_safety

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import path_clearance
 from support.ardupilot_sitl import GOAL, START, flight, sitl
 from support.flights import mission

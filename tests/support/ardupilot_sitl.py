@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.sim_vehicle.common.packets import mavlink
 from support.arducopter import arducopter, second_port
 from support.sim_vehicle_process import free_port, until

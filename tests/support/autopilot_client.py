@@ -2,7 +2,7 @@
 
 import math
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.common.packets import mavlink

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple, get_args
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS
-from alula.schemas.run import Outcome, TrialResult
-from alula.schemas.world import decoded
-from alula.schemas.world_defaults import vehicle_of
+from alula.schemas.log.run import Outcome, TrialResult
+from alula.schemas.parameters.filter_options import FILTERS
+from alula.schemas.scenarios.defaults import vehicle_of
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.simulation.world.judge import hits_static
 from alula.stages.simulation.world.prepare import prepare
 from support.small_scenes import ball_scene, box_cover, line_plan

@@ -6,9 +6,9 @@ from math import gcd
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.kinds import COVER, VOXELS
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import COVER, VOXELS
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 
 SIZE_M = 0.1

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from alula.schemas.vehicle import Vehicle, read_vehicle
+from alula.schemas.scenarios.vehicle import Vehicle, read_vehicle
 from alula.stages.sim_vehicle.common.endpoint import Endpoint, open_endpoint
 from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
 from support.paths import VEHICLES

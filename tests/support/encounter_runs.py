@@ -1,8 +1,8 @@
 """Records of encounters made by hand, and rows of tables."""
 
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.log.run import ObstacleResult, RunRecord, TrialResult
 from papers.dracbf import tables as dracbf
 
 

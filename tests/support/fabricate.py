@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.kinds import COVER, PLAN, SCENE, VOXELS
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, VOXELS
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import RUN_METADATA, Provenance
 from alula.schemas.log.foxglove import KeyValuePair, SceneEntity, SceneUpdate, Time
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import RUN_METADATA, Provenance
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, TrialResult, record_path
+from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord, TrialResult, record_path
 
 
 def exact_hull(points):

@@ -6,7 +6,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.errors import LinkError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     Order,

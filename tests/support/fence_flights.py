@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from alula import _core
-from alula.schemas.filter_options import GeofenceParameters
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.filter_options import GeofenceParameters
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.vehicles.bodies import quadrotor
 
 STATUSES = ("passed", "blended", "backup", "no-pilot", "hand-over", "refused")

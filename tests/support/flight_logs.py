@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.channels import Safety, State, Supervisor
 from alula.schemas.log.foxglove import UPRIGHT, Vector3
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord
 from alula.stages.flight.judge import guarantee_of, judge, summary_of
 from alula.stages.flight.mission import head_facts
 from alula.stages.flight.recorder.channels import FlightHead

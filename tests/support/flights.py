@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.fly import FlyConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.control_loop import ControlLoop

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alula.schemas import foreign_filters
+from alula.schemas.parameters import foreign_filters
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 
 

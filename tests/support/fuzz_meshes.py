@@ -50,8 +50,8 @@ def run_case(case: Case, folder: Path) -> str:
     """
     import numpy as np
 
-    from alula.schemas.configs.import_voxels import ImportVoxelsConfig
     from alula.schemas.errors import AlulaError, InfeasibleError
+    from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
     from alula.stages.compression.import_voxels import import_voxels
     from alula.stages.compression.imported import Cloud
     from alula.stages.compression.imported_files import read_imported

@@ -67,7 +67,7 @@ def tiles() -> list[tuple[bytes, bytes]]:
 def real_cover(data: Path):
     """Of a tile of a street."""
     from alula.cli.main import run
-    from alula.schemas.artifact import read_artifact
+    from alula.schemas.artifacts.artifact import read_artifact
 
     steps = (
         ("import-splat", [], "s.scene.npz"),

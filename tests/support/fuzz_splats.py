@@ -32,7 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 
 Files = dict[str, bytes]  # of a folder, or one of a single name
 
@@ -141,8 +141,8 @@ def run_case(case: Case, folder: Path) -> str:
     Raises:
         BaseException: whatever a reader must not let out; AssertionError for a scene that is not finite.
     """
-    from alula.schemas.configs.import_splat import ImportSplatConfig
     from alula.schemas.errors import AlulaError
+    from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reconstruction.import_splat import import_splat
 

@@ -1,6 +1,6 @@
 """Records of comparisons made by hand."""
 
-from alula.schemas.manifest import Producer
+from alula.schemas.artifacts.manifest import Producer
 from papers.compared import (
     COMPARISON_SCHEMA,
     COMPARISON_VERSION,

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.kinds import SCENE, VOXELS
-from alula.schemas.manifest import SPLAT_LOSS
-from alula.schemas.parts_output import part_name, parts_output, write_part
-from alula.schemas.provenance import Provenance
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE, VOXELS
+from alula.schemas.artifacts.manifest import SPLAT_LOSS
+from alula.schemas.artifacts.parts_output import part_name, parts_output, write_part
+from alula.schemas.artifacts.provenance import Provenance
 
 
 def scene_of(mean, scale=0.05, loss=None, **fields):

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from alula.schemas.vehicle import read_vehicle
-from alula.schemas.world import decoded
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.simulation.world.simulate import simulate_world
 from support.paths import VEHICLES
 from support.world_runs import set_value

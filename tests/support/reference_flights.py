@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 

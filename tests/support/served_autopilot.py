@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.kinds import COVER, PLAN, SCENE
-from alula.schemas.manifest import Guarantee, InputRef
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
+from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.stages.planning.rest_to_rest import rest_to_rest
 
 G = 0.1  # voxel size [m]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from alula.schemas.configs.identify import IdentifyConfig
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.identify import IdentifyConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.checks import FlightChecks

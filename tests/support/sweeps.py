@@ -1,8 +1,8 @@
 """Sweeps of runs whose numbers are known."""
 
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RunRecord, TrialResult
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.log.run import RunRecord, TrialResult
 from alula.stages.reporting.material import Run
 from papers.fastbridge.sweeps import Sweep
 

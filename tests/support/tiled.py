@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 
 from alula import _core
-from alula.schemas.artifact import file_hash, write_artifact
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import InputRef
-from alula.schemas.parts import Parts
-from alula.schemas.provenance import Provenance
-from alula.schemas.tiles import (
+from alula.schemas.artifacts.artifact import file_hash, write_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import InputRef
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.tiles import (
     BINARY,
     SIGNATURE,
     TILES,

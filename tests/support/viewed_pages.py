@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
-from alula.schemas.manifest import PlanPass
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.artifacts.manifest import PlanPass
 from alula.stages.flight.recorder.log import FlightRecorder
 from support.fabricate import (
     box,

@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.artifact import Artifact, encode_artifact
-from alula.schemas.kinds import COVER
-from alula.schemas.manifest import Guarantee, InputRef
-from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import FASTBRIDGE, LimitsTable, Vehicle
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import WorldScenario, decoded
+from alula.schemas.artifacts.artifact import Artifact, encode_artifact
+from alula.schemas.artifacts.kinds import COVER
+from alula.schemas.artifacts.manifest import Guarantee, InputRef
+from alula.schemas.log.run import TrialResult
+from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, LimitsTable, Vehicle
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.simulate import WorldRun, simulate_world

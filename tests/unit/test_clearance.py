@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize_scalar
 from scipy.spatial import ConvexHull
 
-from alula.schemas.artifact import make_artifact
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import SCENE
 from alula.stages.clearance import (
     clearance_to_hulls,
     clearance_to_scene,

@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import write_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import write_artifact
+from alula.schemas.artifacts.manifest import Producer
+from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.errors import LinkError, UsageError
-from alula.schemas.manifest import Producer
-from alula.schemas.parts import open_parts
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages import distribute as module
 from alula.stages.compression import tiles
 from alula.stages.compression.voxelize import voxelize

@@ -43,9 +43,8 @@ def imported_parts(path: Path) -> set[str]:
             assert name.split(".")[0] not in ("cli", "stages", "schemas"), f"{path}: imports {name}"
             if name.startswith("alula."):
                 part = name.split(".")[1]
-                found.add(
-                    name.removeprefix("alula.") if part == "_core" and path.match("schemas/*") else part
-                )
+                is_own = part == "_core" and path.is_relative_to(ROOT / "schemas")
+                found.add(name.removeprefix("alula.") if is_own else part)
     return found
 
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize

@@ -14,7 +14,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat
 from papers.dracbf.tables import (

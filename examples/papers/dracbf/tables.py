@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from alula.schemas.filter_options import TABLES
-from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
+from alula.schemas.log.run import ObstacleResult, RunRecord, TrialResult
+from alula.schemas.parameters.filter_options import TABLES
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 from papers.published import DRACBF

@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from alula import _core
-from alula.schemas.filter_options import MovingFilterParameters
-from alula.schemas.run import ObstacleResult
-from alula.schemas.world_tables import SensorTable
+from alula.schemas.log.run import ObstacleResult
+from alula.schemas.parameters.filter_options import MovingFilterParameters
+from alula.schemas.scenarios.tables import SensorTable
 from alula.stages.reporting.statistics import Rate, mean_estimate, mean_of
 from alula.stages.reporting.table import HIGH, LOW, Table, flat
 from papers.claims import shown

@@ -6,7 +6,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.vehicle import FASTBRIDGE as VEHICLE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE as VEHICLE
 from alula.stages.reporting.table import HIGH, LOW, Table
 from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.verdict import wilson_interval

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.palette import (
     AXIS,

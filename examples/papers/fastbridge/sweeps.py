@@ -11,8 +11,8 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.schemas.filter_options import TABLES
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
+from alula.schemas.parameters.filter_options import TABLES
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
 from alula.stages.reporting.table import flat, text

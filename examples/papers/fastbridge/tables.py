@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import HIGH, LOW, Table
 from alula.stages.verdict import wilson_interval

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from alula import _core
-from alula.schemas.filter_options import ConeBackupParameters
-from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import FASTBRIDGE as VEHICLE
+from alula.schemas.log.run import TrialResult
+from alula.schemas.parameters.filter_options import ConeBackupParameters
+from alula.schemas.scenarios.vehicle import FASTBRIDGE as VEHICLE
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import Table

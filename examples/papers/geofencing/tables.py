@@ -16,7 +16,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.log.fence_ticks import Ticks
-from alula.schemas.run import FenceResult, RunRecord
+from alula.schemas.log.run import FenceResult, RunRecord
 from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.statistics import Rate, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.filter_options import GeofenceParameters
 from alula.schemas.log.fence_ticks import Ticks
+from alula.schemas.parameters.filter_options import GeofenceParameters
 from alula.stages.reporting.statistics import difference_estimate, rate
 from papers import published
 from papers.compared import Measured, Source, Verdict, measured

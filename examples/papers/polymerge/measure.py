@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.schemas.progress import Progress
 

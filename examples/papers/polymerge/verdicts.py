@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import Any
 
-from alula.schemas.filter_options import PolytopeCbfParameters
+from alula.schemas.parameters.filter_options import PolytopeCbfParameters
 from alula.stages.reporting.statistics import difference_estimate, ratio_estimate
 from alula.stages.reporting.table import text
 from papers.compared import File, Measured, Verdict, measured

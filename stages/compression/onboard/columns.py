@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.parts import Parts
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.parts import Parts
 
 _HELD = 2**22  # voxels of parts that are kept in memory, beside those of the parts in use
 _FAR = 2**31  # no voxel is farther along z

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.errors import CheckError, InfeasibleError
-from alula.schemas.targets import Target
+from alula.schemas.parameters.targets import Target
 from alula.stages.compression.onboard.image import HEADER_BYTES, HULL_BYTES, MapImage
 from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
 

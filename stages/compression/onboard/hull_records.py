@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.errors import ArtifactError
-from alula.schemas.parts import Parts
 from alula.stages.compression.hulls import some_hulls
 from alula.stages.compression.onboard.image import HULL_BYTES, KDOP_PLANE_BYTES, PLANE_BYTES
 from alula.stages.compression.onboard.layout import MapFrame, encode_records

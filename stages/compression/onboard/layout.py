@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import Manifest
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
-from alula.schemas.manifest import Manifest
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import Provenance
 from alula.stages.compression.onboard.image import (
     FANOUT,
     HEADER,

@@ -13,10 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.tiles import (
+    MOST_TILES,
+    TILES_SCHEMA,
+    TILES_VERSION,
+    Tile,
+    TilesIndex,
+    merkle_root,
+)
 from alula.schemas.errors import InfeasibleError
-from alula.schemas.parts import Parts
-from alula.schemas.provenance import Provenance
-from alula.schemas.tiles import MOST_TILES, TILES_SCHEMA, TILES_VERSION, Tile, TilesIndex, merkle_root
 from alula.stages.compression.onboard.cost import ASSUMED
 from alula.stages.compression.onboard.hull_records import HullRecords
 from alula.stages.compression.onboard.image import (

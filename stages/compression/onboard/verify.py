@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.manifest import LEVEL, CoverManifest, LevelManifest, VoxelsManifest
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import LEVEL, CoverManifest, LevelManifest, VoxelsManifest
-from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
 from alula.stages.compression.cover_checks import scene_check, unclaimed
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most

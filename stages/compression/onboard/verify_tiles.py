@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.artifact import Artifact
-from alula.schemas.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.certificate import Certificate, Check, Offence
+from alula.schemas.artifacts.manifest import LevelManifest
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.artifacts.tiles import Tile, TileFiles, TilesIndex
 from alula.schemas.errors import ArtifactError
-from alula.schemas.manifest import LevelManifest
-from alula.schemas.parts import Parts
 from alula.schemas.progress import Progress
-from alula.schemas.tiles import Tile, TileFiles, TilesIndex
 from alula.stages.compression.cover_checks import scene_check
 from alula.stages.compression.onboard.columns import Columns, voxels_of
 from alula.stages.compression.onboard.image import MapImage, decode_map

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.vehicles.frames import LocalFrame
 from alula.stages.vehicles.ground import Ground
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from alula.schemas.errors import LinkError, UsageError
-from alula.schemas.vehicle import DisturbanceTable, Vehicle, check_vehicle, read_vehicle
+from alula.schemas.scenarios.vehicle import DisturbanceTable, Vehicle, check_vehicle, read_vehicle
 from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (

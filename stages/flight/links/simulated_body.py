@@ -9,7 +9,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import LinkError
 from alula.schemas.log.foxglove import ERROR, INFO, WARNING
 from alula.stages.durations import Durations

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.planning.trajectory import evaluate, peak_bounds
 from alula.stages.vehicles.velocity_lag import stop_m, stop_slope_s
 

@@ -10,7 +10,7 @@ import numpy as np
 from alula._core import Fence, Geofence, RacerModel
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,

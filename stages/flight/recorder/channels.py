@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.channels import (
     LINE_TOPIC,
     MAP_TOPIC,
@@ -19,7 +20,6 @@ from alula.schemas.log.channels import (
     State,
 )
 from alula.schemas.log.foxglove import UPRIGHT, Log, PointCloud, Pose, PoseInFrame, SceneUpdate, Time
-from alula.schemas.provenance import Provenance
 from alula.stages.flight.recorder.samples import (
     LineSample,
     PlanSample,

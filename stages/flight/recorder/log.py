@@ -19,8 +19,8 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError
 from alula.schemas.log.channels import FLIGHT_TOPICS, Supervisor
-from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
-from alula.schemas.start_time import utc_text
+from alula.schemas.log.run import FLIGHT_METADATA, RunRecord, record_path
+from alula.schemas.log.start_time import utc_text
 from alula.schemas.text import one_line
 from alula.stages.flight.loop.supervisor import State, Taken
 from alula.stages.flight.recorder.channels import FlightChannels, FlightHead, Sent

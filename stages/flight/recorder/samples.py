@@ -11,7 +11,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.decode import msgpack_decoder
 from alula.schemas.log.channels import OF_BARRIER, Replay, Safety, State, Supervisor
 from alula.schemas.log.foxglove import ERROR, INFO, WARNING, Quaternion, Vector3
-from alula.schemas.run import RunRecord
+from alula.schemas.log.run import RunRecord
 from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,

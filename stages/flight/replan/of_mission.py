@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.flight_defaults import planned_interface
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.parameters.flight_defaults import planned_interface
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.flight.mission import Mission
 from alula.stages.flight.replan.process import Planner, PlannerProcess

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 
 import msgspec
 
-from alula.schemas.artifact import Artifact, encode_manifest
+from alula.schemas.artifacts.artifact import Artifact, encode_manifest
+from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.errors import AlulaError, InputError
-from alula.schemas.parts_join import read_whole
-from alula.schemas.vehicle import Vehicle, contents
+from alula.schemas.scenarios.vehicle import Vehicle, contents
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.replan.task import ReplanAnswer, ReplanFacts, ReplanRequest, ReplanTask, answer_to

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.log.foxglove import INFO, WARNING
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Decision

@@ -11,13 +11,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact, encode_manifest
-from alula.schemas.configs.plan import PlanConfig, Point
+from alula.schemas.artifacts.artifact import Artifact, encode_manifest
+from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.decimals import exact
 from alula.schemas.decode import decode_json
 from alula.schemas.errors import AlulaError, InfeasibleError
-from alula.schemas.kinds import PLAN
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.parameters.configs.plan import PlanConfig, Point
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.links.own_safety import OwnSafety
 from alula.stages.flight.loop.departures import departures_of
 from alula.stages.flight.loop.failsafe_check import failsafe_faults

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.artifacts.provenance import MARK
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply import COMMENT_LIMIT, check_harmonics, check_room, tags_of
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
 from alula.stages.reconstruction.formats.properties import ELEMENTS, judged

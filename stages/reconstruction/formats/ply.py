@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.artifacts.provenance import MARK
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
-from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
 from alula.stages.reconstruction.formats.properties import (
     ELEMENTS,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.compression.facets import mesh
 from alula.stages.show.drawing.content import Color, Faces, Lines, Part
 

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.artifact import Artifact, describe_arrays
-from alula.schemas.configs.view import MOST_GAUSSIANS
-from alula.schemas.parts import Parts
+from alula.schemas.artifacts.artifact import Artifact, describe_arrays
+from alula.schemas.artifacts.parts import Parts
+from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.show.drawing.content import Gaussians
 

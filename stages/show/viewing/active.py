@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.log.flights import Flight
-from alula.schemas.world_check import TRACKING
+from alula.schemas.scenarios.check import TRACKING
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.show.drawing.content import Decides
 from alula.stages.show.drawing.solids import Solids

@@ -10,8 +10,8 @@ import numpy as np
 
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import kept_obstacles
 from alula.stages.reporting.curves import plan_positions
 from alula.stages.reporting.figures import COLORS

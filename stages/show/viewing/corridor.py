@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from alula.schemas.arrays import FloatArray, IntArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.reporting.curves import plan_positions, thin
 from alula.stages.show.drawing.content import Lines, Part, segments_of

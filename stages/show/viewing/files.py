@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from alula.schemas.artifact import Artifact, read_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.artifacts.artifact import Artifact, read_artifact
+from alula.schemas.artifacts.kinds import KINDS, SCENE
+from alula.schemas.artifacts.parts import is_parts, open_parts
+from alula.schemas.artifacts.parts_join import joined
+from alula.schemas.artifacts.salvage import is_artifact_like
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream, printable
-from alula.schemas.kinds import KINDS, SCENE
 from alula.schemas.log.cut import read_logged
 from alula.schemas.log.mcap import MAGIC
-from alula.schemas.parts import is_parts, open_parts
-from alula.schemas.parts_join import joined
-from alula.schemas.salvage import is_artifact_like
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reporting.material import Run
 from alula.stages.show.drawing.splat import thinned
 from alula.stages.show.viewing.compose import Shown

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from alula._core import EllipsoidSet, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.schemas.log.flights import Flight
-from alula.schemas.run import TrialResult
+from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.curves import encounter_clearance, paths_of
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, clearance_of, outcome_of

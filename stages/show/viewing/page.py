@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.configs.view import MOST_GAUSSIANS
+from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.show.drawing.content import Content, Gaussians
 from alula.stages.show.viewing.draw import Span, draw, record
 from alula.stages.show.viewing.encode import still_webp

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import ClassVar
 
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Battery, Charge
 from alula.stages.sim_vehicle.ardupilot.drag import with_drag

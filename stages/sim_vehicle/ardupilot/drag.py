@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 
 # Force over mass: rotors in hover, linear [1/s], and body, quadratic [1/m]. Upward, its air inflow takes
 # thrust from the rotors, too.

@@ -9,7 +9,7 @@ import numpy as np
 
 from alula._core import Plant
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,

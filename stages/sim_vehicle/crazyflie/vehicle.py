@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body

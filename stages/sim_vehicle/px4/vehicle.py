@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import ClassVar
 
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.battery import Charge
 from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, INFO, WARNING, Copter

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.decimals import at_least, at_most
-from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.log.run import TrialResult
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import is_collision
 from alula.stages.planning.plan_samples import Reference
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.behind import Behind
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import CoverManifest, InputRef, LevelManifest
 from alula.schemas.decimals import at_least, at_most, exact
-from alula.schemas.filter_options import FILTERS
-from alula.schemas.filters.values import Options
-from alula.schemas.manifest import CoverManifest, InputRef, LevelManifest
-from alula.schemas.run import TrialResult
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
-from alula.schemas.world_tables import WorldTable
+from alula.schemas.log.run import TrialResult
+from alula.schemas.parameters.filter_options import FILTERS
+from alula.schemas.parameters.filters.values import Options
+from alula.schemas.scenarios.check import FILTER_COMMANDS, TRACKING
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.tables import WorldTable
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import (
     level_words,

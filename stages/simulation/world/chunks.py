@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.tiles import TileFiles
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.simulation.chunks import FlownTrials
 from alula.stages.simulation.pairs import Pairs

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.run import ObstacleResult, TrialResult
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import TRACKING
+from alula.schemas.log.run import ObstacleResult, TrialResult
+from alula.schemas.parameters.flight_defaults import NO_FILTER
+from alula.schemas.scenarios.check import TRACKING
+from alula.schemas.scenarios.scenario import WorldScenario
 from alula.stages.verdict import mean, success, totals
 
 

@@ -11,12 +11,12 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import TABLES
-from alula.schemas.filters.values import Options
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.parameters.filter_options import TABLES
+from alula.schemas.parameters.filters.values import Options
+from alula.schemas.parameters.flight_defaults import NO_FILTER
+from alula.schemas.scenarios.check import FILTER_COMMANDS, TRACKING
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.moving_filters import moving_filter
 from alula.stages.filtering.protocol import FilterWorld

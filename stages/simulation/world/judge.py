@@ -10,8 +10,8 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
-from alula.schemas.run import FilterResult, Outcome, TrialResult
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.log.run import FilterResult, Outcome, TrialResult
 from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan

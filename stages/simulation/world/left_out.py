@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.decimals import exact
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
 from alula.stages.simulation.world.parts import PLANT_STEP_S, plant_steps_of
 from alula.stages.simulation.world.piloted import fence_filter_of
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from alula import _core
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.tiles import TileFiles
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
-from alula.schemas.world import WorldScenario, decoded
-from alula.schemas.world_check import refusal
-from alula.schemas.world_defaults import completed, vehicle_of
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.parameters.filter_options import FILTERS
+from alula.schemas.parameters.flight_defaults import NO_FILTER
+from alula.schemas.scenarios.check import refusal
+from alula.schemas.scenarios.defaults import completed, vehicle_of
+from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.vehicle import Vehicle
+from alula.schemas.scenarios.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.behind import Behind

@@ -13,11 +13,11 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import FILTERS, GeofenceParameters
-from alula.schemas.run import FenceResult, TrialResult
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_ranges import FARTHEST_M
-from alula.schemas.world_tables import MissionTable
+from alula.schemas.log.run import FenceResult, TrialResult
+from alula.schemas.parameters.filter_options import FILTERS, GeofenceParameters
+from alula.schemas.scenarios.ranges import FARTHEST_M
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.tables import MissionTable
 from alula.stages.clearance import is_collision
 from alula.stages.filtering.fence_filters import native_geofence
 from alula.stages.filtering.protocol import FilterWorld

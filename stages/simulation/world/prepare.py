@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.progress import Progress
-from alula.schemas.tiles import TileFiles
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan

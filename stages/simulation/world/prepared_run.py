@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.adherence import PlanJudge
 from alula.stages.simulation.result import WorldFlight

@@ -11,12 +11,12 @@ from uuid import uuid4
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
+from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.run import TrialResult
-from alula.schemas.tiles import TileFiles
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.progress import share
 from alula.stages.simulation.chunks import TrialJournal, fly_missing, shown

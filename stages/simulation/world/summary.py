@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.decimals import exact
-from alula.schemas.manifest import Guarantee, InputRef
-from alula.schemas.run import Outcome, TrialResult
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import is_random
-from alula.schemas.world_tables import EstimationTable, MissionTable
+from alula.schemas.log.run import Outcome, TrialResult
+from alula.schemas.scenarios.check import is_random
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.tables import EstimationTable, MissionTable
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.simulation.result import outcomes_of
 from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts

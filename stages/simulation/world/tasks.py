@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
-from alula.schemas.vehicle import Vehicle
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
 from alula.stages.planning.behind import Behind

@@ -7,9 +7,9 @@ from typing import Any
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_tables import VehicleTable
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.tables import VehicleTable
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.following import following_options
 from alula.stages.vehicles.racer import racer_model, racer_options

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import LevelManifest
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.manifest import LevelManifest
-from alula.schemas.tiles import TileFiles
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_moving import WallTable
+from alula.schemas.scenarios.moving import WallTable
+from alula.schemas.scenarios.scenario import WorldScenario
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map

@@ -53,8 +53,8 @@ def case(name: str, folder: Path) -> tuple[str, str]:
         name: seed of the case.
         folder: for the file.
     """
-    from alula.schemas.configs.import_voxels import ImportVoxelsConfig
     from alula.schemas.errors import AlulaError, InfeasibleError
+    from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
     from alula.stages.compression.import_voxels import import_voxels
     from alula.stages.compression.imported_files import read_imported
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import AlulaError
-from alula.schemas.mission import Mission, PassTable, ZoneTable
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.mission import Mission, PassTable, ZoneTable
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from support.attack.outcome import Outcome

@@ -11,13 +11,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact
-from alula.schemas.checks import check_arrays, check_shapes
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.checks import check_arrays, check_shapes
+from alula.schemas.artifacts.kinds import PLAN
+from alula.schemas.artifacts.manifest import PlanManifest, PlanPass
 from alula.schemas.errors import AlulaError
-from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import PlanManifest, PlanPass
-from alula.schemas.mission import Mission, PassTable, ZoneTable
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.mission import Mission, PassTable, ZoneTable
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from support.attack.outcome import Outcome

@@ -15,12 +15,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.observe import ObserveConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import AlulaError
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.observe import ObserveConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize

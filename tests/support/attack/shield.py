@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, nnls
 
-from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.kinds import SCENE
-from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import WorldScenario, decoded
+from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.durations import Times
 from alula.stages.simulation.world.left_out import left_out
 from alula.stages.simulation.world.prepare import prepare

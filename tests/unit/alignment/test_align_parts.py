@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.kinds import SCENE
-from alula.schemas.parts import open_parts
-from alula.schemas.parts_join import read_whole
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.parts import open_parts
+from alula.schemas.artifacts.parts_join import read_whole
 from alula.stages.alignment import align_parts
 from support.parted import scene_of, write_parts
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.manifest import Similarity
+from alula.schemas.artifacts.manifest import Similarity
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import transform_points, umeyama
 from alula.stages.alignment.uncertainty import uncertainty_of_points, untruncated

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import CheckError, InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.cloud import fit_cloud, icp
 from alula.stages.alignment.cloud_files import read_cloud
 from alula.stages.alignment.estimates import scale_only

@@ -10,10 +10,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import CheckError, InputError, UsageError
-from alula.schemas.manifest import Similarity
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.stages.alignment.estimates import Given
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.levelling import level_by_direction, level_by_floor, turn_up
@@ -219,7 +219,7 @@ def test_no_plane_has_a_score_above_the_bound(scale):
 
 
 def scene_of(points):
-    from alula.schemas.configs.import_splat import ImportSplatConfig
+    from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction import import_splat as stage
 
     rows = len(points)

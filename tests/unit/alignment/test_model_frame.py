@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.errors import CheckError
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
 from alula.stages.alignment.evidence import Landmarks
 from alula.stages.alignment.model_frame import model_frame
 from alula.stages.reconstruction.demo_cameras import demo_cameras

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.artifact import encode_manifest
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.artifacts.artifact import encode_manifest
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import CheckError, InputError, UsageError
-from alula.schemas.manifest import Similarity
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.alignment.similarity import transform_points

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import compose, inverse, transform_points, umeyama
 from support.effort import examples, some

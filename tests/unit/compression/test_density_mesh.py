@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InputError
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.density_mesh import density_mesh, level_set, simplified
 from alula.stages.compression.voxelize import voxelize
 from support.small_scenes import ball_scene

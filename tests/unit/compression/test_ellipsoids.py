@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.artifact import make_artifact
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import SCENE
 from alula.stages.compression.ellipsoids import unproven_voxels
 from support.effort import examples
 

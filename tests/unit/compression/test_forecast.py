@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression import forecast, tiles
 from alula.stages.compression import voxelize as stage
 from alula.stages.compression.forecast import (
@@ -119,7 +119,7 @@ def test_what_merge_cannot_take_is_refused_before_the_work(monkeypatch):
 
 def test_the_filter_is_in_units_of_the_file():
     similarity = {"scale": 4.0, "rotation": np.eye(3).tolist(), "translation_m": [0, 0, 0]}
-    from alula.schemas.manifest import Similarity
+    from alula.schemas.artifacts.manifest import Similarity
 
     scene = scene_of(with_a_giant(street()), world_from_scene=Similarity(**similarity))
     limit = int(1.5 * len(mark(street(), 0, None).index))

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InputError
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 from papers.polymerge.measure import measure_cover, measure_points
 from support.covers import furniture, planes, voxels_of

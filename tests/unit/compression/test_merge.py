@@ -9,8 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.configs.merge import DEFAULT_HULLS, MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
+from alula.schemas.parameters.configs.merge import DEFAULT_HULLS, MergeConfig
 from alula.stages.compression.merge import merge
 from support.covers import (
     SIZE_M,

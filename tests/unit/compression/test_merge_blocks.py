@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.errors import InfeasibleError, InputError, LinkError, UsageError
-from alula.schemas.parts import Parts
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression import block_tree, merge_blocks
 from alula.stages.compression.block_budgets import Curve, divided
 from alula.stages.compression.block_tree import Block, block_rows, blocks_of, chosen_edge, regions_of

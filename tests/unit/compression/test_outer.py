@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import ArtifactError, InfeasibleError, UsageError
+from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.hulls import Hulls, outer_solids
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify

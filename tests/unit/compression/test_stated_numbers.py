@@ -3,9 +3,9 @@
 import numpy as np
 
 from alula.cli.main import run
-from alula.schemas.artifact import make_artifact, write_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
-from alula.schemas.kinds import SCENE
+from alula.schemas.artifacts.artifact import make_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from support.covers import cover_of

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression import tiles
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.tiles import Ellipsoids, mark, mark_tiles

@@ -8,9 +8,9 @@ import pytest
 from scipy.stats import chi2
 
 from alula.cli.main import run
-from alula.schemas.artifact import make_artifact, write_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
-from alula.schemas.kinds import SCENE
+from alula.schemas.artifacts.artifact import make_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.level import beyond_words, level_words, mass_within
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map

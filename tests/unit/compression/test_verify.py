@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.checks import check_arrays
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.checks import check_arrays
+from alula.schemas.artifacts.kinds import COVER as COVER_KIND
+from alula.schemas.artifacts.kinds import SCENE
+from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.errors import ArtifactError
-from alula.schemas.kinds import COVER as COVER_KIND
-from alula.schemas.kinds import SCENE
-from alula.schemas.manifest import Guarantee, InputRef
 from alula.stages.compression.verify import verify
 from support.covers import (
     SIZE_M,

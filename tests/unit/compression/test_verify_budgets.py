@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InputError
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas import merkle
-from alula.schemas.artifact import Artifact, write_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts import merkle
+from alula.schemas.artifacts.artifact import Artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE, VOXELS
+from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.errors import ArtifactError, CheckError, UsageError
-from alula.schemas.kinds import SCENE, VOXELS
-from alula.schemas.parts import open_parts
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression import verify_cubes
 from alula.stages.compression import verify_parts as parts_stage
 from alula.stages.compression.merge import merge
@@ -95,7 +95,7 @@ def parts(voxels):
 
 
 def covered(voxels, block=24):
-    from alula.schemas.parts import Parts
+    from alula.schemas.artifacts.parts import Parts
 
     config = MergeConfig(hulls=12, block_m=block * SIZE_M, per_block=True)
     plan = plan_blocks(config, Parts.of(voxels))

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from alula import _core
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.kinds import SCENE
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.voxelize import sigma_of_confidence, voxelize
 from support.effort import examples

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.schemas.artifact import Artifact, make_artifact, read_artifact
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artifact
+from alula.schemas.artifacts.kinds import SCENE, VOXELS
+from alula.schemas.artifacts.manifest import SPLAT_LOSS
+from alula.schemas.artifacts.parts import open_parts
+from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.kinds import SCENE, VOXELS
-from alula.schemas.manifest import SPLAT_LOSS
-from alula.schemas.parts import open_parts
-from alula.schemas.parts_join import read_whole
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.lattice_blocks import Block, crop_of
 from alula.stages.compression.voxelize import voxelize

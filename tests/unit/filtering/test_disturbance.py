@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 
 DT = 0.01

@@ -7,9 +7,9 @@ import pytest
 
 from alula import _core
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world_check import FILTER_COMMANDS, TRACKING
+from alula.schemas.scenarios.check import FILTER_COMMANDS, TRACKING
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry

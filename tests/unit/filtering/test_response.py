@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.bridge import native_filter

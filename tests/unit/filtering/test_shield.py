@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.bodies import quadrotor
 from support import backup_model as model
 from support.paths import VEHICLES

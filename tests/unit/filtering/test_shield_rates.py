@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from alula import _core
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.rest_to_rest import rest_to_rest

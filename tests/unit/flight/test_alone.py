@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.mission import make_needs

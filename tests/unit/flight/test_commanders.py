@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import Order, VehicleState
 from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.supervisor import Event, State

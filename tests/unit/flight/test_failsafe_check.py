@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from alula._core import PolytopeSet
-from alula.schemas.vehicle import VelocitiesTable
+from alula.schemas.scenarios.vehicle import VelocitiesTable
 from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
 from alula.stages.flight.links.mavlink.px4_failsafes import ConeHome
 from alula.stages.flight.links.own_safety import Action, OwnSafety, WayHome

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.kinds import COVER, PLAN, SCENE
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
 from support.autopilot_client import QUICK
 from support.flights import mission

@@ -16,8 +16,8 @@ from alula.schemas.errors import ArtifactError, DamagedError, OutputError
 from alula.schemas.log.cut import read_logged, salvage_run
 from alula.schemas.log.flights import count_messages, flights_of
 from alula.schemas.log.mcap import messages, metadata
-from alula.schemas.run import FLIGHT_METADATA, read_run
-from alula.schemas.start_time import utc_text
+from alula.schemas.log.run import FLIGHT_METADATA, read_run
+from alula.schemas.log.start_time import utc_text
 from alula.stages.flight.judge import guarantee_of, timing_of
 from alula.stages.flight.recorder.log import FlightRecorder
 from support.flight_logs import head_of, record_of, sample

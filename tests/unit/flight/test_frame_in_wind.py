@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.frame_check import MotionCheck
 from alula.stages.flight.loop.supervisor import Event

@@ -2,7 +2,7 @@
 
 import pytest
 
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event
 from support.effort import some
 from support.flights import BALL, mission

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.planning.adherence import outcome_of_plan
 from support.doc_files import DocFiles

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.vehicle import read_vehicle
-from alula.schemas.world import decoded
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.clearance import segment_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.judge import judge

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from alula.schemas.artifacts.tiles import read_tiles
 from alula.schemas.errors import UsageError
-from alula.schemas.tiles import read_tiles
 from alula.stages.flight.loop.supervisor import State
 from alula.stages.flight.mission import make_safety
 from support.flights import PILLAR, fly, mission

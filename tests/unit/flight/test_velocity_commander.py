@@ -9,7 +9,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, IdentifiedTable, VelocitiesTable
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, IdentifiedTable, VelocitiesTable
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.replan.of_mission import replan_facts

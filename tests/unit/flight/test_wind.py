@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
 from support.flights import PILLAR, mission
 from support.lockstep import Flight, Upset, blow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import CheckError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.identification.estimates import line_of, mean_of
 from alula.stages.identification.fit import fit
 from alula.stages.identification.recording import Phase, Recording

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from alula.schemas.configs.identify import IdentifyConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, VelocitiesTable, read_vehicle, vehicle_text
+from alula.schemas.parameters.configs.identify import IdentifyConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, VelocitiesTable, read_vehicle, vehicle_text
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.identification.fit import fit
 from alula.stages.identification.result import disagreements, identified_vehicle

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from alula.schemas.targets import TARGETS
+from alula.schemas.parameters.targets import TARGETS
 from support.paths import ROOT
 
 if not (ROOT / "benchmarks/emulated.py").is_file():
@@ -122,7 +122,7 @@ def test_what_is_not_finite_is_refused_on_the_target_too(short, core):
 @pytest.mark.parametrize("core", CORES)
 def test_a_simulated_flight_is_flown_the_same_on_the_target(measured, monkeypatch, core):
     """What is flown with `world.onboard` in each tick is what the microcontroller commands."""
-    from alula.schemas.world import decoded
+    from alula.schemas.scenarios.scenario import decoded
     from alula.stages.simulation.world import filters
     from alula.stages.simulation.world.simulate import prepare
 

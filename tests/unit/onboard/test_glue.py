@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from support.paths import ROOT
 
 if not (ROOT / "benchmarks/glue.py").is_file():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from alula.schemas.artifacts.manifest import Guarantee
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.fence_ticks import Ticks
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import FenceResult, RunRecord, TrialResult
+from alula.schemas.log.run import FenceResult, RunRecord, TrialResult
 from alula.stages.verdict import wilson_interval
 from papers.compared import VERDICTS
 from papers.geofencing import figures as geofencing_figures

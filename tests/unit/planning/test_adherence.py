@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.run import PlanResult
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.world import decoded
+from alula.schemas.log.run import PlanResult
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan, require_room, via_tolerance

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula._core import MotionLimits, minimum_time
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
 from alula.stages.planning.fastest import MovingState, fastest_curve, keeps, straight_curve
 from alula.stages.planning.limits import LIMIT_SHARE, Limits, motion_limits
 from alula.stages.planning.opening import Opening

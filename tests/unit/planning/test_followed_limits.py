@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
-from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.vehicle import FASTBRIDGE, VelocitiesTable
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, VelocitiesTable
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.mission import make_needs
 from alula.stages.planning.limits import beyond_followed

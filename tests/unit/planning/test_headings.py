@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.mission import Mission, PassTable
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.world import decoded
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.mission import Mission, PassTable
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.planning.heading import is_turning
 from alula.stages.planning.limits import LIMIT_SHARE, motion_limits
 from alula.stages.planning.plan import plan

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.world import decoded
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.inside import enclosed, inside_of
 from alula.stages.planning.plan import plan

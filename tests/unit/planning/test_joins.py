@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact
+from alula.schemas.artifacts.kinds import PLAN
+from alula.schemas.artifacts.manifest import PlanPass
 from alula.schemas.errors import ArtifactError
-from alula.schemas.kinds import PLAN
-from alula.schemas.manifest import PlanPass
-from alula.schemas.mission import Mission, PassTable
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.mission import Mission, PassTable
 from alula.stages.planning.exact import is_crossed
 from alula.stages.planning.joins import APART, LEAST_DURATION_S, faults_of_joins, require_motion
 from alula.stages.planning.plan import plan

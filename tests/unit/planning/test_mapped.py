@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.world import decoded
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.mapped import Mapped
 from alula.stages.planning.plan import plan

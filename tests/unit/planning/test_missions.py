@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.mission import Mission, PassTable, ZoneTable
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.mission import Mission, PassTable, ZoneTable
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan

@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.observe import ObserveConfig
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE, SEEN
+from alula.schemas.artifacts.manifest import Similarity
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import SCENE, SEEN
-from alula.schemas.manifest import Similarity
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.observe import ObserveConfig
+from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.stages.alignment.evidence import Positions
 from alula.stages.compression.merge import merge
 from alula.stages.compression.voxelize import voxelize

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.demo_cameras import demo_cameras
 from alula.stages.reconstruction.demo_scene import world_from_scene

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula._core import HullMap, SearchStatus, find_path
-from alula.schemas.artifact import Artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
-from alula.schemas.kinds import PLAN
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import clearance_to_hulls, hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.curve_certificate import certify, certify_curve

@@ -10,11 +10,11 @@ import pytest
 from scipy import ndimage
 
 from alula import _core
-from alula.schemas.artifact import make_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import make_artifact
+from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InfeasibleError, InputError
-from alula.schemas.kinds import SCENE
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.planning.curve_certificate import certify_curve, certify_in
 from alula.stages.planning.endpoints import free_points

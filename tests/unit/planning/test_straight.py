@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.manifest import UNPROVEN_PLAN
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.manifest import UNPROVEN_PLAN
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, require_room

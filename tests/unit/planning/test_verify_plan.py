@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import Artifact, make_artifact, write_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import Artifact, make_artifact, write_artifact
+from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.errors import UsageError
-from alula.schemas.kinds import PLAN
+from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from alula.stages.show.viewing.corridor import corridor_mesh

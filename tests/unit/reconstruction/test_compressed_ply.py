@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply
 from alula.stages.reconstruction.formats.registry import read_splats

@@ -5,9 +5,9 @@ import hashlib
 import numpy as np
 import pytest
 
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv

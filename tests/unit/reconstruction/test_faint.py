@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
+from alula.schemas.artifacts.artifact import read_artifact
+from alula.schemas.parameters.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.stages.reconstruction.faint import marked_volume
 from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import read_splats

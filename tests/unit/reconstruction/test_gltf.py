@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import ArtifactError
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
 from alula.stages.reconstruction.import_splat import turned

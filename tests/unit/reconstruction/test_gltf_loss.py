@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.voxelize import voxelize

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.floaters import SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 from alula.stages.reconstruction.import_splat import SCALE_FLOOR, import_splat

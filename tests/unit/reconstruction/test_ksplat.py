@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import AlulaError, ArtifactError
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.ksplat import decode_ksplat
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.reconstruction.look import (

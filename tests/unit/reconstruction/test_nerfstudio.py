@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.cli.main import run
-from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import ArtifactError
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.compression.ellipsoids import lacks_of
 from alula.stages.reconstruction.formats.capture import joined
 from alula.stages.reconstruction.formats.ply import decode_ply

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat, turned
 from alula.stages.rotation import multiply_quat_wxyz
@@ -208,7 +208,7 @@ _PEAK = """
 import resource, sys
 from pathlib import Path
 import concurrent.futures
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

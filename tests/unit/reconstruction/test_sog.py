@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.sog import OPACITY_LOSS
 from alula.stages.reconstruction.formats.splats import color_from_sh0

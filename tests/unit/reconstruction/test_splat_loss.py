@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
 from alula.schemas.errors import ArtifactError, DamagedError
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.clearance import path_clearance
 from alula.stages.compression.ellipsoids import excluded_errors, unproven_voxels

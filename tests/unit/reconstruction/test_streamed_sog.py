@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from alula.cli import main
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import ArtifactError, UsageError
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.pieces import find_splats

@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from alula.schemas.flight_defaults import NO_FILTER
-from alula.schemas.manifest import Guarantee, InputRef
+from alula.schemas.artifacts.manifest import Guarantee, InputRef
+from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.material import Material, Run
 from support.fabricate import box, make_cover, make_plan, make_record, make_trial

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.manifest import InputRef
+from alula.schemas.artifacts.manifest import InputRef
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.differences import difference_tables, difference_words, is_paired
 from alula.stages.reporting.headline import headline

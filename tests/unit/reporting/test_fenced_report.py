@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from alula.schemas.artifacts.manifest import Guarantee, producer
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.flights import Flight
-from alula.schemas.manifest import Guarantee, producer
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import FenceResult, RunRecord, TrialResult
+from alula.schemas.log.run import FenceResult, RunRecord, TrialResult
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.curves import flight_maps
 from alula.stages.reporting.fenced import fence_rows, fence_shape, is_fenced

@@ -54,7 +54,7 @@ def test_clearance_over_time_is_the_distance_to_the_hulls_less_the_radius():
 
 
 def test_a_map_that_was_not_flown_through_gives_no_clearance():
-    from alula.schemas.manifest import InputRef
+    from alula.schemas.artifacts.manifest import InputRef
 
     run = run_of(flight())
     ref = InputRef("cover", "alula/cover", "1.0", "a" * 64, "c")

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import Flight
-from alula.schemas.manifest import InputRef
-from alula.schemas.run import ObstacleResult
+from alula.schemas.log.run import ObstacleResult
 from alula.stages.reporting import curves
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.flight_curves import closest_flight, worst_flights

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.log.channels import CHANNELS, FLIGHT_TOPICS, Supervisor, schema_name
 from alula.schemas.log.foxglove import SceneUpdate, Time
 from alula.stages.export.ros_messages import RosMessages

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
 from alula.stages.simulation.world.simulate import prepare

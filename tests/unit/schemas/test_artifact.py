@@ -11,8 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas import errors
-from alula.schemas.artifact import Artifact, make_artifact, read_artifact, read_manifest, write_artifact
-from alula.schemas.kinds import KINDS, SCENE, VOXELS
+from alula.schemas.artifacts.artifact import (
+    Artifact,
+    make_artifact,
+    read_artifact,
+    read_manifest,
+    write_artifact,
+)
+from alula.schemas.artifacts.kinds import KINDS, SCENE, VOXELS
 from support.effort import examples
 
 
@@ -59,7 +65,7 @@ def test_equal_content_is_equal_bytes_and_rewriting_changes_nothing(tmp_path, ro
 
 
 def test_large_arrays_are_memory_mapped_at_multiples_of_64_bytes(path, monkeypatch):
-    monkeypatch.setattr("alula.schemas.artifact.READ_AT_ONCE", 0)
+    monkeypatch.setattr("alula.schemas.artifacts.artifact.READ_AT_ONCE", 0)
     for array in read_artifact(path).arrays.values():
         assert isinstance(array, np.memmap)
         assert array.offset % 64 == 0
@@ -89,7 +95,7 @@ def test_every_prefix_of_a_file_is_refused(path, tmp_path):
 def test_no_changed_byte_of_an_array_goes_unnoticed(path, tmp_path, monkeypatch):
     whole = bytearray(path.read_bytes())
     with monkeypatch.context() as mapped:
-        mapped.setattr("alula.schemas.artifact.READ_AT_ONCE", 0)
+        mapped.setattr("alula.schemas.artifacts.artifact.READ_AT_ONCE", 0)
         offsets = [(a.offset, a.nbytes) for a in read_artifact(path).arrays.values()]
     changed = tmp_path / "changed.npz"
     for offset, size in offsets:
@@ -184,7 +190,7 @@ def test_values_out_of_range_are_refused_when_made_and_when_read(tmp_path, array
     with pytest.raises(errors.ArtifactError, match=words):
         make_artifact(SCENE, bad, **fields)
     honest = make_artifact(SCENE, good, **fields)
-    from alula.schemas.artifact import describe_arrays
+    from alula.schemas.artifacts.artifact import describe_arrays
 
     forged = msgspec.structs.replace(
         honest.manifest, arrays=describe_arrays(SCENE, "scene", "arbitrary", bad)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from alula.schemas.contents import FenceSummary, check
+from alula.schemas.artifacts.contents import FenceSummary, check
 from alula.stages.reporting.fenced import fence_rows
 from alula.stages.reporting.inspect import manifest_facts
 from support.fabricate import make_trial

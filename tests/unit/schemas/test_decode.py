@@ -18,16 +18,16 @@ from alula.schemas.decode import (
     decode_toml,
     json_depth,
 )
-from alula.schemas.world import WorldScenario
+from alula.schemas.scenarios.scenario import WorldScenario
 from support.effort import examples
 from support.paths import ROOT
 
 # In each fork, threads that wait for each other decode types for the first time; these share other types.
 RACE = """
 import os, sys, threading
-from alula.schemas.kinds import KINDS
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RunRecord
+from alula.schemas.artifacts.kinds import KINDS
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.log.run import RunRecord
 {decode}
 
 kinds = [*(kind.manifest for kind in KINDS.values()), Provenance, RunRecord]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.filter_options import FILTERS, NATIVE_NAMES, PARTS
-from alula.schemas.filters import source
-from alula.schemas.filters.values import complaint, defaults, entries
 from alula.schemas.generate import PAGES, filter_files
+from alula.schemas.parameters.filter_options import FILTERS, NATIVE_NAMES, PARTS
+from alula.schemas.parameters.filters import source
+from alula.schemas.parameters.filters.values import complaint, defaults, entries
 from alula.stages.filtering.moving_filters import native_options
 from support.paths import ROOT
 
@@ -38,7 +38,7 @@ def test_every_filter_has_parameters_and_each_of_them_documentation():
 
 
 def test_no_two_parts_of_a_filter_have_a_parameter_of_the_same_name():
-    for struct in source.load(ROOT / "schemas/filters").values():
+    for struct in source.load(ROOT / "schemas/parameters/filters").values():
         names = [parameter.name for parameter in struct.public()]
         assert len(names) == len(set(names)), struct.name
 
@@ -51,7 +51,7 @@ def changed(tmp_path, *edits):
     for page in PAGES:
         shutil.copy(ROOT / page, tmp_path / page)
     for file, old, new in edits:
-        path = tmp_path / "schemas/filters" / file
+        path = tmp_path / "schemas/parameters/filters" / file
         text = path.read_text()
         assert text.count(old) == 1
         path.write_text(text.replace(old, new))
@@ -103,7 +103,7 @@ def test_one_changed_default_is_found_everywhere(tmp_path):
     assert in_schema("MovingFilterParameters", "simple_quantile") == 1.875
 
     (tree / "ask.py").write_text(
-        "from alula.schemas.filter_options import FILTERS, NATIVE_NAMES\n"
+        "from alula.schemas.parameters.filter_options import FILTERS, NATIVE_NAMES\n"
         "from alula.stages.filtering.registry import complete_parameters\n"
         "from alula.stages.filtering.moving_filters import native_options\n"
         "print(FILTERS['polytope-cbf']().beta, FILTERS['geofence']().beta,"

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.mission import __doc__ as EXAMPLE
-from alula.schemas.mission import read_mission
+from alula.schemas.scenarios.mission import __doc__ as EXAMPLE
+from alula.schemas.scenarios.mission import read_mission
 from alula.stages.reconstruction.room import HOOP_TUBE_M, HOOPS
 
 GOOD = """

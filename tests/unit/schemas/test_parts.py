@@ -8,13 +8,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from alula.schemas import errors, parts_join
-from alula.schemas.artifact import file_hash, read_artifact, write_artifact
-from alula.schemas.kinds import SCENE, VOXELS
-from alula.schemas.parts import INDEX, PartRef, Parts, described, open_parts
-from alula.schemas.parts_join import read_whole
-from alula.schemas.parts_output import kept_part, part_name, partial_folder, parts_output, write_part
-from alula.schemas.provenance import read_provenance
+from alula.schemas import errors
+from alula.schemas.artifacts import parts_join
+from alula.schemas.artifacts.artifact import file_hash, read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import SCENE, VOXELS
+from alula.schemas.artifacts.parts import INDEX, PartRef, Parts, described, open_parts
+from alula.schemas.artifacts.parts_join import read_whole
+from alula.schemas.artifacts.parts_output import (
+    kept_part,
+    part_name,
+    partial_folder,
+    parts_output,
+    write_part,
+)
+from alula.schemas.artifacts.provenance import read_provenance
 from support.effort import examples
 from support.parted import provenance_of, scene_of, voxels_of, write_parts
 

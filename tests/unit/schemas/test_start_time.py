@@ -3,7 +3,7 @@
 import pytest
 
 from alula.schemas.errors import UsageError
-from alula.schemas.start_time import start_time_ns, utc_text
+from alula.schemas.log.start_time import start_time_ns, utc_text
 
 
 @pytest.mark.parametrize(

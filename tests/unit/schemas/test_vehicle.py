@@ -9,7 +9,7 @@ import pytest
 
 from alula._core import DoubleIntegrator, Plant
 from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.vehicle import FASTBRIDGE, check_vehicle, read_vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, check_vehicle, read_vehicle
 from alula.stages.vehicles.bodies import plant, plant_options, quadrotor, tracking_gains
 from support.paths import VEHICLES
 
@@ -163,7 +163,8 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, text, error, message):
 
 def test_a_process_that_read_a_vehicle_ends_well():
     """The decoder's types are taken apart at the end of a process; some shapes of types crash there."""
-    code = f"import pathlib, alula.schemas.vehicle as v; v.read_vehicle(pathlib.Path({str(FILE)!r}))"
+    code = "import pathlib, alula.schemas.scenarios.vehicle as v; "
+    code += f"v.read_vehicle(pathlib.Path({str(FILE)!r}))"
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 

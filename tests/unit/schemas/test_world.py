@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from alula.schemas.decode import decode_toml
 from alula.schemas.errors import InputError, UsageError, VersionError, WrongKindError
-from alula.schemas.filter_options import TABLES
+from alula.schemas.parameters.filter_options import TABLES
+from alula.schemas.scenarios.defaults import completed, interface_of, vehicle_of
+from alula.schemas.scenarios.ranges import USED
+from alula.schemas.scenarios.scenario import FILES, decoded, plain, read_sources, read_world
+from alula.schemas.scenarios.tables import MissionTable
+from alula.schemas.scenarios.text import keys_of, moved, toml_of, values_of
+from alula.schemas.scenarios.vehicle import check_vehicle, read_vehicle
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.schemas.toml_file import toml_value
-from alula.schemas.vehicle import check_vehicle, read_vehicle
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import FILES, decoded, plain, read_sources, read_world
-from alula.schemas.world_defaults import completed, interface_of, vehicle_of
-from alula.schemas.world_ranges import USED
-from alula.schemas.world_tables import MissionTable
-from alula.schemas.world_text import keys_of, moved, toml_of, values_of
 from support.paths import VEHICLES as FILES_OF_VEHICLES
 
 HEAD = 'schema = "alula/scenario"\nversion = "2.0"\n'

@@ -6,10 +6,10 @@ import re
 import pytest
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import DisturbanceTable, TrackingTable
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import _set, decoded
-from alula.schemas.world_check import FILTER_COMMANDS, is_random, refusal
+from alula.schemas.scenarios.check import FILTER_COMMANDS, is_random, refusal
+from alula.schemas.scenarios.scenario import _set, decoded
+from alula.schemas.scenarios.vehicle import DisturbanceTable, TrackingTable
+from alula.schemas.scenarios.vehicles import VEHICLES
 
 INTERFACES = (None, "velocity", "acceleration", "wrench", "body-rates", "sticks")
 MISSIONS = {

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from alula.schemas.configs.view import PictureConfig
 from alula.schemas.errors import UsageError
 from alula.schemas.log.samples import Moving
+from alula.schemas.parameters.configs.view import PictureConfig
 from alula.stages.show.drawing.content import CUT, Camera, Copies, Decides, Faces, Gaussians, Lines
 from alula.stages.show.drawing.picture import BACKGROUND, model_of, picture
 from alula.stages.show.drawing.sight import Sight, sight_of, turned_to

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from alula.schemas.artifacts.manifest import PlanPass
 from alula.schemas.log.flights import Course, NewPlan
-from alula.schemas.manifest import PlanPass
 from alula.stages import clearance
 from alula.stages.reporting.material import Run
 from alula.stages.rotation import matrix_from_quat_wxyz

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.configs.view import MOST_GAUSSIANS
 from alula.schemas.log.samples import Commands, Moving
+from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import Run
 from alula.stages.rotation import matrix_from_quat_wxyz

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.sim_vehicle.ardupilot.copter import Copter

@@ -2,7 +2,7 @@
 
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from support.autopilot_client import EXACT

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import NO_POSITION, SETTLED, EstimatorOptions

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import decoded
-from alula.schemas.world_defaults import completed
+from alula.schemas.scenarios.defaults import completed
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.simulation.world.judge import hits_static
 from alula.stages.simulation.world.simulate import simulate_world
 from support.small_scenes import box_cover

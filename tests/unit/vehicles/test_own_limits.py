@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import RatesSetpoint, VehicleState
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import LEAN_RAD, MAX_LEAN_RAD, plan_steps

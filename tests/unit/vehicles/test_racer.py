@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.vehicles.fence import fence
 from alula.stages.vehicles.racer import geofence, racer_model, racer_options
 from support import racer_model as model

@@ -13,8 +13,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from alula.schemas.artifacts.signing_key import KEY_BYTES
 from alula.schemas.errors import LinkError
-from alula.schemas.signing_key import KEY_BYTES
 
 SIGNATURE_BYTES = 13
 

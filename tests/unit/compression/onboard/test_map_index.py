@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.cli.main import run
-from alula.schemas.artifact import read_artifact
+from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, index_bytes

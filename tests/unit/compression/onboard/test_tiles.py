@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.tiles import BINARY, SIGNATURE, WHOLE, merkle_root, read_tiles, read_tiles_index
 from alula.schemas.errors import (
     ArtifactError,
     CheckError,
@@ -20,9 +22,7 @@ from alula.schemas.errors import (
     UsageError,
     VersionError,
 )
-from alula.schemas.provenance import Provenance
-from alula.schemas.tiles import BINARY, SIGNATURE, WHOLE, merkle_root, read_tiles, read_tiles_index
-from alula.schemas.world import decoded
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.compression.hulls import ROWS
 from alula.stages.compression.onboard import hull_records
 from alula.stages.compression.onboard.image import decode_map

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from alula.schemas.artifacts.manifest import Guarantee
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import Guarantee
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.onboard.verify import verify_map

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import LinkError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     Order,

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from alula.schemas.artifacts.signing_key import read_key
 from alula.schemas.errors import InputError, LinkError
-from alula.schemas.signing_key import read_key
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import LinkError, UsageError
-from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
+from alula.schemas.scenarios.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.stages.flight.links import open_link as registry
 from alula.stages.flight.links.addresses import check_address, parse_address
 from alula.stages.flight.links.mavlink.hover import HoverThrottle, hover_from, throttle_of

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
-from alula.schemas.world import decoded
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry
 from alula.stages.filtering.polytope_cbf import barrier

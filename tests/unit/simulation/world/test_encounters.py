@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import MovingFilterParameters
-from alula.schemas.world import WorldScenario, decoded, read_world
-from alula.schemas.world_defaults import vehicle_of
+from alula.schemas.parameters.filter_options import MovingFilterParameters
+from alula.schemas.scenarios.defaults import vehicle_of
+from alula.schemas.scenarios.scenario import WorldScenario, decoded, read_world
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.simulation.chunks import TrialJournal

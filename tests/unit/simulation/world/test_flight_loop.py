@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 from alula import _core
-from alula.schemas.filter_options import MovingFilterParameters
-from alula.schemas.vehicle import FASTBRIDGE
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world_moving import DetectorTable, ObstacleTable, TrackerTable
+from alula.schemas.parameters.filter_options import MovingFilterParameters
+from alula.schemas.scenarios.moving import DetectorTable, ObstacleTable, TrackerTable
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering import registry
 from alula.stages.filtering.moving_filters import moving_options

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import IdentifiedTable, VelocitiesTable, read_vehicle
-from alula.schemas.world import WorldScenario
-from alula.schemas.world_check import refusal
-from alula.schemas.world_defaults import completed
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.check import refusal
+from alula.schemas.scenarios.defaults import completed
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import IdentifiedTable, VelocitiesTable, read_vehicle
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.planning.adherence import FINISHED_M, waits
 from alula.stages.planning.plan import plan

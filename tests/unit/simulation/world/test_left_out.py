@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
-from alula.schemas.world import WorldScenario, decoded
-from alula.schemas.world_defaults import completed, vehicle_of
+from alula.schemas.scenarios.defaults import completed, vehicle_of
+from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
 from alula.stages.simulation.world.left_out import NO_DIFFERENCE, REFUSED, keys_with_difference, left_out
 from alula.stages.simulation.world.prepare import prepare
 from support.quadrotor_model import derivative, fastbridge

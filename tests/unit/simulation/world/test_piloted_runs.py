@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from alula.schemas.artifacts.manifest import producer
+from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import UsageError
 from alula.schemas.log.channels import CHANNELS
 from alula.schemas.log.json_schema import json_schema
-from alula.schemas.manifest import producer
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RunRecord
+from alula.schemas.log.run import RunRecord
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
 from alula.stages.simulation.chunks import TrialJournal

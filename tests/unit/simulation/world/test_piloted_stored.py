@@ -5,7 +5,7 @@ from typing import NamedTuple
 import msgspec
 import pytest
 
-from alula.schemas.world import read_world
+from alula.schemas.scenarios.scenario import read_world
 from alula.stages.simulation.world.piloted import fence_distance
 from alula.stages.simulation.world.prepare import prepare
 from support.paths import EXAMPLES

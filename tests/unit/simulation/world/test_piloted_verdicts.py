@@ -8,7 +8,7 @@ import pytest
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.filter_options import GeofenceParameters
+from alula.schemas.parameters.filter_options import GeofenceParameters
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.summary import world_guarantee, world_summary
 from alula.stages.vehicles.racer import racer_model

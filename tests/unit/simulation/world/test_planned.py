@@ -6,14 +6,14 @@ import pytest
 
 from alula.cli.main import run
 from alula.cli.verbs.runs import check_trials
-from alula.schemas.artifact import read_artifact, write_artifact
-from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.artifacts.artifact import read_artifact, write_artifact
+from alula.schemas.artifacts.kinds import COVER
 from alula.schemas.errors import CheckError, InfeasibleError, UsageError
-from alula.schemas.kinds import COVER
-from alula.schemas.run import read_run
-from alula.schemas.vehicles import VEHICLES
-from alula.schemas.world import decoded
-from alula.schemas.world_defaults import completed
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.plan import PlanConfig
+from alula.schemas.scenarios.defaults import completed
+from alula.schemas.scenarios.scenario import decoded
+from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.planning.limits import motion_limits
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.world.behind import undisturbed

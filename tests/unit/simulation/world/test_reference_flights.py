@@ -5,7 +5,7 @@ import pytest
 
 from alula import _core
 from alula.schemas.errors import InputError
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld

@@ -6,7 +6,7 @@ import pytest
 
 from alula import _core
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.vehicle import FASTBRIDGE, TrackingTable
+from alula.schemas.scenarios.vehicle import FASTBRIDGE, TrackingTable
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.planning.rest_to_rest import rest_to_rest

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.schemas.artifact import Artifact
+from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
-from alula.schemas.world_check import FILTER_COMMANDS
+from alula.schemas.scenarios.check import FILTER_COMMANDS
+from alula.schemas.scenarios.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of

@@ -9,15 +9,15 @@ import pytest
 from alula import _core
 from alula.cli.main import run
 from alula.cli.verbs.runs import check_trials
-from alula.schemas.artifact import write_artifact
-from alula.schemas.configs.demo_scene import DemoSceneConfig
-from alula.schemas.configs.import_splat import ImportSplatConfig
-from alula.schemas.configs.merge import MergeConfig
-from alula.schemas.configs.scale_align import ScaleAlignConfig
-from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import CheckError, UsageError
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.log.run import read_run
+from alula.schemas.parameters.configs.demo_scene import DemoSceneConfig
+from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.alignment.scale_align import scale_align
 from alula.stages.clearance import clearance_to_hulls, clearance_to_scene, hull_obstacles
 from alula.stages.compression.hulls import Hulls

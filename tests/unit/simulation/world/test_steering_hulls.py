@@ -5,10 +5,10 @@ import functools
 import pytest
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.run import read_run
-from alula.schemas.vehicle import FASTBRIDGE
+from alula.schemas.log.run import read_run
+from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import clearance_to_hulls
 from alula.stages.compression.hulls import Hulls
 from support import world_runs

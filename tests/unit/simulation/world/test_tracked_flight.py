@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula._core import Plant, PlantOptions, ReferenceCurve, SensorOptions, track
-from alula.schemas.vehicle import read_vehicle
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.paths import VEHICLES

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from alula.schemas.errors import InputError, UsageError
-from alula.schemas.world import decoded
-from alula.schemas.world_defaults import vehicle_of
+from alula.schemas.scenarios.defaults import vehicle_of
+from alula.schemas.scenarios.scenario import decoded
 from alula.stages.simulation.world.judge import hits_static, worst_clearance
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world

@@ -1,0 +1,1 @@
+"""Artifacts: kinds, manifests, parts, provenance, and their files."""

@@ -1,0 +1,1 @@
+"""Parameters: of filters, as TOML with generators, and of commands."""

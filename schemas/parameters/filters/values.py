@@ -1,0 +1,155 @@
+"""What the generated parameter structs are made of, and questions about them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+from collections.abc import Mapping
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of a filter: unknown keys are refused."""
+
+
+class Part(NamedTuple):
+    """A native struct that takes some of a filter's parameters.
+
+    Attributes:
+        native: name of the struct in `alula._core`.
+        argument: the field of the filter's own options that takes it; empty for these options themselves.
+        names: the parameters that it takes.
+    """
+
+    native: str
+    argument: str
+    names: tuple[str, ...]
+
+
+class Entry(NamedTuple):
+    """A parameter as its struct declares it.
+
+    Attributes:
+        type: its Python type without None.
+        default: None when something else stands for an absent value.
+        meta: limits and documentation.
+    """
+
+    type: Any
+    default: Any
+    meta: msgspec.Meta
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The values that an enumeration has; empty for all other types."""
+        return get_args(self.type) if get_origin(self.type) is Literal else ()
+
+    @property
+    def help(self) -> str:
+        """The documentation as a sentence."""
+        text = self.meta.description or ""
+        return f"{text[:1].upper()}{text[1:]}."
+
+
+@cache
+def entries(options: type[Options]) -> Mapping[str, Entry]:
+    """The parameters of a struct by name, without nested tables.
+
+    Args:
+        options: a struct of `alula.schemas.parameters.filter_options`.
+    """
+    hints = get_type_hints(options, include_extras=True)
+    found = {}
+    for item in msgspec.structs.fields(options):
+        hint = hints[item.name]
+        if get_origin(hint) in (Union, types.UnionType):
+            hint = next(part for part in get_args(hint) if part is not type(None))
+        if get_origin(hint) is Annotated:
+            kind, meta = get_args(hint)
+            found[item.name] = Entry(kind, item.default, meta)
+    return found
+
+
+def defaults(options: type[Options]) -> dict[str, Any]:
+    """The defaults of all parameters of a struct, vectors as lists.
+
+    Args:
+        options: a struct of `alula.schemas.parameters.filter_options`.
+    """
+    values = ((name, entry.default) for name, entry in entries(options).items())
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values}
+
+
+def limits(meta: msgspec.Meta) -> tuple[float, float]:
+    """The lower and upper limit of a number, infinite where it has none.
+
+    Args:
+        meta: of an `Entry`.
+    """
+    low = next((x for x in (meta.ge, meta.gt) if x is not None), -math.inf)
+    high = next((x for x in (meta.le, meta.lt) if x is not None), math.inf)
+    return low, high
+
+
+def config_field(options: type[Options], name: str, **metadata: Any) -> Any:
+    """The field of a configuration dataclass that takes a parameter: its default and its help.
+
+    Args:
+        options: a struct of `alula.schemas.parameters.filter_options`.
+        name: the parameter.
+        metadata: further metadata of the field, such as `option`.
+    """
+    entry = entries(options)[name]
+    return dataclasses.field(default=entry.default, metadata={"help": entry.help, **metadata})
+
+
+def complaint(entry: Entry, value: Any) -> str | None:
+    """Why a value cannot be a parameter's, as the end of a sentence after its name; None when it can.
+
+    Args:
+        entry: the parameter.
+        value: any value of JSON or TOML; a whole number is a number, too.
+    """
+    if not _fits(entry, value):
+        return f"must be {_wanted(entry)}, not {value!r}"
+    if entry.type not in (int, float):
+        return None
+    meta = entry.meta
+    words = [
+        f"{word} {limit:g}"
+        for word, limit, good in (
+            ("at least", meta.ge, meta.ge is None or value >= meta.ge),
+            ("above", meta.gt, meta.gt is None or value > meta.gt),
+            ("at most", meta.le, meta.le is None or value <= meta.le),
+            ("below", meta.lt, meta.lt is None or value < meta.lt),
+        )
+        if not good
+    ]
+    return f"must be {words[0]}, not {value:g}" if words else None
+
+
+def _fits(entry: Entry, value: Any) -> bool:
+    if entry.choices:
+        return value in entry.choices
+    if entry.type is bool or isinstance(value, bool):
+        return entry.type is bool and isinstance(value, bool)
+    if entry.type is float:
+        return isinstance(value, int | float)
+    if entry.type is int:
+        return isinstance(value, int) and 0 <= value < 2**31
+    numbers = isinstance(value, list | tuple) and all(
+        isinstance(item, int | float) and not isinstance(item, bool) for item in value
+    )
+    return numbers and len(value) == len(get_args(entry.type))
+
+
+def _wanted(entry: Entry) -> str:
+    if entry.choices:
+        return " or ".join(entry.choices)
+    if get_origin(entry.type) is tuple:
+        return f"{len(get_args(entry.type))} numbers"
+    return {bool: "true or false", int: "a whole number from 0 to 2147483647"}.get(entry.type, "a number")
