@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 
 import click
 
+from alula.cli.present import echo
+
 F = TypeVar("F", bound=Callable[..., Any])
 _ALL = "alula.help_of_all"  # in the context: show all options
 
@@ -78,7 +80,8 @@ class Command(click.Command):
 
         def show(context: click.Context, _parameter: click.Parameter, is_given: bool) -> None:
             if is_given and not context.resilient_parsing:
-                click.echo(self.help_of_all(context))
+                for line in self.help_of_all(context).splitlines():
+                    echo(line)
                 context.exit()
 
         words: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False, "callback": show}
