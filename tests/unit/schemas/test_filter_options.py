@@ -110,7 +110,7 @@ def test_one_changed_default_is_found_everywhere(tmp_path):
         " complete_parameters('cone-di', {})['swell'], native_options(FILTERS['mpc']())['simple_quantile'])\n"
     )
     assert run(tree, "ask") == "2.625 1.75 0.0375 1.875"
-    assert "[default: 2.625]" in run(tree, "alula.cli.main", "fly", "--help")
+    assert "[default: 2.625]" in run(tree, "alula.cli.main", "fly", "--help-all")
     keys = run(tree, "alula.cli.main", "scenario", "--keys", "safety.polytope-cbf")
     assert "safety.polytope-cbf.beta = 2.625" in keys
 
