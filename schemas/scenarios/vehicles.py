@@ -24,6 +24,8 @@ DEFAULT_RADIUS_M = 0.1
 DEFAULT_SPEED_M_S = 1.0
 PLAN_SPEED_FACTOR = 1.5
 """Speed limit of a point along a plan, over the plan's speed: leaves room to catch up."""
+CATCH_UP_FACTOR = 0.5
+"""Speed above the reference's at which a delayed vehicle catches up, over the peak speed."""
 
 _CRAZYFLIE21 = Vehicle(
     name="crazyflie21",

@@ -83,8 +83,9 @@ def _surroundings(
     name: str, world: FilterWorld, index: _core.EllipsoidIndex, against: str
 ) -> tuple[_core.ObstacleMap, float]:
     """The map that a shield certifies against, and the radius that it keeps clear of it [m]."""
-    if (given := union_of(world.parts, *_PARTS[against])) is not None:
-        return given, world.keeps(world.parts_radius_m)
+    names = [name for name in _PARTS[against] if name in world.parts]
+    if (given := union_of(world.parts, *names)) is not None:
+        return given, world.keeps_m(*names)
     if against == ELLIPSOIDS:
         return _core.EllipsoidMap(index), index.radius
     if world.polytopes is None:
@@ -92,7 +93,7 @@ def _surroundings(
             f"{name}: {SHIELD_MAP}={against} needs the hulls of a cover, and there is none: give the cover, "
             "and the scene as --scene"
         )
-    hulls, radius_m = _core.HullMap(world.polytopes), world.keeps(world.hull_radius_m)
+    hulls, radius_m = _core.HullMap(world.polytopes), world.keeps_m("hulls")
     if against == HULLS:
         return hulls, radius_m
     return _core.MapUnion([_core.EllipsoidMap(index), hulls]), max(index.radius, radius_m)
@@ -105,7 +106,7 @@ def _rows_of_hulls(
     sees = keeps_from_hulls(name, parameters, has_ellipsoids=len(index) > 0)
     if name not in STEERS_AMONG_HULLS or world.polytopes is None or not sees:
         return {}
-    return {"near_map": _core.HullMap(world.polytopes), "near_radius_m": world.keeps(world.hull_radius_m)}
+    return {"near_map": _core.HullMap(world.polytopes), "near_radius_m": world.keeps_m("hulls")}
 
 
 def _build(name: str, world: FilterWorld, parameters: Mapping[str, Any]) -> _core.SafetyFilter:
@@ -115,7 +116,7 @@ def _build(name: str, world: FilterWorld, parameters: Mapping[str, Any]) -> _cor
         "rate_time_constant_s": world.rate_time_constant_s,
         "max_rate_rad_s": world.max_rate_rad_s,
     }
-    index = ellipsoid_index(None, 1.0, world.radius_m) if world.index is None else world.index
+    index = ellipsoid_index(None, 1.0, world.keeps_m(ELLIPSOIDS)) if world.index is None else world.index
     others: dict[str, Any] = {}
     if given.get("solver") == _CLARABEL:
         given["solver"] = "active-set"

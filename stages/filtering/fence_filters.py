@@ -70,7 +70,7 @@ def native_geofence(
         )
         if not has_regulation:
             values["beta"] = min(values["beta"], _core.Geofence.conditions(world.racer, values)["most_beta"])
-        options = values | {"radius_m": world.keeps(world.fence_radius_m)}
+        options = values | {"radius_m": world.keeps_m("fence")}
         return _core.Geofence(where, world.racer, options)
     except (ValueError, TypeError, OverflowError) as error:
         raise UsageError(f"{name}: {error}") from error

@@ -69,7 +69,7 @@ def moving_options(world: FilterWorld, parameters: MovingFilterParameters) -> di
         "a_max": largest,
         "v_max": world.max_speed_m_s,
         "j_max": world.max_jerk_m_s3,
-        "radius_m": world.keeps(world.parts_radius_m),
+        "radius_m": world.keeps_m(*world.parts),
         "dt_s": world.dt_s,
     }
     return {key: float(value) for key, value in options.items()}

@@ -85,7 +85,7 @@ def _native(world: FilterWorld, values: Mapping[str, Any], *, reads: bool) -> _c
         raise UsageError("polytope-cbf needs the hulls of a cover, and there are none")
     options: dict[str, Any] = {
         "extent_m": world.extent_m,
-        "radius_m": world.keeps(world.hull_radius_m),
+        "radius_m": world.keeps_m("hulls"),
         "dt_s": world.dt_s,
         "v_max": world.speed_m_s,
         **{NATIVE_NAMES["polytope-cbf"].get(name, name): value for name, value in values.items()},

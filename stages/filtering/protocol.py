@@ -123,27 +123,45 @@ class FilterResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilterWorld:
+class Kept:
+    """Radius of the vehicle, and what filters keep beyond it from the parts of a world.
+
+    Attributes:
+        radius_m: of the vehicle's sphere; of a real flight with the margin that it keeps [m].
+        inflation_m: error of the map that is added to it, by part: `ellipsoids`, by the alignment of the
+            scene; `hulls`, what they have not grown by already. The fence is exact [m].
+    """
+
+    radius_m: float
+    inflation_m: Mapping[str, float] = field(default_factory=dict)
+
+    def keeps_m(self, *parts: str) -> float:
+        """Distance to keep from some parts of the world: the radius, and the largest inflation of them [m].
+
+        Args:
+            parts: `ellipsoids`, `hulls` or `fence`.
+        """
+        return self.radius_m + max((self.inflation_m.get(part, 0.0) for part in parts), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterWorld(Kept):
     """Obstacles, vehicle and rate that a filter is built for; what a run does not have has its default.
 
     Attributes:
-        radius_m: radius that is kept from ellipsoids: of the vehicle's sphere, plus the alignment error of
-            the scene [m].
+        radius_m, inflation_m: see `Kept`; `keeps_m` is what a filter keeps.
         dt_s: time for which a command is held [s].
         hulls: the hulls of a cover.
         polytopes: the same as a native set.
-        hull_radius_m: radius that is kept from hulls; None: `radius_m` [m].
         image: the cover as an onboard map with an index, which `polytope-cbf` then reads instead of `hulls`,
             and which `geofence` keeps out of.
         tiles: the cover in tiles, which `polytope-cbf` then reads instead.
         tile_load_ticks: calls of the filter between the request for a tile and its arrival.
-        index: the ellipsoids at their level, and grown by `radius_m`; None: there are none.
+        index: the ellipsoids at their level, and grown by what is kept from them; None: there are none.
         parts: native maps by name, ellipsoids, hulls and fence, which shields and filters among moving
             obstacles take; empty: made of `index` and `polytopes`.
-        parts_radius_m: radius that is kept from `parts`; None: `radius_m` [m].
         fence_box: lower and upper corner of the fence [m]; None: it has no box.
         fence_faces: its other faces, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
-        fence_radius_m: radius that is kept from the fence; None: `radius_m` [m].
         extent_m: bound of the coordinates of all positions [m].
         speed_m_s: limit of velocity commands [m/s].
         max_speed_m_s, max_acceleration_m_s2, max_jerk_m_s3: limits of the vehicle among moving obstacles, per
@@ -157,20 +175,16 @@ class FilterWorld:
         max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
     """
 
-    radius_m: float
     dt_s: float
     hulls: Hulls | None = None
     polytopes: _core.PolytopeSet | None = None
-    hull_radius_m: float | None = None
     image: bytes = b""
     tiles: _core.TileSet | None = None
     tile_load_ticks: int = 0
     index: _core.EllipsoidIndex | None = None
     parts: Mapping[str, _core.ObstacleMap] = field(default_factory=dict)
-    parts_radius_m: float | None = None
     fence_box: tuple[Sequence[float], Sequence[float]] | None = None
     fence_faces: FloatArray = field(default_factory=_no_faces)
-    fence_radius_m: float | None = None
     extent_m: float = 1e3
     speed_m_s: float = 1.0
     max_speed_m_s: float = 3.0
@@ -182,14 +196,6 @@ class FilterWorld:
     motor_time_constant_s: float = 0.0
     rate_time_constant_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     max_rate_rad_s: tuple[float, float, float] = (10.0, 10.0, 4.0)
-
-    def keeps(self, radius_m: float | None) -> float:
-        """One of the radii, or where it is None `radius_m` [m].
-
-        Args:
-            radius_m: of a part of the world.
-        """
-        return self.radius_m if radius_m is None else radius_m
 
 
 class SafetyFilter(Protocol):

@@ -206,7 +206,7 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
             "positions": "as measured by the vehicle",
             "radius_m": mission.vehicle.body.radius_m,
             "margin_m": mission.config.margin_m,
-            "inflation_m": mission.inflation_m,
+            "inflation_m": mission.world.inflation_m["ellipsoids"],
         },
     )
 

@@ -18,10 +18,19 @@ from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.parameters.configs.fly import FlyConfig
 from alula.schemas.parameters.configs.plan import BEYOND_MAP
+from alula.schemas.parameters.flight_defaults import NO_FILTER
+from alula.schemas.scenarios.defaults import completed
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.tables import (
+    ControllerTable,
+    MissionTable,
+    RulesTable,
+    SafetyTable,
+    VehicleTable,
+    WorldTable,
+)
 from alula.schemas.scenarios.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles, scene_obstacles
-from alula.stages.compression.cover_checks import require_solid_hulls
-from alula.stages.compression.hulls import Hulls
+from alula.schemas.scenarios.vehicles import PLAN_SPEED_FACTOR
 from alula.stages.compression.level import (
     level_of,
     level_words,
@@ -30,11 +39,10 @@ from alula.stages.compression.level import (
     omissions,
     without,
 )
-from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
-from alula.stages.filtering.obstacles import beyond_hulls, ellipsoid_index, require_metric, tile_set
+from alula.stages.filtering.obstacles import require_metric
 from alula.stages.filtering.polytope_cbf import without_filter
-from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
+from alula.stages.filtering.protocol import SafetyFilter
 from alula.stages.filtering.registry import complete_parameters, make_filter
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
@@ -49,18 +57,19 @@ from alula.stages.planning.adherence import PlanJudge, require_fit, require_room
 from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
 from alula.stages.planning.joins import require_motion
 from alula.stages.planning.limits import beyond_followed
-from alula.stages.planning.mapped import Mapped, ellipsoid_box
+from alula.stages.planning.mapped import Mapped
 from alula.stages.planning.plan_samples import curve_of, sample_plan
-from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
-from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.planning.unseen import is_seen
+from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.vehicles.fence import KeepOut, fence
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
+from alula.stages.world.filters import filter_world, flown_filter, needs_index
+from alula.stages.world.obstacles import StaticWorld, static_world
+from alula.stages.world.vehicle import catch_up_m_s, known_vehicle
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
 _ROOM_M = 2.0  # between the plan's box and the default fence
-_PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
-_CATCH_UP = 0.5  # default catch-up speed by the plan's speed
 _DISTURBANCE_S = 0.1  # time constant with which wind and other disturbances are estimated
 _RESPONSE_S = 0.2  # the same from the response to velocities and accelerations, which is known less well
 _RESPONSE_ROOM_M_S2 = 0.3  # that such a response may differ from the model by, for noise alone
@@ -78,16 +87,11 @@ class Mission:
         plan, vehicle: as given.
         cover, scene: the map; at least one of them.
         within: seen space to stay in, beside a cover, if it is given.
-        hulls: of the cover, and the boxes of unseen space where the flight must stay in seen space; None
-            without a cover.
+        world: static obstacles, with the boxes of unseen space where the flight must stay in seen space.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
             else one of velocities among the hulls of the cover.
         curve: the plan.
         start: first point of the plan, shape (3,), world frame [m].
-        obstacles: all obstacles of the map by name, for checks and verdict, world frame.
-        inflation_m: distance that filters among ellipsoids add to radius and margin [m].
-        hull_keep_m: distance that filters keep from hulls, which may have grown by the inflation [m].
-        tiles: the cover in tiles, if `polytope-cbf` reads them; else None.
         sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words;
@@ -102,14 +106,10 @@ class Mission:
     cover: Artifact | None
     scene: Artifact | None
     within: Artifact | None
-    hulls: Hulls | None
+    world: StaticWorld
     is_splat: bool
     curve: _core.ReferenceCurve
     start: FloatArray
-    obstacles: Obstacles
-    inflation_m: float
-    hull_keep_m: float
-    tiles: _core.TileSet | None
     sees_hulls: bool
     fence: _core.Fence
     is_clear: tuple[bool, str]
@@ -122,6 +122,12 @@ class Mission:
         found = self.scene if self.is_splat and self.scene is not None else self.cover
         assert found is not None
         return found
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """All obstacles of the map by name, for checks and verdict, world frame."""
+        named = (("a hull", self.world.polytopes), ("an ellipsoid", self.world.ellipsoids))
+        return [(name, each) for name, each in named if each is not None]
 
     @property
     def map_words(self) -> str:
@@ -171,7 +177,7 @@ def resolve_fly(
         )
     elif parameters and config.filter in ("none", "polytope-cbf"):
         raise UsageError(f"--set: {config.filter} takes no parameters; polytope-cbf has --beta and --kappa")
-    limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
+    limit = config.speed_m_s or PLAN_SPEED_FACTOR * speed
     return dataclasses.replace(
         config,
         speed_m_s=limit,
@@ -179,16 +185,17 @@ def resolve_fly(
         if config.velocity_lag_s is not None
         else filter_lags_s(vehicle.following, limit),
         fence=config.fence or (*low.tolist(), *high.tolist()),
-        catch_up_m_s=config.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * speed,
+        catch_up_m_s=catch_up_m_s(vehicle, speed, config.catch_up_m_s),
         max_time_s=config.max_time_s or 3 * duration + _EXTRA_TIME_S,
         filter_parameters=parameters,
     )
 
 
-def _lags_s(config: FlyConfig) -> FloatArray:
-    """Lags along x, y, z of a complete configuration, shape (3,) [s]."""
-    assert config.velocity_lag_s is not None
-    return np.broadcast_to(np.array(config.velocity_lag_s, np.float64), (3,))
+def _lags_s(config: FlyConfig) -> tuple[float, float, float]:
+    """Lags along x, y, z of a complete configuration [s]."""
+    lag = config.velocity_lag_s
+    assert lag is not None
+    return lag if isinstance(lag, tuple) else (lag, lag, lag)
 
 
 def _require_deceleration(config: FlyConfig, vehicle: Vehicle, *, is_given: bool) -> None:
@@ -200,7 +207,7 @@ def _require_deceleration(config: FlyConfig, vehicle: Vehicle, *, is_given: bool
         return
     assert config.speed_m_s is not None
     following, speed = vehicle.following, config.speed_m_s
-    lag, most = float(_lags_s(config)[0]), following.deceleration_m_s2
+    lag, most = _lags_s(config)[0], following.deceleration_m_s2
     needed = needed_deceleration_m_s2(speed, lag, config.beta)
     if needed <= most:
         return
@@ -276,28 +283,32 @@ def make_mission(
     if is_unproven and config.filter == "none":
         raise UsageError("a plan that is not proven to be clear of the map is flown behind a filter only")
     radius = vehicle.body.radius_m
-    obstacles: Obstacles = []
     proofs: list[tuple[bool, str]] = []
-    hulls = None
     if tiles is not None and (config.filter != "polytope-cbf" or within is not None):
         raise UsageError("only polytope-cbf reads tiles, which lack unseen space: leave out --within")
     if within is not None and cover is None:
         raise UsageError("--within needs a cover: its filter keeps from hulls and unseen space alike")
-    if cover is not None:
-        require_solid_hulls(cover, jobs=jobs)
-        hulls = Hulls.from_cover(cover)
-        if within is not None:
-            hulls = joined([hulls, unseen_hulls(within)])
-        obstacles.append(("a hull", hull_obstacles(hulls)))
+    beyond_map = max(config.beyond_map_m, plan.manifest.beyond_map_m)  # type: ignore[attr-defined]
+    scenario = _scenario(config, vehicle, is_splat=is_splat, **has_maps)
+    world = static_world(
+        scenario,
+        cover=cover,
+        scene=scene,
+        seen=within,
+        tiles=tiles,
+        beyond_map_m=beyond_map,
+        needs_image=False,
+        needs_index=needs_index(scenario, scenario.safety.filters),
+        jobs=jobs,
+    )
+    if cover is not None and world.hulls is not None:
         level = level_of(cover)
         what = f"hulls made for {obstacles_words(level)}{without(omissions(level))}"
         what += "" if within is None else ", and from unseen space"
-        proofs.append(_proof(certify(plan, hulls, radius, jobs=jobs), what, radius))
+        proofs.append(_proof(certify(plan, world.hulls, radius, jobs=jobs), what, radius))
         if within is not None and not is_seen(within, curve_of(plan).at(np.zeros(1))[:, :3]).all():
             proofs.append((False, "the plan begins outside of the space that was seen"))
     if scene is not None:
-        ellipsoids = scene_obstacles(scene, config.sigma)
-        obstacles.append(("an ellipsoid", ellipsoids))
         proofs.append(
             _proof(
                 certify_among(plan, scene, config.sigma, radius, jobs=jobs),
@@ -305,18 +316,12 @@ def make_mission(
                 radius,
             )
         )
-    beyond_map = max(config.beyond_map_m, plan.manifest.beyond_map_m)  # type: ignore[attr-defined]
-    proofs += _mapped(plan, hulls, scene, config.sigma, beyond_map, radius)
+    proofs += _mapped(plan, world.mapped, radius)
     require_fit(plan, vehicle)
     curve = curve_of(plan)
-    inflation = _inflation(config, scene) if is_splat else 0.0
     tolerance = via_tolerance(config.via_tolerance_m, radius)
-    along = PlanJudge(plan, [each for _, each in obstacles], radius, tolerance, jobs)
-    suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
-    keep = radius + config.margin_m + inflation
-    hull_keep = radius + config.margin_m
-    if is_splat:
-        hull_keep += beyond_hulls(config.inflation_m, cover, suggested)
+    sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
+    along = PlanJudge(plan, sets, radius, tolerance, jobs)
     sees_hulls = not is_splat or keeps_from_hulls(
         config.filter, config.filter_parameters, has_ellipsoids=scene is not None
     )
@@ -325,10 +330,12 @@ def make_mission(
             f"--within: {config.filter} keeps from ellipsoids alone here; fly it with the cover alone, or "
             "with --set shield_map=hulls"
         )
-    keeps = {"a hull": hull_keep if sees_hulls else None, "an ellipsoid": keep if is_splat else None}
+    hull_keep, keep = world.keeps_m("hulls"), world.keeps_m("ellipsoids")
+    keeps = [hull_keep if sees_hulls else None] * (world.polytopes is not None)
+    keeps += [keep if is_splat else None] * (world.ellipsoids is not None)
     notes = require_room(
         along,
-        [keeps[name] for name, _ in obstacles],
+        keeps,
         config.filter,
         allow_tight=config.allow_tight,
     )
@@ -344,14 +351,10 @@ def make_mission(
         cover=cover,
         scene=scene,
         within=within,
-        hulls=hulls,
+        world=world,
         is_splat=is_splat,
         curve=curve,
         start=np.array(curve.at(np.zeros(1))[0, :3]),
-        obstacles=obstacles,
-        inflation_m=inflation,
-        hull_keep_m=hull_keep,
-        tiles=None if tiles is None else tile_set(tiles),
         sees_hulls=sees_hulls,
         fence=fence(box=(low, high), cover=keep_out),
         is_clear=_clearness(proofs, is_unproven=is_unproven),
@@ -377,33 +380,56 @@ def _proof(found: Certificate, obstacles: str, radius_m: float) -> tuple[bool, s
     return found.holds, words
 
 
-def _mapped(
-    plan: Artifact,
-    hulls: Hulls | None,
-    scene: Artifact | None,
-    sigma: float,
-    beyond_m: float,
-    radius_m: float,
-) -> list[tuple[bool, str]]:
+def _mapped(plan: Artifact, mapped: Mapped | None, radius_m: float) -> list[tuple[bool, str]]:
     """Whether a plan that leaves the mapped box may, and that in words; nothing of one that stays in it."""
-    corners = [] if hulls is None else [hulls.vertices_world]
-    corners += [] if scene is None else ellipsoid_box(scene, sigma)
-    points = np.concatenate([np.empty((0, 3)), *corners])
-    if len(points) == 0:
+    if mapped is None:
         return [(False, "the map has no obstacles, so nothing of it is known")]
-    mapped = Mapped(points.min(axis=0), points.max(axis=0), beyond_m)
     words = mapped.refusal_of_plan(plan, radius_m, BEYOND_MAP)
     if words is not None:
         return [(False, words)]
     if dataclasses.replace(mapped, beyond_m=0.0).refusal_of_plan(plan, radius_m, BEYOND_MAP) is None:
         return []
-    return [(True, f"it leaves the mapped box, by at most {exact(beyond_m)} m (--beyond-map)")]
+    return [(True, f"it leaves the mapped box, by at most {exact(mapped.beyond_m)} m (--beyond-map)")]
 
 
-def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
-    if config.inflation_m is not None:
-        return config.inflation_m
-    return 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+def _scenario(
+    config: FlyConfig, vehicle: Vehicle, *, is_splat: bool, has_scene: bool, has_cover: bool
+) -> WorldScenario:
+    """The scenario of a flight: what `simulate` would be given for the same vehicle, maps and filter.
+
+    Args:
+        config: complete, see `resolve_fly`.
+        vehicle: that flies.
+        is_splat: a filter of the whole quadrotor flies; only that one adds the inflation of the map.
+        has_scene: there are ellipsoids.
+        has_cover: there are hulls.
+    """
+    scenario = WorldScenario(
+        vehicle=VehicleTable(
+            interface="body-rates" if is_splat else "velocity",
+            radius_m=vehicle.body.radius_m + config.margin_m,
+        ),
+        world=WorldTable(
+            cover="cover" if has_cover else None,
+            scene="scene" if has_scene else None,
+            sigma=config.sigma,
+            inflation_m=config.inflation_m if is_splat else 0.0,
+        ),
+        mission=MissionTable(controller=ControllerTable(catch_up_m_s=config.catch_up_m_s)),
+        safety=SafetyTable(filters=() if config.filter == NO_FILTER else (config.filter,)),
+        rules=RulesTable(dt_s=1 / config.rate_hz),
+    )
+    return completed(scenario, vehicle)
+
+
+def _scenario_of(mission: Mission) -> WorldScenario:
+    return _scenario(
+        mission.config,
+        mission.vehicle,
+        is_splat=mission.is_splat,
+        has_scene=mission.scene is not None,
+        has_cover=mission.cover is not None,
+    )
 
 
 def make_safety(mission: Mission) -> SafetyFilter | None:
@@ -415,43 +441,31 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
     Raises:
         UsageError: the filter is unknown, or a parameter is invalid.
     """
-    config, vehicle = mission.config, mission.vehicle
-    keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
-    dt = 1 / config.rate_hz
-    if mission.is_splat:
-        hulls_of_cover = dict(mission.obstacles).get("a hull")
-        assert hulls_of_cover is None or isinstance(hulls_of_cover, _core.PolytopeSet)
-        world = FilterWorld(
-            index=ellipsoid_index(mission.scene, config.sigma, keep),
-            body=quadrotor(vehicle),
-            gains=tracking_gains(vehicle, config.catch_up_m_s),
-            radius_m=keep,
-            dt_s=dt,
-            motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
-            rate_time_constant_s=vehicle.rates.axes_s,
-            max_rate_rad_s=vehicle.rates.max_rad_s,
-            polytopes=hulls_of_cover,
-            hull_radius_m=mission.hull_keep_m,
-        )
-        return make_filter(config.filter, world, config.filter_parameters)
-    hulls = mission.hulls
-    assert hulls is not None
+    config, world = mission.config, mission.world
     assert config.speed_m_s is not None
     assert config.fence is not None
-    reach = float(np.abs(hulls.vertices_world).max(initial=0.0))
+    told = filter_world(
+        _scenario_of(mission),
+        mission.vehicle,
+        world,
+        speed_m_s=_speed_m_s(mission),
+        max_speed_m_s=config.speed_m_s,
+        extent_m=world.extent_m(
+            [np.array(config.fence).reshape(2, 3)],
+            speed_m_s=config.speed_m_s,
+            lag_s=max(_lags_s(config)),
+        ),
+    )
     parameters = dict(config.filter_parameters)
     if config.filter == "polytope-cbf":
         parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
-    lead = (1 + float(_lags_s(config).max())) * config.speed_m_s
-    hull_world = FilterWorld(
-        hulls=hulls,
-        tiles=mission.tiles,
-        radius_m=keep,
-        speed_m_s=config.speed_m_s,
-        dt_s=dt,
-        extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + lead,
-    )
-    return make_filter(config.filter, hull_world, parameters) or without_filter(hull_world, parameters)
+    made = make_filter(config.filter, told, parameters)
+    return without_filter(told, parameters) if made is None and not mission.is_splat else made
+
+
+def _speed_m_s(mission: Mission) -> float:
+    """Speed of the plan [m/s]."""
+    return float(mission.plan.manifest.speed_m_s)  # type: ignore[attr-defined]
 
 
 def wanted_setpoints(mission: Mission, safety: SafetyFilter | None) -> tuple[type[Setpoint], ...]:
@@ -487,24 +501,14 @@ def make_commander(
     if kind is None:
         names = " or ".join(kind.__name__ for kind in kinds)
         raise LinkError(f"the filter {config.filter} needs a link that accepts {names}; this link does not")
-    speed, lag, dt = config.speed_m_s, _lags_s(config).tolist(), 1 / config.rate_hz
+    speed, lag, dt = config.speed_m_s, _lags_s(config), 1 / config.rate_hz
     assert speed is not None
-    filters = [] if safety is None else [native_filter(safety)]
-    if not mission.is_splat:
-        filters = [_core.ChordFilter(each, lag_s=lag, max_speed_m_s=speed) for each in filters]
-    body = quadrotor(vehicle)
-    flown = _core.VehicleSpec(
-        body,
-        interface=INTERFACES[kind],
-        gains=tracking_gains(vehicle, config.catch_up_m_s),
-        assumed=_core.ActuatorModel(
-            motor_time_constant_s=vehicle.assumed.motor_time_constant_s, delay_s=vehicle.assumed.delay_s
-        ),
-        max_rate_rad_s=vehicle.rates.max_rad_s,
-        rate_time_constant_s=vehicle.rates.axes_s,
-        velocity_lag_s=lag,
-        max_speed_m_s=speed,
+    filters = [] if safety is None else [flown_filter(safety, lag, speed)]
+    known = known_vehicle(
+        _scenario_of(mission), vehicle, peak_m_s=_speed_m_s(mission), max_speed_m_s=speed, lag_s=lag
     )
+    body = quadrotor(vehicle)
+    flown = _core.VehicleSpec(body, **known | {"interface": INTERFACES[kind]})
     options = _core.FlightOptions(
         dt_s=dt,
         stale_s=config.stale_s,
@@ -606,7 +610,7 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         dry_run=dry_run,
         watch_frame=config.frame_check != "none",
         margin_m=config.margin_m,
-        velocity_lag_s=float(_lags_s(config).max()),
+        velocity_lag_s=max(_lags_s(config)),
         max_speed_m_s=config.speed_m_s or 0.0,
         max_disturbance_m_s2=_MAX_DISTURBANCE_M_S2,
     )

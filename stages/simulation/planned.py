@@ -19,7 +19,7 @@ from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.world.world import StaticWorld
+from alula.stages.world.obstacles import StaticWorld
 
 _ROUNDING_M = 1e-6
 _NAMED = 10  # maximum number of pairs that a note names

@@ -208,7 +208,7 @@ def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_pat
     kept = make_mission(tight, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
     assert not kept.is_clear[0]
     assert "the plan begins outside of the space that was seen" in kept.is_clear[1]
-    assert len(kept.hulls) > len(free.hulls)
+    assert len(kept.world.hulls) > len(free.world.hulls)
     assert make_safety(kept) is not None
     inside = read_artifact(pipeline / "tiny.plan.npz")
     good = make_mission(config, inside, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)

@@ -40,15 +40,15 @@ def replan_facts(mission: Mission) -> ReplanFacts | None:
         return None
     assert config.fence is not None
     assert config.speed_m_s is not None
-    keep = radius + config.margin_m
+    keep, hulls = mission.world.radius_m, mission.world.keeps_m("hulls")
     maps = []
     if mission.cover is not None:
-        maps.append(KeptMap(role="cover", keep_m=mission.hull_keep_m if mission.sees_hulls else keep))
+        maps.append(KeptMap(role="cover", keep_m=hulls if mission.sees_hulls else keep))
     if mission.scene is not None:
-        inflated = keep + mission.inflation_m if mission.is_splat else keep
-        maps.append(KeptMap(role="scene", keep_m=inflated, sigma=config.sigma))
+        ellipsoids = mission.world.keeps_m("ellipsoids")
+        maps.append(KeptMap(role="scene", keep_m=ellipsoids, sigma=config.sigma))
     if mission.within is not None:
-        maps.append(KeptMap(role="within", keep_m=mission.hull_keep_m))
+        maps.append(KeptMap(role="within", keep_m=hulls))
     join = min(each.keep_m for each in maps) - radius
     if join <= 0:
         return None

@@ -26,9 +26,9 @@ from alula.stages.compression.level import (
     recorded_level,
     require_sigma,
 )
-from alula.stages.simulation.world.parts import plant_steps_of
 from alula.stages.simulation.world.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
+from alula.stages.world.parts import plant_steps_of
 
 _ROUNDING_M = 1e-9  # of sums of lengths
 _SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on
@@ -208,7 +208,7 @@ def claims_of(
         hits = sum(is_collision(trial.scene_clearance_m) for trial in trials)
         claims |= {"scene_clear": hits == 0, "scene_collisions": hits}
         claims |= {"sigma": world.sigma, "mass_fraction": mass_within(world.sigma)}
-        claims |= {"inflation_m": world.inflation_m}
+        claims |= {"inflation_m": world.inflation_m["ellipsoids"]}
     if world.polytopes is not None:
         hits = sum(is_collision(trial.map_clearance_m) for trial in trials)
         claims |= {"hulls_clear": hits == 0, "hull_collisions": hits}
@@ -234,7 +234,7 @@ def _certified_words(run: WorldRun, left: list[str]) -> str:
         "hulls": _hulls_words(table, "every hull of the cover", "every wall"),
         "fence": "the outside of the fence",
     }
-    shield, radius_m = _shield_of(scenario), world.most_keep_m
+    shield, radius_m = _shield_of(scenario), world.keeps_m(*parts)
     radius = "the radius" if radius_m == world.radius_m else "the radius and the inflation"
     half = f" and half of margin_m, {exact(shield['margin_m'] / 2)} m," if "margin_m" in shield else ""
     shown = "all" if certified == steps else f"{certified} of {steps}"
@@ -341,7 +341,7 @@ def _at_level(level: CoverManifest) -> str:
 
 def _beyond_m(run: WorldRun) -> float:
     """Distance that the filters keep from hulls beyond the vehicle's radius [m]."""
-    return run.world.hull_keep_m - run.world.radius_m
+    return run.world.keeps_m("hulls") - run.world.radius_m
 
 
 def _broken(run: WorldRun, level: CoverManifest, left: list[str], inputs: Sequence[InputRef]) -> list[str]:

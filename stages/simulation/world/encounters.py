@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from alula import _core
 from alula.schemas.arrays import FloatArray
+from alula.schemas.errors import UsageError
 from alula.schemas.log.run import ObstacleResult, TrialResult
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.check import TRACKING
 from alula.schemas.scenarios.scenario import WorldScenario
+from alula.stages.filtering.bridge import native_filter
+from alula.stages.filtering.moving_filters import moving_filter
+from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.verdict import mean, success, totals
+
+WITHOUT_FILTER = (
+    "dr-acbf"  # whose values count for flights among moving obstacles without a filter that sees them
+)
 
 
 def seen_by(scenario: WorldScenario) -> str | None:
@@ -31,6 +42,40 @@ def seen_by(scenario: WorldScenario) -> str | None:
     by_acceleration = scenario.vehicle.interface in ("acceleration", "wrench", "body-rates")
     is_watched = is_bare and by_acceleration and scenario.mission.kind != "pilot"
     return NO_FILTER if scenario.world.moving and is_watched else None
+
+
+def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter | None:
+    """The filter that watches flights without filters among moving obstacles, for the metrics of encounters.
+
+    It turns nothing aside, so static obstacles change none of its figures and it is given none.
+
+    Args:
+        scenario: completed.
+        world: what filters are built for.
+
+    Raises:
+        UsageError: a parameter is wrong.
+    """
+    if seen_by(scenario) != NO_FILTER:
+        return None
+    given = msgspec.structs.asdict(scenario.safety.dr_acbf)
+    try:
+        return native_filter(moving_filter(NO_FILTER, replace(world, parts={}), given))
+    except UsageError as error:
+        raise UsageError(
+            f"`$.safety.{WITHOUT_FILTER}`: {str(error).removeprefix(f'{NO_FILTER}: ')}"
+        ) from error
+
+
+def risk_window_s(scenario: WorldScenario) -> float:
+    """Window of the risk of a collision: the assumed duration of a command of the last tracking filter [s].
+
+    Args:
+        scenario: completed.
+    """
+    names = [name for name in scenario.safety.filters if name in TRACKING]
+    options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
+    return float(options.h_max_s)
 
 
 def encounter_figures(flown: dict[str, Any], seen: str | None) -> dict[str, Any]:

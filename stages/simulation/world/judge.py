@@ -18,8 +18,8 @@ from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.moving import obstacle_results
 from alula.stages.simulation.world.encounters import encounter_figures
 from alula.stages.simulation.world.piloted import fence_result
-from alula.stages.simulation.world.world import StaticWorld
 from alula.stages.verdict import minimum
+from alula.stages.world.obstacles import StaticWorld
 
 REFUSED, STALE, LIMITED = 1, 2, 4  # bits of `mark` of a native log
 CAPPED, INFEASIBLE, CERTIFIED, CERTIFIED_MOVING = 1, 2, 4, 8  # bits of `flags`

@@ -21,8 +21,8 @@ from alula.schemas.scenarios.tables import MissionTable
 from alula.stages.clearance import is_collision
 from alula.stages.filtering.fence_filters import native_geofence
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.simulation.world.world import StaticWorld, require_clear
 from alula.stages.verdict import minimum
+from alula.stages.world.obstacles import StaticWorld, require_clear
 
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 HOLDS = {

@@ -19,17 +19,13 @@ from alula.stages.simulation.moving import moving_spec
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.planned import PlanMaps
 from alula.stages.simulation.world.among_hulls import note_of_psi
-from alula.stages.simulation.world.encounters import seen_by
-from alula.stages.simulation.world.filters import (
-    risk_window_s,
-    watcher,
-)
+from alula.stages.simulation.world.encounters import risk_window_s, seen_by, watcher
 from alula.stages.simulation.world.judge import WorldJudge
-from alula.stages.simulation.world.parts import has_losses, parts_of, plant_steps_of
 from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.world.prepared_run import PreparedRun
 from alula.stages.simulation.world.tasks import Missions, missions_of
-from alula.stages.simulation.world.world import StaticWorld
+from alula.stages.world.obstacles import StaticWorld
+from alula.stages.world.parts import has_losses, parts_of, plant_steps_of
 
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
@@ -78,7 +74,7 @@ def prepare(
         seen=seen,
         plan=plan,
         tiles=tiles,
-        pairs=pairs,
+        ends=None if pairs is None else np.concatenate([pairs.start, pairs.goal]),
         jobs=jobs,
     )
     full, world, told, filters = parts.scenario, parts.world, parts.told, parts.filters
@@ -171,7 +167,7 @@ def prepare(
         among=among,
         start_margin_m=None
         if among is None
-        else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.hull_keep_m,
+        else among.psi(np.ascontiguousarray(missions.start), jobs=jobs)[1] - world.keeps_m("hulls"),
         notes=notes + missions.notes,
     )
 
@@ -224,11 +220,11 @@ def _notes(
         return []
     sets = [each for each in (world.polytopes, world.ellipsoids) if each is not None]
     keeps: list[float | None] = [
-        world.hull_keep_m
+        world.keeps_m("hulls")
         if each is world.polytopes
         else None
         if names == ["polytope-cbf"]  # it does not see them
-        else world.keep_m
+        else world.keeps_m("ellipsoids")
         for each in sets
     ]
     notes = require_room(
@@ -240,7 +236,7 @@ def _notes(
     )
     if among is not None and "polytope-cbf" in names and not notes:
         assert plan is not None
-        notes = note_of_psi(sample_plan(plan, scenario.rules.dt_s), among, world.hull_keep_m)
+        notes = note_of_psi(sample_plan(plan, scenario.rules.dt_s), among, world.keeps_m("hulls"))
     return notes
 
 

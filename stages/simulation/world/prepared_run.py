@@ -23,7 +23,7 @@ from alula.stages.planning.adherence import PlanJudge
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.world.judge import WorldJudge
 from alula.stages.simulation.world.tasks import Missions
-from alula.stages.simulation.world.world import StaticWorld
+from alula.stages.world.obstacles import StaticWorld
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ class PreparedRun:
         """
         if self.among is not None and not self.filters:
             smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
-            flown = flown | {"margin": smooth[:, None] - self.world.hull_keep_m}
+            flown = flown | {"margin": smooth[:, None] - self.world.keeps_m("hulls")}
         rules = self.scenario.rules
         return WorldFlight.of(index, flown, rules.dt_s, rules.log_rate_hz, rules.filter_ticks)
 

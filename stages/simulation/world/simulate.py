@@ -27,7 +27,7 @@ from alula.stages.simulation.world.encounters import rows_of_obstacles
 from alula.stages.simulation.world.judge import worst_clearance
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.prepared_run import PreparedRun
-from alula.stages.simulation.world.world import StaticWorld
+from alula.stages.world.obstacles import StaticWorld
 
 CHUNK, CHUNK_TICKS = 16, 100_000  # maximum number of trials and ticks whose samples are in memory at once
 WORST = 3  # flights with the least clearance, which are always in the log

@@ -84,11 +84,11 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
         **encounter_summary(run.scenario, trials),
     }
     if run.scenario.world.scene is not None:
-        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.inflation_m}
+        summary |= {"sigma": run.world.sigma, "inflation_m": run.world.inflation_m["ellipsoids"]}
     if (against := certifying(run)) and steps:
         summary["certified_against"] = against
         if "hulls" in against:
-            summary["hull_radius_m"] = run.world.hull_keep_m
+            summary["hull_radius_m"] = run.world.keeps_m("hulls")
         summary["certified_share_static"] = summary["certified_steps"] / steps
         if run.scenario.world.moving:
             summary["certified_share_moving"] = summary["certified_moving_steps"] / steps

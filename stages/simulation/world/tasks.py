@@ -29,7 +29,7 @@ from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.simulation.planned import PlanMaps, margins, plan_config, planned_alone, plans_of
 from alula.stages.simulation.world.piloted import pilots_starts
-from alula.stages.simulation.world.world import StaticWorld, require_clear
+from alula.stages.world.obstacles import StaticWorld, require_clear
 
 _EXTRA_TIME_S = 10.0
 _TIME_FACTOR = 3.0  # time limit over the duration of the reference
@@ -291,11 +291,11 @@ def _pairs(
             return np.asarray(known & (apart >= keep + margin_m))
         clear = (
             known
-            & (apart >= world.hull_keep_m + margin_m)
+            & (apart >= world.keeps_m("hulls") + margin_m)
             & (world.inside(points) >= world.radius_m + margin_m)
         )
         if world.ellipsoids is not None and clear.any():
-            needed, left = world.keep_m + margin_m, np.ascontiguousarray(points[clear])
+            needed, left = world.keeps_m("ellipsoids") + margin_m, np.ascontiguousarray(points[clear])
             clear[clear] = segment_clearance(left, left, world.ellipsoids, jobs, needed) >= needed
         return clear
 

@@ -113,8 +113,9 @@ def try_case(seed: int, number: int, found: Outcome) -> None:
             continue
         found.counts["certified in every tick"] += bool(certified.all())
         where = f"seed {seed}, case {number}, flight {index}: {summary_of(case)}"
-        if nearest[index] < ready.world.most_keep_m - NEAR_M and certified.all():
-            found.contradictions.append(f"{where}: {nearest[index] - ready.world.most_keep_m:.4f} m")
+        kept_m = ready.world.keeps_m(*against)
+        if nearest[index] < kept_m - NEAR_M and certified.all():
+            found.contradictions.append(f"{where}: {nearest[index] - kept_m:.4f} m")
         elif not certified.all():
             lost = int(np.argmin(certified))
             found.contradictions.append(f"{where}: not certified from tick {lost} of {len(certified)}")

@@ -216,7 +216,7 @@ def test_filters_certify_against_what_shield_map_names(name):
     x, wrench = moving((4, 0, 0), (0.3, 0, 0)), (HOVER := VEHICLE.hover_thrust, 0, 0, 0)
     certified = {}
     for against in ("ellipsoids", "hulls", "both"):
-        made = make_filter(name, world(wall, hull_radius_m=0.1), {"shield_map": against})
+        made = make_filter(name, world(wall, inflation_m={"hulls": 0.1 - RADIUS}), {"shield_map": against})
         assert isinstance(made, NativeFilter)
         certified[against] = tick(made.native, x, wrench, HOVER)["certified"]
         assert certified_against(name, made.parameters) == against

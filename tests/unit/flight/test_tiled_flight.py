@@ -31,7 +31,7 @@ def test_a_flight_crosses_tiles_as_it_flies_the_whole_cover(tiles):
     ends = []
     for given in (None, tiles):
         made = mission(cover=cover, tiles=given)
-        assert (made.tiles is None) == (given is None)
+        assert (made.world.tiles is None) == (given is None)
         loop, vehicle = fly(made)
         assert loop.supervision.state is State.DONE
         ends.append(vehicle.x[:3].copy())

@@ -25,8 +25,8 @@ from alula.stages.simulation.world.judge import worst_clearance
 from alula.stages.simulation.world.prepare import prepare
 from alula.stages.simulation.world.simulate import simulate_world
 from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
-from alula.stages.simulation.world.world import static_walls
 from alula.stages.verdict import wilson_interval
+from alula.stages.world.obstacles import static_walls
 from support.clusters import Cluster
 from support.effort import examples
 from support.paths import EXAMPLES

@@ -11,12 +11,12 @@ from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import sample_pairs
-from alula.stages.simulation.world.vehicle import catch_up_m_s
 from alula.stages.vehicles.bodies import tracking_gains
+from alula.stages.world.vehicle import catch_up_m_s
 from support.fabricate import make_scene
 from support.foreign_filters import Passing
 from support.reference_flights import along, vehicle_of
-from support.world_runs import flown, scenario_of
+from support.world_runs import flown
 
 FIELD = make_scene(12, low=(0, 0, 0), high=(6, 4, 3))
 BOX = (0.0, 0.0, 0.0, 6.0, 4.0, 3.0)
@@ -113,7 +113,7 @@ class Late(Passing):
 @pytest.mark.parametrize("plant", ["double-integrator", "quadrotor"])
 def test_a_vehicle_that_was_held_up_keeps_to_half_as_much_again_as_its_reference(plant):
     speed = 2.0
-    limit = catch_up_m_s(scenario_of(), FASTBRIDGE, speed)
+    limit = catch_up_m_s(FASTBRIDGE, speed)
     assert limit == 1.0
     reference = _core.ReferenceCurve(*rest_to_rest((0, 0, 1), (30, 0, 1), speed))
 
@@ -130,8 +130,8 @@ def test_a_vehicle_that_was_held_up_keeps_to_half_as_much_again_as_its_reference
 
 def test_the_limit_is_the_option_s_then_the_vehicle_s_then_half_the_speed():
     own = msgspec.structs.replace(FASTBRIDGE, tracking=TrackingTable(catch_up_m_s=0.7))
-    assert catch_up_m_s(scenario_of(), own, 1.0) == 0.7
-    assert catch_up_m_s(scenario_of(catch_up_m_s=0.3), own, 1.0) == 0.3
-    assert catch_up_m_s(scenario_of(), FASTBRIDGE, 3.0) == 1.5
+    assert catch_up_m_s(own, 1.0) == 0.7
+    assert catch_up_m_s(own, 1.0, 0.3) == 0.3
+    assert catch_up_m_s(FASTBRIDGE, 3.0) == 1.5
     with pytest.raises(UsageError, match="catch_up_m_s"):
         quick(catch_up_m_s=0.0)

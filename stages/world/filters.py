@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -13,23 +12,16 @@ from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.parameters.filter_options import TABLES
 from alula.schemas.parameters.filters.values import Options
-from alula.schemas.parameters.flight_defaults import NO_FILTER
-from alula.schemas.scenarios.check import FILTER_COMMANDS, TRACKING
+from alula.schemas.scenarios.check import FILTER_COMMANDS
 from alula.schemas.scenarios.scenario import WorldScenario
-from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.bridge import native_filter
-from alula.stages.filtering.moving_filters import moving_filter
-from alula.stages.filtering.protocol import FilterWorld
+from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
 from alula.stages.filtering.registry import make_filter
-from alula.stages.simulation.world.encounters import seen_by
-from alula.stages.simulation.world.vehicle import box_of_accelerations
-from alula.stages.simulation.world.world import StaticWorld
-from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
+from alula.stages.world.obstacles import StaticWorld
+from alula.stages.world.vehicle import body_of, box_of_accelerations, controller_gains
 
-WITHOUT_FILTER = (
-    "dr-acbf"  # whose values count for flights among moving obstacles without a filter that sees them
-)
 _JERK_M_S3 = 60.0  # assumed limit of a vehicle without one, of the filters among moving obstacles
 _SPEEDS = 3.0  # assumed limit of a vehicle without one, over the mission's speed
 
@@ -57,27 +49,25 @@ def filter_world(
     box = None if fence is None or fence.box_m is None else (fence.box_m[:3], fence.box_m[3:])
     is_read = scenario.world.onboard and not scenario.world.has_boxes
     return FilterWorld(
-        radius_m=world.keep_m,
+        radius_m=world.radius_m,
+        inflation_m=world.inflation_m,
         dt_s=rules.dt_s * rules.filter_ticks,
         hulls=world.hulls,
         polytopes=world.polytopes,
-        hull_radius_m=world.hull_keep_m,
         tiles=world.tiles,
         tile_load_ticks=math.ceil(round(scenario.world.tile_load_s / (rules.dt_s * rules.filter_ticks), 6)),
         image=world.image if is_read or needs_image(scenario) else b"",
         index=world.index,
         parts=world.parts,
-        parts_radius_m=world.most_keep_m,
         fence_box=box,
         fence_faces=world.faces[6 if box is not None else 0 :],
-        fence_radius_m=world.radius_m,
         extent_m=extent_m,
         speed_m_s=max_speed_m_s,
         max_speed_m_s=table.max_speed_m_s or _SPEEDS * max(speed_m_s, 1.0),
         max_acceleration_m_s2=box_of_accelerations(vehicle, table),
         max_jerk_m_s3=table.max_jerk_m_s3 or _JERK_M_S3,
-        body=quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE),
-        gains=_core.TrackingGains() if vehicle.model == "single-integrator" else tracking_gains(vehicle),
+        body=body_of(vehicle),
+        gains=controller_gains(scenario, vehicle, speed_m_s),
         racer=racer_model(vehicle) if vehicle.throttle is not None else None,
         motor_time_constant_s=table.assumed.motor_time_constant_s or 0.0,
         rate_time_constant_s=vehicle.rates.axes_s if table.interface == "body-rates" else (0.0, 0.0, 0.0),
@@ -141,9 +131,7 @@ def safety_filters(
         try:
             built = make_filter(name, world, _plain(name, given))
             assert built is not None
-            native = native_filter(built)
-            if native.kind == "velocity":
-                native = _core.ChordFilter(native, lag_s=lag_s, max_speed_m_s=world.speed_m_s)
+            native = flown_filter(built, lag_s, world.speed_m_s)
         except (ValueError, TypeError, OverflowError, UsageError) as error:
             if "`$." in str(error):
                 raise
@@ -152,38 +140,20 @@ def safety_filters(
     return made
 
 
-def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter | None:
-    """The filter that watches flights without filters among moving obstacles, for the metrics of encounters.
-
-    It turns nothing aside, so static obstacles change none of its figures and it is given none.
-
-    Args:
-        scenario: completed.
-        world: of `filter_world`.
-
-    Raises:
-        UsageError: a parameter is wrong.
-    """
-    if seen_by(scenario) != NO_FILTER:
-        return None
-    given = msgspec.structs.asdict(scenario.safety.dr_acbf)
-    try:
-        return native_filter(moving_filter(NO_FILTER, replace(world, parts={}), given))
-    except UsageError as error:
-        raise UsageError(
-            f"`$.safety.{WITHOUT_FILTER}`: {str(error).removeprefix(f'{NO_FILTER}: ')}"
-        ) from error
-
-
-def risk_window_s(scenario: WorldScenario) -> float:
-    """Window of the risk of a collision: the assumed duration of a command of the last tracking filter [s].
+def flown_filter(
+    made: SafetyFilter, lag_s: tuple[float, float, float], max_speed_m_s: float
+) -> _core.SafetyFilter:
+    """A filter as flights take it: native, and one of velocities with the way to a stop.
 
     Args:
-        scenario: completed.
+        made: the filter.
+        lag_s: with which velocities are followed along x, y, z [s].
+        max_speed_m_s: limit of velocity commands [m/s].
     """
-    names = [name for name in scenario.safety.filters if name in TRACKING]
-    options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
-    return float(options.h_max_s)
+    native = native_filter(made)
+    if native.kind != "velocity":
+        return native
+    return _core.ChordFilter(native, lag_s=lag_s, max_speed_m_s=max_speed_m_s)
 
 
 def _plain(name: str, given: Options | dict[str, Any]) -> dict[str, Any]:

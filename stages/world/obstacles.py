@@ -1,4 +1,4 @@
-"""World of a scenario: hulls, ellipsoids, fence and walls as native maps, for filters and for the judge."""
+"""Static obstacles: hulls, ellipsoids, fence and walls as native maps, for filters and for the judge."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from alula.stages.filtering.obstacles import (
     tile_set,
     union_of,
 )
+from alula.stages.filtering.protocol import Kept
 from alula.stages.planning.inside import floor_of
 from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box, within_crop
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
@@ -41,16 +42,13 @@ _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class StaticWorld:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StaticWorld(Kept):
     """Static obstacles of a run.
 
     Attributes:
-        radius_m: of the vehicle [m].
+        radius_m, inflation_m: see `Kept`.
         sigma: level of the ellipsoids.
-        inflation_m: length that filters add to the radius [m].
-        keep_m: distance that filters keep from ellipsoids: the radius and the inflation [m].
-        hull_keep_m: the same from hulls, which have grown by the cover's own inflation already [m].
         hulls: of the cover, the walls and unseen space; None without any.
         polytopes: the same as a native set.
         ellipsoids: of the scene, for the judge; None without a scene.
@@ -67,11 +65,7 @@ class StaticWorld:
         suggested_inflation_m: bound of the error of the scene's alignment [m].
     """
 
-    radius_m: float
     sigma: float
-    inflation_m: float
-    keep_m: float
-    hull_keep_m: float
     hulls: Hulls | None
     polytopes: _core.PolytopeSet | None
     ellipsoids: _core.EllipsoidSet | None
@@ -106,8 +100,7 @@ class StaticWorld:
     @property
     def most_keep_m(self) -> float:
         """The largest distance that filters keep from a part of the world [m]."""
-        keeps = {"ellipsoids": self.keep_m, "hulls": self.hull_keep_m}
-        return max([self.radius_m, *(keeps[name] for name in self.parts if name in keeps)])
+        return self.keeps_m(*self.parts)
 
     def of(self, *names: str) -> _core.ObstacleMap | None:
         """The union of some parts; None without any.
@@ -135,6 +128,23 @@ class StaticWorld:
         found += [segment_clearance(start, end, each, jobs, cap_m) for each in sets]
         least: FloatArray = np.min(found, axis=0)
         return least
+
+    def extent_m(
+        self, points: Sequence[FloatArray], *, speed_m_s: float, lag_s: float, radii: float = 1
+    ) -> float:
+        """Twice the largest coordinate of obstacles and points, and a second of flight [m].
+
+        Filters of velocities refuse beyond it, and bound their rounding by it.
+
+        Args:
+            points: each of shape (N, 3) [m].
+            speed_m_s: limit of velocity commands [m/s].
+            lag_s: with which they are followed, at most [s].
+            radii: number of radii by which flights may lead around the points.
+        """
+        known = self.centres if self.hulls is None else self.vertices
+        largest = float(np.abs(np.concatenate([known, *points])).max(initial=1.0))
+        return 2 * largest + radii * self.radius_m + (1 + lag_s) * speed_m_s
 
     def inside(self, points: FloatArray) -> FloatArray:
         """Distance of points from the nearest face of the fence, negative outside; infinite without one.
@@ -199,7 +209,6 @@ def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
 def static_world(
     scenario: WorldScenario,
     *,
-    radius_m: float,
     cover: Artifact | None,
     scene: Artifact | None,
     seen: Artifact | None = None,
@@ -213,7 +222,6 @@ def static_world(
 
     Args:
         scenario: completed.
-        radius_m: of the vehicle [m].
         cover: that the scenario names.
         scene: that the scenario names.
         seen: space that the scenario names.
@@ -234,11 +242,17 @@ def static_world(
     sigma = table.sigma if table.confidence is None else sigma_of_confidence(table.confidence)
     suggested = 0.0 if scene is None else _suggested(scene)
     inflation = suggested if table.inflation_m is None else table.inflation_m
-    keep = radius_m + inflation
-    hull_keep = radius_m + beyond_hulls(table.inflation_m, cover, suggested)
+    assert scenario.vehicle.radius_m is not None
+    kept = Kept(
+        radius_m=scenario.vehicle.radius_m,
+        inflation_m={
+            "ellipsoids": inflation,
+            "hulls": beyond_hulls(table.inflation_m, cover, suggested),
+        },
+    )
     hulls = static_walls(table.walls, cover, seen)
     polytopes = None if hulls is None else hull_obstacles(hulls)
-    index = ellipsoid_index(scene if needs_index else None, sigma, keep)
+    index = ellipsoid_index(scene if needs_index else None, sigma, kept.keeps_m("ellipsoids"))
     box = None if table.fence is None else table.fence.box_m
     faces = fence_faces(box, () if table.fence is None else table.fence.faces)
     parts: dict[str, _core.ObstacleMap] = {}
@@ -251,11 +265,9 @@ def static_world(
     if len(faces):
         parts["fence"] = _core.FenceMap(np.ascontiguousarray(faces[:, :3]), np.ascontiguousarray(faces[:, 3]))
     return StaticWorld(
-        radius_m=radius_m,
+        radius_m=kept.radius_m,
+        inflation_m=kept.inflation_m,
         sigma=sigma,
-        inflation_m=inflation,
-        keep_m=keep,
-        hull_keep_m=hull_keep,
         hulls=hulls,
         polytopes=polytopes,
         ellipsoids=None if scene is None else scene_obstacles(scene, sigma),

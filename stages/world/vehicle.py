@@ -10,13 +10,13 @@ from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.scenario import WorldScenario
 from alula.schemas.scenarios.tables import VehicleTable
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
+from alula.schemas.scenarios.vehicles import CATCH_UP_FACTOR
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.following import following_options
 from alula.stages.vehicles.racer import racer_model, racer_options
 from alula.stages.vehicles.velocity_lag import filter_lags_s
 
 _SQRT_3 = math.nextafter(math.sqrt(3), 2.0)
-_CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fraction of the peak speed
 _NOISE = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_noise_rad_s", "delay_s")
 _AIR = ("linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s", "gust_time_s")
 _NATIVE = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
@@ -47,32 +47,19 @@ def vehicle_spec(
         UsageError: values are inconsistent; the message has the path of their key.
     """
     table, known = scenario.vehicle, scenario.estimation
-    gains = _core.TrackingGains()
-    if vehicle.model != "single-integrator":
-        gains = tracking_gains(vehicle, catch_up_m_s(scenario, vehicle, peak_m_s))
     own = table.disturbance
     air = {_NATIVE.get(key, key): getattr(own, key) for key in _AIR}
     sensor = {key: getattr(known, key) for key in _NOISE}
     sensor["noise_time_s"] = known.noise_time_s
     lag = own.motor_time_constant_s or 0.0
-    given: dict[str, Any] = {
+    given = known_vehicle(scenario, vehicle, peak_m_s=peak_m_s, max_speed_m_s=max_speed_m_s, lag_s=lag_s) | {
         "model": vehicle.model,
-        "interface": table.interface,
-        "gains": gains,
         "plant": _core.PlantOptions(
             motor_time_constant_s=lag,
             sensor=_core.SensorOptions(**{key: value for key, value in sensor.items() if value is not None}),
             **{key: value for key, value in air.items() if value is not None},
         ),
-        "assumed": _core.ActuatorModel(
-            motor_time_constant_s=table.assumed.motor_time_constant_s or 0.0,
-            delay_s=table.assumed.delay_s or 0.0,
-        ),
-        "max_rate_rad_s": vehicle.rates.max_rad_s,
-        "rate_time_constant_s": vehicle.rates.axes_s,
         "rate_gain_scale": table.rate_gain_scale,
-        "max_speed_m_s": max_speed_m_s,
-        "velocity_lag_s": lag_s,
         "radius_m": table.radius_m,
         "mass_scale": table.mass_scale / table.thrust_scale,
     }
@@ -98,12 +85,67 @@ def vehicle_spec(
         except UsageError as error:
             raise UsageError(f"`$.vehicle`: {error}") from error
         given["plant"] = _core.PlantOptions()  # the racer has its own delay, and its pilot sees the truth
-    # A point has no rotors: its controller and filters use only the translation, with any body.
-    body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     try:
-        return _core.VehicleSpec(body, **given)
+        return _core.VehicleSpec(body_of(vehicle), **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"`$.vehicle`: {error}") from error
+
+
+def known_vehicle(
+    scenario: WorldScenario,
+    vehicle: Vehicle,
+    *,
+    peak_m_s: float,
+    max_speed_m_s: float,
+    lag_s: tuple[float, float, float],
+) -> dict[str, Any]:
+    """What the computer on board knows of the vehicle, as arguments of `_core.VehicleSpec`.
+
+    Args:
+        scenario: completed with the values of the vehicle.
+        vehicle: that it names.
+        peak_m_s: peak speed of the references [m/s].
+        max_speed_m_s: limit of velocity commands [m/s].
+        lag_s: see `velocity_lags_s` [s].
+    """
+    table = scenario.vehicle
+    return {
+        "interface": table.interface,
+        "gains": controller_gains(scenario, vehicle, peak_m_s),
+        "assumed": _core.ActuatorModel(
+            motor_time_constant_s=table.assumed.motor_time_constant_s or 0.0,
+            delay_s=table.assumed.delay_s or 0.0,
+        ),
+        "max_rate_rad_s": vehicle.rates.max_rad_s,
+        "rate_time_constant_s": vehicle.rates.axes_s,
+        "max_speed_m_s": max_speed_m_s,
+        "velocity_lag_s": lag_s,
+    }
+
+
+def body_of(vehicle: Vehicle) -> _core.Quadrotor:
+    """Rigid body of a quadrotor; any for a point, whose controller and filters use only the translation.
+
+    Args:
+        vehicle: of any model.
+
+    Raises:
+        UsageError: the rotors of the quadrotor cannot make every wrench.
+    """
+    return quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
+
+
+def controller_gains(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> _core.TrackingGains:
+    """Gains of the tracking controller, with its speed to catch up; a single integrator has none.
+
+    Args:
+        scenario: any.
+        vehicle: that it names.
+        peak_m_s: peak speed of the references [m/s].
+    """
+    if vehicle.model == "single-integrator":
+        return _core.TrackingGains()
+    return tracking_gains(vehicle, catch_up_m_s(vehicle, peak_m_s, scenario.mission.controller.catch_up_m_s))
 
 
 def velocity_lags_s(
@@ -123,16 +165,15 @@ def velocity_lags_s(
     return lag, lag, lag
 
 
-def catch_up_m_s(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> float:
+def catch_up_m_s(vehicle: Vehicle, peak_m_s: float, given: float | None = None) -> float:
     """Speed above the reference's at which a delayed vehicle catches up [m/s].
 
     Args:
-        scenario: any; its value comes first, then the vehicle's, then half of the peak speed.
-        vehicle: that the scenario names.
+        vehicle: its value counts where none is given; without either, half of the peak speed.
         peak_m_s: peak speed of the references [m/s].
+        given: by the user, if so [m/s].
     """
-    given = scenario.mission.controller.catch_up_m_s or vehicle.tracking.catch_up_m_s
-    return given or _CATCH_UP * peak_m_s
+    return given or vehicle.tracking.catch_up_m_s or CATCH_UP_FACTOR * peak_m_s
 
 
 def box_of_accelerations(vehicle: Vehicle, table: VehicleTable) -> float:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.errors import UsageError
@@ -24,11 +25,10 @@ from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import filter_kind
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan_samples import curve_of
-from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.world.behind import flown_behind, undisturbed
-from alula.stages.simulation.world.filters import filter_world, needs_image, needs_index, safety_filters
-from alula.stages.simulation.world.vehicle import vehicle_spec, velocity_lags_s
-from alula.stages.simulation.world.world import StaticWorld, require_named, static_world
+from alula.stages.world.behind import flown_behind, undisturbed
+from alula.stages.world.filters import filter_world, needs_image, needs_index, safety_filters
+from alula.stages.world.obstacles import StaticWorld, require_named, static_world
+from alula.stages.world.vehicle import vehicle_spec, velocity_lags_s
 
 PLANT_STEP_S = 1e-3  # longest step of the plant by default, and period of the modelled rate loop [s]
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
@@ -103,7 +103,7 @@ def parts_of(
     seen: Artifact | None = None,
     plan: Artifact | None = None,
     tiles: TileFiles | None = None,
-    pairs: Pairs | None = None,
+    ends: FloatArray | None = None,
     jobs: int = 0,
 ) -> Parts:
     """Make them.
@@ -116,7 +116,7 @@ def parts_of(
         seen: space that it names.
         plan: that it names.
         tiles: that it names.
-        pairs: starts and goals of the run that it names.
+        ends: starts and goals of the run that it names, shape (N, 3) [m].
         jobs: threads, 0 for all processors.
 
     Raises:
@@ -134,8 +134,7 @@ def parts_of(
     if words := refusal(scenario, vehicle, foreign):
         raise UsageError(words)
     full = completed(scenario, vehicle)
-    mission, table = full.mission, full.vehicle
-    assert table.radius_m is not None
+    mission = full.mission
     peak, most = _speeds(full, vehicle, plan)
     lag_s = velocity_lags_s(full, vehicle, most)
     names = list(full.safety.filters)
@@ -143,7 +142,6 @@ def parts_of(
         names.insert(0, mission.controller.guide)
     world = static_world(
         full,
-        radius_m=table.radius_m,
         cover=cover,
         scene=scene,
         seen=seen,
@@ -154,7 +152,7 @@ def parts_of(
         jobs=jobs,
     )
     spec = vehicle_spec(full, vehicle, peak_m_s=peak, max_speed_m_s=most, lag_s=lag_s)
-    extent = _extent(full, world, most, max(lag_s), pairs, plan)
+    extent = _extent(full, world, most, max(lag_s), ends, plan)
     known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
     told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
     return Parts(
@@ -292,25 +290,24 @@ def _extent(
     world: StaticWorld,
     most: float,
     lag_s: float,
-    pairs: Pairs | None,
+    ends: FloatArray | None,
     plan: Artifact | None,
 ) -> float:
-    """Twice the largest coordinate known beforehand, and a second of flight; filters refuse beyond it [m]."""
-    points = [world.vertices if scenario.world.has_hulls else world.centres]
+    """Bound of the coordinates of all positions, by all points that are known beforehand [m]."""
     mission = scenario.mission
     given = [mission.start_m, mission.goal_m, *mission.waypoints_m]
-    points += [np.array([point]) for point in given if point is not None]
+    points = [np.array([point]) for point in given if point is not None]
     for box in (mission.bounds_m, mission.start_box_m):
         if box is not None:
             points.append(np.array(box).reshape(2, 3))
-    if pairs is not None:
-        points += [pairs.start, pairs.goal]
+    if ends is not None:
+        points.append(ends)
     if plan is not None:
         curve = curve_of(plan)
         points.append(curve.at(np.linspace(0, curve.duration_s, 256))[:, :3])
-    speed = most if math.isfinite(most) else 10.0
-    seconds = 1 + lag_s
-    radii = _PLANNED_RADII if mission.planned else 1
-    return (
-        2 * float(np.abs(np.concatenate(points)).max(initial=1.0)) + radii * world.radius_m + seconds * speed
+    return world.extent_m(
+        points,
+        speed_m_s=most if math.isfinite(most) else 10.0,
+        lag_s=lag_s,
+        radii=_PLANNED_RADII if mission.planned else 1,
     )
