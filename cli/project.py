@@ -17,6 +17,7 @@ from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputE
 if TYPE_CHECKING:
     from alula.cli.verbs.results import Cover, Scene
     from alula.stages.planning.space import PlanSpace
+    from alula.stages.reconstruction.import_splat import Screened
     from alula.stages.reconstruction.look import Up
 
 HULLS = 300
@@ -32,7 +33,7 @@ _WIDE, _HIGH = 4.0, 1.5  # extents of a scene of unknown scale in which the defa
 _LEAST = 20  # Gaussians of a scene
 _KEPT = 0.9  # fraction of the Gaussians that haze and floaters must leave, else they stay
 _KEEP_M = 0.25  # radius and margin of the default vehicle
-_WIDER_M = (0.0, 0.1, 0.2)  # that a plan keeps beyond them, until the filter does not act along it [m]
+_MARGINS_M = (0.1, 0.2, 0.3)  # of a plan, until the filter does not act along it [m]
 LEARN_SCALE = (
     "a splat does not tell its scale; learn it from two points clicked in alula view, which shows their "
     "distance, and a tape measure (--metres-per-unit), from a known height (--height), or from COLMAP "
@@ -52,7 +53,7 @@ class Choices:
         beyond_m: distance around the mapped box that is assumed to be free [m].
         start_m, goal_m: of the plan [m].
         stand_m: where the rehearsed vehicle stands before it takes off [m].
-        keep_m: distance that the plan keeps from the hulls [m].
+        margin_m: distance that the plan keeps from the hulls beyond the vehicle's radius [m].
         assumed: sentences by subject.
         scale: metres per unit.
         is_scale_assumed: nobody gave the scale.
@@ -66,7 +67,7 @@ class Choices:
     start_m: tuple[float, ...]
     goal_m: tuple[float, ...]
     stand_m: tuple[float, ...]
-    keep_m: float
+    margin_m: float
     assumed: dict[str, str]
     scale: float
     is_scale_assumed: bool
@@ -166,6 +167,7 @@ def look(
                 f"; at 1 m a unit it would be {height:.3g} m high, too small for the vehicle to fly in"
             )
     metric, aligning = _aligned(scene, upward, scale, assumed)
+    del scene  # large, like the next one
     box = crop_of(metric.mean)
     voxelizing = ""
     fields: dict[str, Any] = {}
@@ -232,7 +234,7 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
         "SIZE": f"{chosen.size_m:g}",
         "HULLS": str(HULLS),
         "TRIALS": str(trials),
-        "KEEP": f"{chosen.keep_m:g}",
+        "MARGIN": f"{chosen.margin_m:g}",
         "BEYOND": f"{chosen.beyond_m:g}",
         "START": " ".join(map(repr, chosen.start_m)),
         "GOAL": " ".join(map(repr, chosen.goal_m)),
@@ -246,50 +248,50 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
 
 def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
+    from alula.cli.library.bar import shown
     from alula.cli.verbs.import_splat import Splats
-    from alula.cli.verbs.verb import made_by
     from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
-    found = Splats(splats, lod=lod)
+    files = Splats(splats, lod=lod)
     fields: dict[str, Any] = {} if lod is None else {"lod": lod}
 
-    def read(config: ImportSplatConfig) -> Scene:
-        return made_by("import_splat", found.step(config))
+    def screened(**more: Any) -> Screened:
+        with shown("import_splat") as progress:
+            return files.screened(ImportSplatConfig(**fields, **more), progress)
 
     try:
-        whole = read(ImportSplatConfig(**fields))
+        found = screened()
     except InputError as error:
         if "--drop-nan" not in str(error):
             raise
         fields["drop_nan"] = True
-        whole = read(ImportSplatConfig(**fields))
-        if len(whole.mean) < _KEPT * whole.summary["rows"]:
+        found = screened()
+        if found.kept < _KEPT * len(found.removal):
             raise
-    if len(whole.mean) < _LEAST:
+    if found.kept < _LEAST:
         raise InputError(
-            f"{splats[0]}: {len(whole.mean)} Gaussians are no scene to fly in; alula info says what the file "
-            "has"
+            f"{splats[0]}: {found.kept} Gaussians are no scene to fly in; alula info says what the file has"
         )
     is_cut = "drop_nan" in fields
     words = ([] if lod is None else [f"--lod {lod}"]) + (["--drop-nan"] if is_cut else [])
-    total = whole.summary["rows"] if is_cut else len(whole.mean)
-    removed = [f"{total - len(whole.mean):,} by --drop-nan and the minimum opacity"] if is_cut else []
+    total = len(found.removal) if is_cut else found.kept
+    removed = [f"{total - found.kept:,} by --drop-nan and the minimum opacity"] if is_cut else []
     for option, more in (
         (f"--min-opacity {FAINT:g}", {"min_opacity": FAINT}),
         ("--drop-floaters", {"drop_floaters": True}),
     ):
         try:
-            tried = read(ImportSplatConfig(**fields, **more))
+            tried = screened(**more)
         except AlulaError:
             continue
-        if len(tried.mean) >= _KEPT * total:
-            removed.append(f"{len(whole.mean) - len(tried.mean):,} by {option}")
+        if tried.kept >= _KEPT * total:
+            removed.append(f"{found.kept - tried.kept:,} by {option}")
             fields |= more
             words.append(option)
-            whole = tried
+            found = tried
     assumed["left out"] = f"of {total:,} Gaussians " + (", ".join(removed) or "none")
-    return whole, " ".join(words)
+    return files.scene(found), " ".join(words)
 
 
 def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, str]) -> Up:
@@ -329,15 +331,16 @@ def _up(scene: Scene, colmap: Path | None, up: str | None, assumed: dict[str, st
 def _aligned(scene: Scene, up: Up, scale: float, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene in metres with z up, on its floor if there is one, and the options that make it."""
     from alula.cli.verbs.align import align
+    from alula.cli.verbs.results import Scene
 
     words = f"--scale {scale!r} --up {' '.join(map(repr, up.direction))}"
     try:
-        found = align(scene, scale=scale, up=up.direction, floor=True)
+        found, words = align(scene, scale=scale, up=up.direction, floor=True), f"{words} --floor"
+        assumed["floor"] = "the level plane with most of the Gaussians near it; z = 0 lies there"
     except (CheckError, InputError):
         assumed["floor"] = "none was found; z = 0 is that of the splat"
-        return align(scene, scale=scale, up=up.direction), words
-    assumed["floor"] = "the level plane with most of the Gaussians near it; z = 0 lies there"
-    return found, f"{words} --floor"
+        found = align(scene, scale=scale, up=up.direction)
+    return Scene(found.artifact), words  # without the scene that it was made from
 
 
 def _roomy(scene: Scene, height: float) -> float:
@@ -423,29 +426,29 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
 
 
 def _undisturbed(cover: Cover, way: _Way, assumed: dict[str, str], jobs: int) -> float:
-    """The distance to keep along whose plan the filter does not act and leads nothing off its plan [m]."""
+    """The margin of a plan along which the filter does not act and leads nothing off it [m]."""
     from alula.cli.verbs.plan import plan
 
-    for wider in _WIDER_M:
-        keep = round(_KEEP_M + wider, 3)
+    for margin in _MARGINS_M:
         try:
             found = plan(
-                cover, start=way.start_m, goal=way.goal_m, interface="velocity", radius_m=keep,
+                cover, start=way.start_m, goal=way.goal_m, interface="velocity", margin_m=margin,
                 beyond_map_m=way.beyond_m, jobs=jobs,
             )  # fmt: skip
         except InfeasibleError:
             continue
         if not found.summary.get("notes"):
-            if wider:
+            if margin > _MARGINS_M[0]:
+                keep = found.artifact.manifest.radius_m  # type: ignore[attr-defined]
                 assumed["distance"] = (
                     f"the plan keeps {keep:g} m from the hulls, where the filter does not act"
                 )
-            return keep
+            return margin
     assumed["distance"] = (
         f"the plan keeps {_KEEP_M:g} m from the hulls, and the filter acts along it: a flight may leave the "
         "plan's tube, and make fly-rehearsal then ends with exit code 4"
     )
-    return _KEEP_M
+    return _MARGINS_M[0]
 
 
 def _extent(space: PlanSpace) -> list[float]:

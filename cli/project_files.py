@@ -48,7 +48,7 @@ $(OUT)/map.certificate.json: $(OUT)/map.cover.npz $(OUT)/map.voxels.npz $(OUT)/m
 
 $(OUT)/path.plan.npz: $(OUT)/map.cover.npz
 	$(ALULA) plan -f $< -o $@ --start @START@ --goal @GOAL@ --beyond-map $(BEYOND) \\
-		--interface velocity --radius @KEEP@
+		--interface velocity --margin @MARGIN@
 
 # The plan, flown behind a safety filter.
 $(OUT)/path.run.mcap: $(OUT)/path.plan.npz $(OUT)/map.cover.npz $(OUT)/metric.scene.npz

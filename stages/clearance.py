@@ -50,7 +50,7 @@ def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
     exceeds that of the Gaussians that the file was made from.
 
     Args:
-        scene: an `alula/scene`; the tree is in its frame and unit.
+        scene: an `alula/scene`; the tree is in its frame and unit, and reads its arrays, mapped ones too.
         sigma: level, in standard deviations.
 
     Raises:

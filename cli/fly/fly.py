@@ -63,6 +63,7 @@ def fly(
     from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.cli.sources import read_tiles_of
+    from alula.schemas.artifacts.artifact import in_memory
     from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN
     from alula.schemas.artifacts.lineage import require_own_map
     from alula.schemas.artifacts.parts_join import read_whole
@@ -115,7 +116,7 @@ def fly(
         read_whole(paths["plan"], PLAN),
         flown,
         cover=read_whole(paths["cover"], COVER) if "cover" in paths else None,
-        scene=read_whole(paths["scene"], SCENE) if "scene" in paths else None,
+        scene=in_memory(read_whole(paths["scene"], SCENE)) if "scene" in paths else None,
         is_splat=is_splat,
         tiles=tiles,
         within=None if within is None else read_whole(within, SEEN),

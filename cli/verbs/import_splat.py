@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.artifact import Artifact
     from alula.schemas.parameters.keywords import ImportSplatFields
     from alula.stages.reconstruction.formats.splats import Splats as Read
+    from alula.stages.reconstruction.import_splat import Screened
 
 
 @verb(ImportSplatConfig)
@@ -61,6 +62,9 @@ class Splats:
         from alula.stages.reconstruction.pieces import find_splats
 
         self.found = find_splats(list(paths), format, lod)
+        self._inputs = {
+            role: File.at(path) for files in inputs_of(self.found) for role, path in files.items()
+        }
         self._known_as = known_as or {}
         self._first = self._known_as.get(paths[0], str(paths[0]))
         self._whole: Read | None = None
@@ -82,21 +86,44 @@ class Splats:
             )
         return self._whole
 
+    def screened(self, config: ImportSplatConfig, progress: Progress) -> Screened:
+        """What a configuration keeps of the files.
+
+        Args:
+            config: see `ImportSplatConfig`.
+            progress: called with (done, total).
+
+        Raises:
+            InputError: a file cannot be read, or the configuration keeps nothing of it.
+        """
+        from alula.stages.reconstruction.import_splat import screened
+
+        whole = self._read(progress)
+        try:
+            return screened(config, whole)
+        except InputError as error:
+            more = f" and {len(self.found) - 1} more" if len(self.found) > 1 else ""
+            raise error.reworded(f"{self._first}{more}: {error}") from error
+
+    def scene(self, screened: Screened) -> Scene:
+        """The scene of what is kept.
+
+        Args:
+            screened: of these files.
+        """
+        from alula.stages.reconstruction.import_splat import scene_of
+
+        return Scene(scene_of(screened), self._inputs)
+
     def step(self, config: ImportSplatConfig) -> Step[Scene]:
         """A scene of the files.
 
         Args:
             config: see `ImportSplatConfig`.
         """
-        from alula.stages.reconstruction.import_splat import import_splat as stage
+        from alula.stages.reconstruction.import_splat import scene_of
 
         def build(progress: Progress) -> Artifact:
-            whole = self._read(progress)
-            try:
-                return stage(config, whole)
-            except InputError as error:
-                more = f" and {len(self.found) - 1} more" if len(self.found) > 1 else ""
-                raise error.reworded(f"{self._first}{more}: {error}") from error
+            return scene_of(self.screened(config, progress))
 
-        inputs = {role: File.at(path) for files in inputs_of(self.found) for role, path in files.items()}
-        return Step(Scene, config, inputs, build)
+        return Step(Scene, config, self._inputs, build)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from alula.cli import runner
 from alula.cli.verbs.display import table
-from alula.schemas.artifacts.artifact import Artifact, encode_artifact, file_hash, write_artifact
+from alula.schemas.artifacts.artifact import Artifact, artifact_hash, file_hash, write_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
 from alula.schemas.artifacts.manifest import CoverManifest, InputRef, LevelManifest, Manifest
 from alula.schemas.artifacts.parts_join import read_whole
@@ -226,7 +225,7 @@ class Result:
         return True
 
     def _hash(self) -> str:
-        return hashlib.sha256(encode_artifact(self._stamped())).hexdigest()
+        return artifact_hash(self._stamped())
 
     def _stamped(self) -> Artifact:
         """The artifact with its inputs in the manifest."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import msgspec
 import numpy as np
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from alula.schemas.artifacts.checks import check_arrays, check_shapes, present
 from alula.schemas.artifacts.kinds import KINDS, Kind
 from alula.schemas.artifacts.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
+from alula.schemas.artifacts.mapping import let_go, owned
 from alula.schemas.atomic import atomic_output
 from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
@@ -187,18 +188,51 @@ def write_artifact(path: Path, artifact: Artifact, *, is_final: bool = True) -> 
 
 def encode_artifact(artifact: Artifact) -> bytes:
     """Encode an artifact as the bytes of its file."""
-    file = io.BytesIO()
+    return b"".join(_pieces_of(artifact))
+
+
+def artifact_hash(artifact: Artifact) -> str:
+    """SHA-256 of an artifact's file, in hexadecimal."""
+    digest = hashlib.sha256()
+    for piece in _pieces_of(artifact):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+class _Pieces(io.RawIOBase):
+    """A file that keeps what is written without a copy; what is written again replaces a whole piece."""
+
+    def __init__(self) -> None:
+        self.at: dict[int, bytes | memoryview] = {}
+        self._position = 0
+
+    def write(self, data: Any) -> int:
+        self.at[self._position] = data
+        self._position += len(data)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        assert whence == io.SEEK_SET
+        self._position = offset
+        return offset
+
+    def tell(self) -> int:
+        return self._position
+
+
+def _pieces_of(artifact: Artifact) -> Iterable[bytes | memoryview]:
+    file = _Pieces()
     _write_members(file, artifact)
-    return file.getvalue()
+    return file.at.values()
 
 
-def _write_members(file: BinaryIO, artifact: Artifact) -> None:
+def _write_members(file: IO[bytes] | _Pieces, artifact: Artifact) -> None:
     arrays = {name: np.ascontiguousarray(array) for name, array in artifact.arrays.items()}
     write_members(file, artifact.manifest, arrays, lambda name: [arrays[name]])
 
 
 def write_members(
-    file: BinaryIO, manifest: Manifest, like: Arrays, rows: Callable[[str], Iterable[NDArray[Any]]]
+    file: IO[bytes] | _Pieces, manifest: Manifest, like: Arrays, rows: Callable[[str], Iterable[NDArray[Any]]]
 ) -> None:
     """Write an artifact whose arrays come in pieces.
 
@@ -220,7 +254,11 @@ def write_members(
 
 
 def _write_member(
-    archive: zipfile.ZipFile, file: BinaryIO, name: str, size: int, parts: Iterable[bytes | memoryview]
+    archive: zipfile.ZipFile,
+    file: IO[bytes] | _Pieces,
+    name: str,
+    size: int,
+    parts: Iterable[bytes | memoryview],
 ) -> None:
     info = zipfile.ZipInfo(name, _EPOCH)
     info.create_system = 3
@@ -301,7 +339,17 @@ def read_artifact(path: Path, kind: Kind | None = None, *, is_checked: bool = Fa
             check_arrays(found, arrays)
     except ArtifactError as error:
         raise DamagedError(f"{path}: {error}") from error
+    let_go(*arrays.values())  # a command may read a part of them
     return Artifact(manifest, arrays)
+
+
+def in_memory(artifact: Artifact) -> Artifact:
+    """The same artifact, none of whose arrays is mapped from a file.
+
+    Args:
+        artifact: as read.
+    """
+    return Artifact(artifact.manifest, {name: owned(array) for name, array in artifact.arrays.items()})
 
 
 def _open_archive(path: Path) -> zipfile.ZipFile:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 
+_PART = 2**16  # points whose temporary arrays stay in the cache
 BLOCKS = 30  # minimum number of groups for an estimate of uncertainty
 
 
@@ -21,9 +22,13 @@ def thinned(points: FloatArray, edge: float) -> FloatArray:
     Returns:
         Shape (m, 3), one row per occupied cube.
     """
-    _, label, count = np.unique(_cells(points, edge), return_inverse=True, return_counts=True)
-    sums = [np.bincount(label, weights=points[:, axis]) for axis in range(3)]
-    mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
+    label = _cells(points, edge)
+    if label.max(initial=0) > len(points):  # else their cubes can be counted without sorting
+        _, label = np.unique(label, return_inverse=True)
+    count = np.bincount(label)
+    filled = np.flatnonzero(count)
+    sums = [np.bincount(label, weights=points[:, axis])[filled] for axis in range(3)]
+    mean: FloatArray = np.stack(sums, axis=1) / count[filled, None]
     return mean
 
 
@@ -75,9 +80,12 @@ def _cells(points: FloatArray, edge: float) -> NDArray[np.int64]:
     size = np.floor((points.max(axis=0) - low) / edge) + 1
     if size.prod() >= 2.0**62:
         raise InputError(f"points spread too far for cubes of {edge:g} m; remove outliers with --crop")
-    cell = np.floor((points - low) / edge).astype(np.int64)
     _, ny, nz = size.astype(np.int64).tolist()
-    numbers: NDArray[np.int64] = (cell[:, 0] * ny + cell[:, 1]) * nz + cell[:, 2]
+    numbers = np.empty(len(points), np.int64)
+    for start in range(0, len(points), _PART):
+        part = slice(start, start + _PART)
+        cell = np.floor((points[part] - low) / edge).astype(np.int64)
+        numbers[part] = (cell[:, 0] * ny + cell[:, 1]) * nz + cell[:, 2]
     return numbers
 
 

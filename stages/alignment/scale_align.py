@@ -77,11 +77,15 @@ def scale_align(
     """
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
-    mean = np.asarray(scene["mean"], np.float64)
-    box = bounds(mean, scene["scale"])
-    found = solved(
-        config, manifest, box, lambda: mean, lambda: mean[scene["opacity"] >= VISIBLE], evidence, seed
-    )
+    box = bounds(scene["mean"], scene["scale"])
+
+    def means() -> FloatArray:
+        return np.asarray(scene["mean"], np.float64)
+
+    def visible() -> FloatArray:
+        return np.asarray(scene["mean"][scene["opacity"] >= VISIBLE], np.float64)
+
+    found = solved(config, manifest, box, means, visible, evidence, seed)
     arrays, rounding = mapped(scene, found.similarity)
     return aligned(config, alignment_of(config, manifest, found, rounding, report), manifest, arrays)
 
@@ -337,7 +341,7 @@ def aligned_fields(alignment: Alignment, manifest: SceneManifest) -> dict[str, A
     }
 
 
-def bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+def bounds(mean: NDArray[np.floating[Any]], scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
     """Bounding box of the ellipsoids that the error bound covers.
 
     Args:

@@ -59,7 +59,8 @@ def transform_points(similarity: Similarity, points: NDArray[Any]) -> FloatArray
         Shape (n, 3), target frame and units.
     """
     moved: FloatArray = np.asarray(points, np.float64) @ np.array(similarity.rotation).T
-    moved = similarity.scale * moved + np.array(similarity.translation_m)
+    moved *= similarity.scale
+    moved += np.array(similarity.translation_m)
     return moved
 
 

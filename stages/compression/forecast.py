@@ -213,11 +213,15 @@ def largest_volume(ellipsoids: Ellipsoids) -> tuple[int, float]:
     Args:
         ellipsoids: the sets and the lattice.
     """
-    semi = ellipsoids.scale.astype(np.float64) * ellipsoids.sigma + ellipsoids.inflation_m
-    x, y, z = (semi / ellipsoids.voxel_size_m).T
-    volume = 4 / 3 * math.pi * (x * y * z)
-    row = int(np.argmax(volume))
-    return row, float(volume[row])
+    found = 0, -math.inf
+    for start in range(0, len(ellipsoids.scale), _CHUNK):
+        scale = ellipsoids.scale[start : start + _CHUNK].astype(np.float64)
+        x, y, z = ((scale * ellipsoids.sigma + ellipsoids.inflation_m) / ellipsoids.voxel_size_m).T
+        volume = 4 / 3 * math.pi * (x * y * z)
+        row = int(np.argmax(volume))
+        if volume[row] > found[1]:
+            found = start + row, float(volume[row])
+    return found
 
 
 def named(rows: tuple[int, ...]) -> str:

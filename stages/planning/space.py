@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +47,13 @@ _WORDS = {
 _IMAGE_WORDS = "hull of the onboard map, which does not record its level"
 _NEAR = ("an obstacle", "space that was not seen")
 _FAR_M = 1e3  # distances of maps are measured up to this
+
+
+class Ellipsoids(NamedTuple):
+    """The ellipsoids of a scene at a level: as a set for proofs, and as a native map."""
+
+    solids: _core.EllipsoidSet
+    map: _core.ObstacleMap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +139,18 @@ class PlanSpace:
         joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
         return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined, floor_m=floor_m)
 
+    def kept(self, more_m: float) -> PlanSpace:
+        """The same obstacles, from which plans keep a larger distance.
+
+        Args:
+            more_m: by which it is larger [m].
+        """
+        parts = [
+            replace(part, keep_m=part.keep_m + more_m, facts=part.facts | {"keep_m": part.keep_m + more_m})
+            for part in self.parts
+        ]
+        return PlanSpace.of(parts, self.frame, self.floor_m)
+
     def distances(self) -> str:
         """Distances that a plan keeps, and from what, with the level of the obstacles, in words."""
         each = [f"{part.keep_m:g} m from every {part.level_words}" for part in self.parts]
@@ -200,6 +219,7 @@ def plan_space(
     image: bytes | None = None,
     within: Artifact | None = None,
     *,
+    ellipsoids: Ellipsoids | None = None,
     jobs: int = 0,
 ) -> PlanSpace:
     """Make the obstacles of a plan, each with the distance to keep from it.
@@ -214,6 +234,7 @@ def plan_space(
         scene: an `alula/scene`.
         image: an onboard map.
         within: an `alula/seen`; what it does not list is an obstacle, from which plans keep `radius_m`.
+        ellipsoids: of the scene at the level of the configuration, where they have been made before.
         jobs: threads.
 
     Raises:
@@ -241,7 +262,7 @@ def plan_space(
         parts.append(_image_part(image, config.keep_m, config.inflation_m or 0.0))
     if scene is not None:
         sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
-        parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation))
+        parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation, ellipsoids))
     if within is not None:
         parts.append(_seen_part(within, config.keep_m))
     floors = [floor for each in maps.values() if (floor := floor_of(each)) is not None]
@@ -296,7 +317,13 @@ def _hull_part(
     )
 
 
-def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float = 0.0) -> Part:
+def scene_part(
+    scene: Artifact,
+    sigma: float,
+    keep_m: float,
+    inflation_m: float = 0.0,
+    ellipsoids: Ellipsoids | None = None,
+) -> Part:
     """The ellipsoids of a scene.
 
     Args:
@@ -304,18 +331,21 @@ def scene_part(scene: Artifact, sigma: float, keep_m: float, inflation_m: float 
         sigma: level of the ellipsoids, in standard deviations.
         keep_m: distance to keep, without the inflation [m].
         inflation_m: distance to keep beyond that [m].
+        ellipsoids: of the scene at this level, where they have been made before.
 
     Raises:
         UsageError: the level or the distance is invalid for these ellipsoids.
     """
-    among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
+    if ellipsoids is None:
+        among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
+        ellipsoids = Ellipsoids(scene_obstacles(scene, sigma), among)
     corners = ellipsoid_box(scene, sigma)
     return Part(
         role="scene",
         keep_m=keep_m + inflation_m,
-        solids=scene_obstacles(scene, sigma),
-        obstacles=among,
-        map=among,
+        solids=ellipsoids.solids,
+        obstacles=ellipsoids.map,
+        map=ellipsoids.map,
         lower=corners[0][0] if corners else None,
         upper=corners[1][0] if corners else None,
         facts={

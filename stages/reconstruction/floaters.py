@@ -21,7 +21,10 @@ _HALF = 2 ** (_BITS - 1)
 
 
 def floaters(
-    mean: NDArray[np.float32], scale: NDArray[np.float32], quat_wxyz: NDArray[np.float32]
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    quat_wxyz: NDArray[np.float32],
+    rows: NDArray[np.intp],
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the Gaussians of small, isolated groups.
 
@@ -32,23 +35,26 @@ def floaters(
     fewer than 50 are floaters, except the largest group of all. So a sparse but large surface stays, and
     so does everything in contact with it.
 
-    Memory: rows are processed in parts, so the peak is about 60 bytes per touched cube and 13 per Gaussian.
+    Memory: rows are processed in parts, so the peak is about 60 bytes per touched cube and 13 per row.
 
     Args:
         mean: centres, shape (N, 3).
         scale: one-sigma semi-axes, shape (N, 3).
         quat_wxyz: rotations from local axes, of any length but zero, shape (N, 4).
+        rows: numbers of the Gaussians that count, shape (M,).
 
     Returns:
-        A mask of the floaters, shape (N,), and the edge of the cubes.
+        A mask of the floaters among these, shape (M,), and the edge of the cubes.
     """
-    count = len(mean)
-    edge = _edge(mean)
+    count = len(rows)
+    edge = _edge(mean, rows)
     if edge == 0.0:
         return np.zeros(count, np.bool_), edge
-    centre = np.array([np.median(mean[:, axis].astype(np.float64)) for axis in range(3)])
-    rows = _Rows(mean, scale, quat_wxyz, centre, edge)
-    cells = _all_cells(rows)
+    centre = np.array(
+        [np.median(mean[rows, axis].astype(np.float64), overwrite_input=True) for axis in range(3)]
+    )
+    gaussians = _Rows(mean, scale, quat_wxyz, rows, centre, edge)
+    cells = _all_cells(gaussians)
     groups = _Groups(len(cells))
     for offset in _half_neighbourhood():  # before the arms: then there are fewer groups to join
         for start in range(0, len(cells), _PART):
@@ -58,9 +64,10 @@ def floaters(
             found = np.flatnonzero(cells[at] == near)
             groups.join(start + found, at[found])
     home = np.empty(count, np.int32)
-    for part in rows.parts():
-        own, *ends = rows.touched(part)
-        home[part] = np.searchsorted(cells, own)
+    for part in gaussians.parts():
+        own, *ends = gaussians.touched(part)
+        order = np.argsort(own)  # cubes are found several times as fast in their order
+        home[part][order] = np.searchsorted(cells, own[order])
         for end in ends:
             apart = np.flatnonzero(_apart(own, end))  # neighbouring cubes are joined already
             groups.join(home[part][apart], np.searchsorted(cells, end[apart]))
@@ -78,21 +85,23 @@ class _Rows:
     mean: NDArray[np.float32]
     scale: NDArray[np.float32]
     quat_wxyz: NDArray[np.float32]
+    rows: NDArray[np.intp]
     centre: NDArray[np.float64]
     edge: float
 
     def parts(self) -> Iterator[slice]:
-        return (slice(start, start + _PART) for start in range(0, len(self.mean), _PART))
+        return (slice(start, start + _PART) for start in range(0, len(self.rows), _PART))
 
     def touched(self, part: slice) -> list[NDArray[np.int64]]:
         """Cubes of the centres and of both ends of each axis."""
-        quat = self.quat_wxyz[part].astype(np.float64)
+        rows = self.rows[part]
+        quat = self.quat_wxyz[rows].astype(np.float64)
         unit = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
         axes = matrix_from_quat_wxyz(unit)
-        centred = self.mean[part].astype(np.float64) - self.centre
+        centred = self.mean[rows].astype(np.float64) - self.centre
         found = [_cells(centred, self.edge)]
         for axis in range(3):
-            arm = axes[:, :, axis] * (REACH * self.scale[part, axis, None].astype(np.float64))
+            arm = axes[:, :, axis] * (REACH * self.scale[rows, axis, None].astype(np.float64))
             found += [_cells(centred + sign * arm, self.edge) for sign in (1, -1)]
         return found
 
@@ -101,7 +110,8 @@ def _all_cells(rows: _Rows) -> NDArray[np.int64]:
     """All touched cubes, sorted; lists are joined when they are as long as what they are joined to."""
     cells, waiting, length = np.empty(0, np.int64), [], 0
     for part in rows.parts():
-        waiting.append(_distinct(np.concatenate(rows.touched(part))))
+        own, *ends = rows.touched(part)
+        waiting.append(_distinct(np.concatenate([own, *(end[end != own] for end in ends)])))
         length += len(waiting[-1])
         if length > len(cells) + _PART:
             cells = _distinct(np.concatenate([cells, *waiting]))
@@ -146,16 +156,17 @@ class _Groups:
         self._pairs, self._waiting = [], 0
 
 
-def _edge(mean: NDArray[np.float32]) -> float:
+def _edge(mean: NDArray[np.float32], rows: NDArray[np.intp]) -> float:
     """Twice the median distance to the 8th neighbour, over at most 20,000 rows at equal steps."""
     from scipy.spatial import cKDTree
 
-    if len(mean) <= NEIGHBOUR:
+    if len(rows) <= NEIGHBOUR:
         return 0.0
-    sample = mean[:: -(-len(mean) // _SAMPLE)]
+    sample = mean[rows[:: -(-len(rows) // _SAMPLE)]]
     nearest = np.empty((len(sample), 0))
-    for start in range(0, len(mean), _TREE):
-        distance, _ = cKDTree(mean[start : start + _TREE]).query(sample, NEIGHBOUR + 1)
+    for start in range(0, len(rows), _TREE):
+        tree = cKDTree(mean[rows[start : start + _TREE]], compact_nodes=False, balanced_tree=False)
+        distance, _ = tree.query(sample, NEIGHBOUR + 1)
         nearest = np.sort(np.hstack([nearest, distance]), axis=1)[:, : NEIGHBOUR + 1]
     return 2.0 * float(np.median(nearest[:, NEIGHBOUR]))
 

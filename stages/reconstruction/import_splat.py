@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +32,36 @@ _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, _ZERO, "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
 NOTABLE = 0.02  # fraction of the volume that is worth a note
 _FINE = 0.2  # of the median of the largest semi-axes: a larger spacing of coordinates counts as a loss
+_PART = 2**16  # rows whose temporary arrays stay in the cache
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
-@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like others
+@dataclass(frozen=True, slots=True)
+class Screened:
+    """Gaussians of a decoded file with what a configuration keeps of them, before any of them is copied.
+
+    Attributes:
+        config: see `ImportSplatConfig`.
+        splats: all Gaussians, turned as the configuration says.
+        removal: 0 for rows that are kept, shape (N,).
+        removed: number of rows that each rule removed.
+        rules: of the floaters, for the manifest.
+        volume: that the rows mark, see `marked_volume`.
+    """
+
+    config: ImportSplatConfig
+    splats: Splats
+    removal: NDArray[np.uint8]
+    removed: dict[str, int]
+    rules: dict[str, Any]
+    volume: MarkedVolume | None
+
+    @property
+    def kept(self) -> int:
+        """Number of rows that are kept."""
+        return int(np.count_nonzero(self.removal == 0))
+
+
 def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     """Keep the valid Gaussians that the configuration selects, and count the others by reason.
 
@@ -58,15 +85,23 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         InputError: no Gaussian is left, one has a value that is not finite, many have no rotation, or files
             of a level of detail are lacking.
     """
+    return scene_of(screened(config, splats))
+
+
+@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like others
+def screened(config: ImportSplatConfig, splats: Splats) -> Screened:
+    """Find the Gaussians that a configuration keeps.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        splats: the Gaussians of a decoded file, file frame and units.
+
+    Raises:
+        InputError: see `import_splat`.
+    """
     check_whole(config, splats.levels)
     splats = with_rounding(turned(splats, config.turn))
-    given = _Columns(
-        np.ascontiguousarray(splats.mean, np.float32),
-        np.ascontiguousarray(splats.scale, np.float32),
-        np.ascontiguousarray(splats.quat_wxyz, np.float32),
-        np.ascontiguousarray(splats.opacity, np.float32),
-        np.ascontiguousarray(splats.color, np.uint8),
-    )
+    given = _columns(splats)
     removal = np.empty(len(splats), np.uint8)
     counts, first_bad = _core.screen_rows(
         *given[:4],
@@ -101,8 +136,19 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     if config.drop_floaters:
         removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
         _check_some_left(removal, removed)
-    kept = int(np.count_nonzero(removal == 0))
-    arrays, figures = _kept(given, removal, kept)
+    return Screened(config, splats, removal, removed, rules, volume)
+
+
+@np.errstate(invalid="ignore")
+def scene_of(screened: Screened) -> Artifact:
+    """Scene of the Gaussians that are kept; see `import_splat`.
+
+    Args:
+        screened: of `screened`.
+    """
+    config, splats, volume = screened.config, screened.splats, screened.volume
+    removal, removed, kept = screened.removal, screened.removed, screened.kept
+    arrays, figures = _kept(_columns(splats), removal, kept)
     loss = _loss(splats, removal, kept)
     if loss["bound"] is not None:
         arrays["loss"] = loss["bound"]
@@ -150,7 +196,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "rows": len(splats),
             "kept": kept,
             "removed": removed,
-            "rules": rules,
+            "rules": screened.rules,
             "opacity": None if volume is None else dataclasses.asdict(volume),
             "levels_of_detail": level_facts(splats.levels),
             "lacks": lacks,
@@ -207,6 +253,16 @@ class _Columns(NamedTuple):
     quat_wxyz: NDArray[np.float32]
     opacity: NDArray[np.float32]
     color: NDArray[np.uint8]
+
+
+def _columns(splats: Splats) -> _Columns:
+    return _Columns(
+        np.ascontiguousarray(splats.mean, np.float32),
+        np.ascontiguousarray(splats.scale, np.float32),
+        np.ascontiguousarray(splats.quat_wxyz, np.float32),
+        np.ascontiguousarray(splats.opacity, np.float32),
+        np.ascontiguousarray(splats.color, np.uint8),
+    )
 
 
 def _kept(
@@ -280,9 +336,14 @@ def with_rounding(splats: Splats) -> Splats:
     Args:
         splats: file frame and units.
     """
-    finite = np.isfinite(splats.mean).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
-    largest = float(np.abs(splats.mean[finite]).max(initial=0.0))
-    typical = float(np.median(splats.scale[finite].max(axis=1))) if finite.any() else 0.0
+    finite, longest, largest = np.empty(len(splats), np.bool_), np.empty(len(splats), splats.scale.dtype), 0.0
+    for start in range(0, len(splats), _PART):
+        part = slice(start, start + _PART)
+        mean, (x, y, z) = splats.mean[part], splats.scale[part].T
+        finite[part] = np.all([np.isfinite(column) for column in (*mean.T, x, y, z)], axis=0)
+        longest[part] = np.maximum(np.maximum(x, y), z)
+        largest = max(largest, float(np.abs(mean[finite[part]]).max(initial=0.0)))
+    typical = float(np.median(longest[finite], overwrite_input=True)) if finite.any() else 0.0
     most = float(np.finfo(np.float32).max)
     if spacing(np.array(min(largest, most), np.float32)) <= _FINE * typical:
         return splats
@@ -301,7 +362,7 @@ def with_rounding(splats: Splats) -> Splats:
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
     """Mark the floaters among the kept rows; return their number and the rule."""
     rows = np.flatnonzero(removal == 0)
-    drop, edge = floaters(splats.mean[rows], splats.scale[rows], splats.quat_wxyz[rows])
+    drop, edge = floaters(splats.mean, splats.scale, splats.quat_wxyz, rows)
     removal[rows[drop]] = len(_REASONS) + 1
     rule = {"cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH}
     return int(np.count_nonzero(drop)), rule

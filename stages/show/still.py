@@ -142,16 +142,24 @@ def _frame(
     return middle - 0.5 * size, middle + 0.5 * size
 
 
-def _is_inside(points: FloatArray, top: float) -> NDArray[np.bool_]:
+def _is_inside(points: NDArray[np.floating[Any]], top: float) -> NDArray[np.bool_]:
     """Mark the points below `top` that are not at the sides of the world that face the viewer."""
-    low, high = np.percentile(points[:, :2], [0.5, 99.5], axis=0) if len(points) else np.zeros((2, 2))
+
+    def column(axis: int) -> FloatArray:
+        return points[:, axis].astype(np.float64)
+
+    keep: NDArray[np.bool_] = column(2) <= top
+    if not len(points):
+        return keep
+    low, high = np.transpose(
+        [np.percentile(column(axis), [0.5, 99.5], overwrite_input=True) for axis in range(2)]
+    )
     band = _WALL * (high - low).max()
-    keep = points[:, 2] <= top
     for axis in range(2):
         if _ALONG[axis] > 0:
-            keep &= points[:, axis] >= low[axis] + band
+            keep &= column(axis) >= low[axis] + band
         else:
-            keep &= points[:, axis] <= high[axis] - band
+            keep &= column(axis) <= high[axis] - band
     return keep
 
 
@@ -164,7 +172,7 @@ def _world_parts(material: Material, top: float) -> tuple[list[Part], str]:
 
 def _gaussians(scene: Artifact, top: float) -> tuple[list[Part], str]:
     choice = chosen(scene, _MOST_GAUSSIANS)
-    is_inside = _is_inside(np.asarray(scene["mean"], np.float64), top)
+    is_inside = _is_inside(np.asarray(scene["mean"]), top)
     inside = int(is_inside.sum())
     shown = choice.of(is_inside[choice.row])
     words = f"{len(shown.row):,} Gaussians" + (f" of {inside:,}" if inside > len(shown.row) else "")

@@ -17,7 +17,7 @@ from alula.schemas.scenarios.scenario import WorldScenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
-from alula.stages.planning.space import PlanSpace, plan_space
+from alula.stages.planning.space import Ellipsoids, plan_space
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.world.obstacles import StaticWorld
 
@@ -31,6 +31,7 @@ class PlanMaps(NamedTuple):
     cover: Artifact | None
     scene: Artifact | None
     within: Artifact | None  # seen space
+    ellipsoids: Ellipsoids | None = None  # of the scene, where they have been made before
 
 
 def plan_config(scenario: WorldScenario, world: StaticWorld, speed_m_s: float) -> PlanConfig:
@@ -96,8 +97,8 @@ def plans_of(
         A plan per pair, with the heading from start to goal; None where the planner finds no way.
     """
     found: list[Artifact | None] = []
-    cover, scene, within = maps
-    spaces: dict[float, PlanSpace] = {}
+    cover, scene, within, ellipsoids = maps
+    space = plan_space(config, cover, scene, None, within, ellipsoids=ellipsoids, jobs=jobs)
     rows = zip(pairs.start.tolist(), pairs.goal.tolist(), margin_m.tolist(), strict=True)
     for i, (start, goal, margin) in enumerate(rows):
         own = dataclasses.replace(
@@ -107,10 +108,8 @@ def plans_of(
             radius_m=config.keep_m + margin,
             yaw=repr(math.atan2(goal[1] - start[1], goal[0] - start[0])),
         )
-        if margin not in spaces:
-            spaces[margin] = plan_space(own, cover, scene, None, within, jobs=jobs)
         try:
-            known: dict[str, Any] = {"vehicle": vehicle, "behind": behind, "space": spaces[margin]}
+            known: dict[str, Any] = {"vehicle": vehicle, "behind": behind, "space": space.kept(margin)}
             found.append(plan(own, cover, scene=scene, within=within, **known, jobs=jobs))
         except InfeasibleError:
             found.append(None)

@@ -32,6 +32,7 @@ from alula.stages.filtering.obstacles import (
 from alula.stages.filtering.protocol import Kept
 from alula.stages.planning.inside import floor_of
 from alula.stages.planning.mapped import BEYOND_KEY, Mapped, ellipsoid_box, within_crop
+from alula.stages.planning.space import Ellipsoids
 from alula.stages.planning.unseen import is_seen, joined, unseen_hulls
 from alula.stages.vehicles.fence import fence_faces
 
@@ -91,6 +92,15 @@ class StaticWorld(Kept):
         """Vertices of the hulls and centres of the Gaussians, shape (N, 3) [m]."""
         points = [] if self.scene is None else [self.scene["mean"]]
         return np.concatenate([self.vertices, *points], dtype=np.float64)
+
+    @property
+    def among(self) -> Ellipsoids | None:
+        """The ellipsoids for planners: the map of the filters that read them, or that of the judge's set."""
+        if self.ellipsoids is None:
+            return None
+        return Ellipsoids(
+            self.ellipsoids, self.parts.get("ellipsoids") or _core.EllipsoidSetMap(self.ellipsoids)
+        )
 
     @property
     def map(self) -> _core.ObstacleMap | None:

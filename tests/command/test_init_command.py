@@ -76,6 +76,8 @@ def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
     cover = alula.read(project / "out/map.cover.npz")
     assert repr(alula.verify(plan, map=cover)).startswith("Proof: proven")
     assert np.linalg.norm(plan.at(0.0)[:2] - plan.at(plan.time[-1])[:2]) > 3
+    radius_m = plan.manifest.radius_m - plan.manifest.margin_m
+    assert radius_m == read_world(project / "scenario.toml").vehicle.radius_m
     scene = alula.read(project / "out/metric.scene.npz")
     assert np.percentile(scene.mean[:, 2], 30) == pytest.approx(0, abs=0.1)  # the lawn
 

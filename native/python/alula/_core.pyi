@@ -395,7 +395,7 @@ class EllipsoidSet:
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Copy the Gaussians; the ellipsoids are at level k, each grown by `loss` (N, 3).
+        Hold the arrays, which must not change; the ellipsoids are at level k, each grown by `loss` (N, 3).
         """
 
     def __len__(self) -> int: ...
@@ -1474,6 +1474,11 @@ class EllipsoidMap(ObstacleMap):
     """The ungrown ellipsoids of an index."""
 
     def __init__(self, index: EllipsoidIndex) -> None: ...
+
+class EllipsoidSetMap(ObstacleMap):
+    """The ellipsoids of a set, without an index."""
+
+    def __init__(self, set: EllipsoidSet) -> None: ...
 
 class HullMap(ObstacleMap):
     """Convex hulls."""

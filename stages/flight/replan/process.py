@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from alula.schemas.artifacts.artifact import Artifact, encode_manifest
+from alula.schemas.artifacts.artifact import Artifact, encode_manifest, in_memory
 from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.errors import AlulaError, InputError
 from alula.schemas.scenarios.vehicle import Vehicle, contents
@@ -192,7 +192,7 @@ def main() -> None:
 
 
 def _task_of(head: _Head) -> ReplanTask:
-    artifacts = {role: read_whole(Path(path)) for role, path in head.paths.items()}
+    artifacts = {role: in_memory(read_whole(Path(path))) for role, path in head.paths.items()}
     for role, each in artifacts.items():
         if encode_manifest(each.manifest) != head.manifests[role]:
             raise InputError(f"{head.paths[role]} has changed since the flight was prepared")

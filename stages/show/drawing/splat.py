@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifacts.artifact import Artifact, describe_arrays
+from alula.schemas.artifacts.mapping import let_go
 from alula.schemas.artifacts.parts import Parts
 from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.rotation import matrix_from_quat_wxyz
@@ -33,6 +34,7 @@ def contribution(scene: Artifact) -> NDArray[np.float64]:
     for rows in _chunks(len(area)):
         axes = np.sort(np.asarray(scene["scale"][rows], np.float64), axis=1)
         area[rows] = np.asarray(scene["opacity"][rows], np.float64) * axes[:, 1] * axes[:, 2]
+    let_go(scene["scale"])
     return area
 
 
@@ -60,15 +62,22 @@ def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> Choice:
         scene: an `alula/scene`.
         maximum: number of rows.
     """
-    weight = contribution(scene)
-    order = np.argsort(_morton(np.asarray(scene["mean"])), kind="stable")
-    if len(weight) <= maximum:
-        return Choice(order, np.ones(len(order)))
-    share = _shares(weight, maximum)[order]
-    reached = np.floor(np.cumsum(share) + 0.5)
-    kept = np.flatnonzero(np.diff(reached, prepend=0.0) > 0)[:maximum]
-    grown = np.minimum(1 / np.sqrt(np.maximum(share[kept], 1e-9)), _MOST_GROWN)
-    return Choice(order[kept], grown)
+    let_go(*scene.arrays.values())  # makes room, where a search tree was made of them before
+    count = len(scene["mean"])
+    if count <= maximum:
+        return Choice(_along_curve(scene).astype(np.int64), np.ones(count))
+    share = _shares(contribution(scene), maximum)
+    order = _along_curve(scene)
+    row, grown, total, reached = [], [], 0.0, 0.0
+    for part in _chunks(count):
+        own = share[order[part]]
+        sums = np.cumsum(np.concatenate([[total], own]))[1:]
+        steps = np.floor(sums + 0.5)
+        kept = np.flatnonzero(np.diff(steps, prepend=reached) > 0)
+        row.append(order[part][kept].astype(np.int64))
+        grown.append(np.minimum(1 / np.sqrt(np.maximum(own[kept], 1e-9)), _MOST_GROWN))
+        total, reached = float(sums[-1]), float(steps[-1])
+    return Choice(np.concatenate(row)[:maximum], np.concatenate(grown)[:maximum])
 
 
 def _chunks(count: int) -> Iterator[slice]:
@@ -77,30 +86,45 @@ def _chunks(count: int) -> Iterator[slice]:
 
 
 def _shares(weight: NDArray[np.float64], total: int) -> NDArray[np.float64]:
-    """Probabilities min(1, c w) that add up to `total`, which is below their number."""
-    share = np.zeros(len(weight))
+    """Probabilities min(1, c w) that add up to `total`, which is below their number; they replace w."""
     is_sure = np.zeros(len(weight), np.bool_)
+    factor = 0.0
     for _ in range(100):
         rest = total - int(is_sure.sum())
         free = float(weight[~is_sure].sum())
-        share = np.where(is_sure, 1.0, weight * (rest / free if free > 0 else 0.0))
-        if not (over := (share > 1) & ~is_sure).any():
+        factor = rest / free if free > 0 else 0.0
+        over = np.concatenate([weight[part] * factor > 1 for part in _chunks(len(weight))]) & ~is_sure
+        if not over.any():
             break
         is_sure |= over
-    return np.minimum(share, 1.0)
+    weight *= factor
+    weight[is_sure] = 1.0
+    return np.minimum(weight, 1.0, out=weight)
 
 
-def _morton(points: NDArray[np.float32]) -> NDArray[np.uint64]:
-    """Interleave the bits of the coordinates, ten of each, within the central 99 % of the points."""
+def _along_curve(scene: Artifact) -> NDArray[np.uint32]:
+    """Rows in the order of a space-filling curve, equal places in that of the rows."""
+    points = np.asarray(scene["mean"])
+    key = np.zeros(len(points), np.uint64)
     if not len(points):
-        return np.empty(0, np.uint64)
-    low, high = np.quantile(points, (0.005, 0.995), axis=0)
-    code = np.zeros(len(points), np.uint64)
+        return key.astype(np.uint32)
+    low, high = np.transpose([np.quantile(points[:, axis], (0.005, 0.995)) for axis in range(3)])
     for rows in _chunks(len(points)):
         cell = np.clip((points[rows] - low) / np.maximum(high - low, 1e-9) * 1023, 0, 1023).astype(np.uint64)
-        for bit in range(10):
-            for axis in range(3):
-                code[rows] |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+        key[rows] = (_morton(cell) << np.uint64(32)) | np.arange(
+            rows.start, rows.start + len(cell), dtype=np.uint64
+        )
+    let_go(points)
+    key.sort()
+    return (key & np.uint64(2**32 - 1)).astype(np.uint32)
+
+
+def _morton(cell: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Interleave the bits of three coordinates, ten of each."""
+    code = np.zeros(len(cell), np.uint64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return code
 
 
@@ -145,12 +169,12 @@ def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = Tru
         visible: shown at first.
     """
     rows = choice.row
-    scale = np.minimum(np.asarray(scene["scale"], np.float64)[rows], _LARGEST)
+    scale = np.minimum(np.asarray(scene["scale"][rows], np.float64), _LARGEST)
     is_short = np.arange(3) == scale.argmin(axis=1)[:, None]
     scale = np.where(is_short, scale, scale * choice.grown[:, None])
-    turn = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"], np.float64)[rows])
+    turn = matrix_from_quat_wxyz(np.asarray(scene["quat_wxyz"][rows], np.float64))
     half = turn * scale[:, None, :]
-    mean = np.clip(np.asarray(scene["mean"], np.float64)[rows], -_LARGEST, _LARGEST)
+    mean = np.clip(np.asarray(scene["mean"][rows], np.float64), -_LARGEST, _LARGEST)
     if len(rows):
         small = float(np.quantile(scale.max(axis=1), 0.05)) / 16
         grid = min(_GRID_M, 2.0 ** np.floor(np.log2(max(small, 1e-9))))
@@ -160,6 +184,6 @@ def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = Tru
         mean=mean.astype(np.float32),
         covariance=(half @ half.transpose(0, 2, 1)).astype(np.float32),
         color=np.asarray(scene["color"])[rows],
-        opacity=np.asarray(scene["opacity"], np.float32)[rows],
+        opacity=np.asarray(scene["opacity"][rows], np.float32),
         visible=visible,
     )

@@ -185,9 +185,10 @@ def _matter(shown: Shown, solids: Sequence[tuple[str, Solids]]) -> FloatArray:
     """Points of Gaussians that can be seen, of hulls, and of voxels where there is nothing else."""
     found = [np.empty((0, 3))]
     for _, scene in shown.scenes:
-        mean = np.asarray(scene["mean"])[np.asarray(scene["opacity"]) >= _LEAST_OPACITY]
-        mean = mean if len(mean) else np.asarray(scene["mean"])
-        found.append(mean[:: max(1, len(mean) // _SOLID_POINTS)].astype(np.float64))
+        rows = np.flatnonzero(np.asarray(scene["opacity"]) >= _LEAST_OPACITY)
+        rows = rows if len(rows) else np.arange(len(scene["mean"]))
+        few = rows[:: max(1, len(rows) // _SOLID_POINTS)]
+        found.append(np.asarray(scene["mean"])[few].astype(np.float64))
     if not shown.scenes:
         found += [surface_points(each.corners, each.triangles, _MATTER_M) for _, each in solids]
         found += [logged.centers for logged in shown.maps.values()]
@@ -206,7 +207,7 @@ def _splat_parts(name: str, scene: Artifact, cut: Cut | None, maximum: int, note
     total = whole if isinstance(whole, int) else len(scene["mean"])
     if count < total:
         notes.append(f"{name}: {count:,} of {total:,} Gaussians, by contribution, grown to fill the gaps")
-    mean = np.asarray(scene["mean"], np.float64)[choice.row]
+    mean = np.asarray(scene["mean"][choice.row], np.float64)
     gone = np.zeros(count, np.bool_) if cut is None else cut.removes(mean, mean)
     return [
         gaussians(full, scene, choice.of(some))

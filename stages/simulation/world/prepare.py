@@ -96,7 +96,7 @@ def prepare(
         speed_m_s=parts.peak_m_s,
         max_speed_m_s=most,
         plan=plan,
-        maps=PlanMaps(cover, scene, seen),
+        maps=PlanMaps(cover, scene, seen, world.among),
         vehicle=parts.vehicle,
         behind=parts.behind() if mission.planned else None,
         given=pairs,

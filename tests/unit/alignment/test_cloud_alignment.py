@@ -196,7 +196,9 @@ def test_surfaces_along_which_it_slides_are_refused():
 
 def test_means_of_cubes():
     points = np.array([[0.0, 0, 0], [0.4, 0, 0], [1.2, 0, 0], [0.2, 0.9, 0]])
-    np.testing.assert_allclose(thinned(points, 0.5), [[0.2, 0, 0], [0.2, 0.9, 0], [1.2, 0, 0]])
+    for many in (1, 100):  # few cubes beside the points are counted in another way
+        spread = np.tile(points, (many, 1))
+        np.testing.assert_allclose(thinned(spread, 0.5), [[0.2, 0, 0], [0.2, 0.9, 0], [1.2, 0, 0]])
     with pytest.raises(InputError, match="spread too far"):
         thinned(np.array([[0.0, 0, 0], [1e12, 1e12, 1e12]]), 1e-3)
     label, count, edge = blocks(np.random.default_rng(0).uniform(size=(5000, 3)), 0.01, 40)

@@ -17,12 +17,13 @@ from support.splat_filter_model import rotation
 
 
 def ellipsoids(rng, count=30, size=3.0):
-    """An index, and centres, rotations and semi-axes."""
+    """The maps of their index and of their set, and centres, rotations and semi-axes."""
     mean = rng.uniform(-size, size, (count, 3)).astype(np.float32)
     scale = rng.uniform(0.05, 0.6, (count, 3)).astype(np.float32)
     quat = rng.normal(size=(count, 4)).astype(np.float32)
     index = _core.EllipsoidIndex(mean, scale, quat, sigma=1.0, radius=0.15)
-    return index, (mean.astype(float), np.array([rotation(q) for q in quat]), scale.astype(float))
+    made = [_core.EllipsoidMap(index), _core.EllipsoidSetMap(_core.EllipsoidSet(mean, scale, quat, 1.0))]
+    return made, (mean.astype(float), np.array([rotation(q) for q in quat]), scale.astype(float))
 
 
 def hulls(rng, count=12, size=3.0):
@@ -90,8 +91,7 @@ def distance_to_hull(p, planes, vertices):
 
 def maps(rng):
     """One map of each kind, and their union."""
-    index, _ = ellipsoids(rng)
-    parts = [_core.EllipsoidMap(index), _core.HullMap(hulls(rng)[0]), fence(rng)[0]]
+    parts = [*ellipsoids(rng)[0], _core.HullMap(hulls(rng)[0]), fence(rng)[0]]
     return [*parts, _core.MapUnion(parts)]
 
 
@@ -102,7 +102,7 @@ def sampled(a, b, count=201):
 
 def test_distances_are_those_of_other_programs():
     rng = np.random.default_rng(0)
-    index, (centre, turn, semi) = ellipsoids(rng, 4)
+    rounded, (centre, turn, semi) = ellipsoids(rng, 4)
     made, (planes, vertices) = hulls(rng, 4)
     fenced, rows = fence(rng)
     points = rng.uniform(-3, 3, (7, 3))
@@ -112,7 +112,8 @@ def test_distances_are_those_of_other_programs():
         of_ellipsoids = min(distance_to_ellipsoid(p, *each) for each in zip(centre, turn, semi, strict=True))
         of_hulls = min(distance_to_hull(p, *each) for each in zip(planes, vertices, strict=True))
         of_fence = (rows[:, 3] - rows[:, :3] @ p).min()
-        assert _core.EllipsoidMap(index).distance(p[None])[0] == pytest.approx(of_ellipsoids, abs=1e-6)
+        for each in rounded:
+            assert each.distance(p[None])[0] == pytest.approx(of_ellipsoids, abs=1e-6)
         assert _core.HullMap(made).distance(p[None])[0] == pytest.approx(of_hulls, abs=1e-6)
         assert fenced.distance(p[None])[0] == pytest.approx(of_fence, abs=1e-12)
 
@@ -130,6 +131,21 @@ def test_distances_are_exact_below_a_bound_and_1_lipschitz(seed, upto):
         assert (bounded[exact >= upto] >= upto).all()
         moved = each.distance(np.ascontiguousarray(points + step))
         assert (np.abs(moved - exact) <= np.linalg.norm(step, axis=1) * (1 + 1e-9) + 1e-9).all()
+
+
+@settings(max_examples=examples(40), deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_index_and_a_set_of_the_same_ellipsoids_are_one_map(seed):
+    rng = np.random.default_rng(seed)
+    (one, other), _ = ellipsoids(rng)
+    a = rng.uniform(-4, 4, (40, 3))
+    b = a + rng.normal(size=(40, 3))
+    np.testing.assert_allclose(one.distance(a), other.distance(a), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        one.segment_distance(a, b, 9.0), other.segment_distance(a, b, 9.0), rtol=0, atol=1e-8
+    )
+    np.testing.assert_array_equal(one.is_clear(a, b, 0.1), other.is_clear(a, b, 0.1))
+    assert one.near(a[0], 3.0, 9)["index"].tolist() == other.near(a[0], 3.0, 9)["index"].tolist()
 
 
 @settings(max_examples=examples(40), deadline=None)
@@ -187,10 +203,10 @@ def test_what_is_not_finite_is_not_clear(bad):
 @given(seed=st.integers(0, 2**32 - 1), reach=st.sampled_from([0.0, 0.5, 3.0]), most=st.integers(1, 12))
 def test_contacts_are_the_nearest_with_their_gradients(seed, reach, most):
     rng = np.random.default_rng(seed)
-    index, (_, _, semi) = ellipsoids(rng)
+    rounded, (_, _, semi) = ellipsoids(rng)
     made, (planes, vertices) = hulls(rng)
     p = rng.uniform(-3, 3, 3)
-    for each, count in ((_core.EllipsoidMap(index), len(semi)), (_core.HullMap(made), len(planes))):
+    for each, count in (*((one, len(semi)) for one in rounded), (_core.HullMap(made), len(planes))):
         found = each.near(p, reach, most)
         assert len(found["index"]) <= most
         assert (found["distance"] < reach).all()

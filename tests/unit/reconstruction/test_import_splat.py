@@ -219,7 +219,8 @@ def sheet(count, size, rng, z=0.0):
 
 def marked(mean, scale, quat=None):
     quat = np.tile([1.0, 0, 0, 0], (len(mean), 1)) if quat is None else quat
-    return floaters(mean.astype(np.float32), scale.astype(np.float32), quat.astype(np.float32))[0]
+    arrays = (each.astype(np.float32) for each in (mean, scale, quat))
+    return floaters(*arrays, np.arange(len(mean)))[0]
 
 
 def test_isolated_groups_are_floaters_and_surfaces_are_not():
@@ -283,7 +284,8 @@ def touched(mean, scale, quat, edge):
 
 def test_groups_are_those_of_a_plain_search():
     mean, scale, quat = scattered(1500, 1)
-    drop, edge = floaters(*(array.astype(np.float32) for array in (mean, scale, quat)))
+    arrays = (array.astype(np.float32) for array in (mean, scale, quat))
+    drop, edge = floaters(*arrays, np.arange(len(mean)))
     owners: dict[tuple[int, ...], list[int]] = {}
     for row, cells in enumerate(mine := touched(mean, scale, quat.astype(np.float32), edge)):
         for cell in cells:
@@ -310,10 +312,10 @@ def test_groups_are_those_of_a_plain_search():
 @pytest.mark.parametrize("part", [7, 300, 5000])
 def test_floaters_do_not_depend_on_the_parts(monkeypatch, part):
     given_ = [array.astype(np.float32) for array in scattered(5000, 2)]
-    whole = floaters(*given_)
+    whole = floaters(*given_, np.arange(len(given_[0])))
     monkeypatch.setattr("alula.stages.reconstruction.floaters._PART", part)
     monkeypatch.setattr("alula.stages.reconstruction.floaters._TREE", max(part, 100))
-    found = floaters(*given_)
+    found = floaters(*given_, np.arange(len(given_[0])))
     np.testing.assert_array_equal(found[0], whole[0])
     assert found[1] == whole[1]
 
@@ -324,7 +326,7 @@ def test_the_memory_for_floaters_is_bounded(monkeypatch):
     given_ = [array.astype(np.float32) for array in scattered(count, 3)]
     monkeypatch.setattr("alula.stages.reconstruction.floaters._PART", 2**13)
     tracemalloc.start()
-    floaters(*given_)
+    floaters(*given_, np.arange(len(given_[0])))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 200 * count

@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 from alula.schemas import errors
 from alula.schemas.artifacts.artifact import (
     Artifact,
+    artifact_hash,
+    file_hash,
+    in_memory,
     make_artifact,
     read_artifact,
     read_manifest,
     write_artifact,
 )
 from alula.schemas.artifacts.kinds import KINDS, SCENE, VOXELS
+from alula.schemas.artifacts.mapping import let_go
 from support.effort import examples
 
 
@@ -62,6 +66,7 @@ def test_equal_content_is_equal_bytes_and_rewriting_changes_nothing(tmp_path, ro
     write_artifact(first, voxels(sorted(rows)))
     write_artifact(second, read_artifact(first))
     assert first.read_bytes() == second.read_bytes()
+    assert artifact_hash(read_artifact(first)) == file_hash(first)
 
 
 def test_large_arrays_are_memory_mapped_at_multiples_of_64_bytes(path, monkeypatch):
@@ -70,6 +75,19 @@ def test_large_arrays_are_memory_mapped_at_multiples_of_64_bytes(path, monkeypat
         assert isinstance(array, np.memmap)
         assert array.offset % 64 == 0
         assert not array.flags.writeable
+
+
+def test_mapped_arrays_that_were_let_go_are_read_again(path, monkeypatch):
+    own = read_artifact(path)
+    monkeypatch.setattr("alula.schemas.artifacts.artifact.READ_AT_ONCE", 0)
+    mapped = read_artifact(path)
+    copied = in_memory(mapped)
+    for name, array in mapped.arrays.items():
+        assert not np.shares_memory(copied[name], array)
+        assert in_memory(copied)[name] is copied[name]
+        let_go(array[:2], copied[name])
+        for each in (array, copied[name]):
+            np.testing.assert_array_equal(each, own[name])
 
 
 def test_numpy_and_unzip_open_it_without_this_program(path):

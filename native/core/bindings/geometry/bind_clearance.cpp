@@ -6,6 +6,8 @@
 #include <nanobind/stl/pair.h>
 
 #include <array>
+#include <memory>
+#include <tuple>
 #include <utility>
 
 #include "alula/geometry/clearance.hpp"
@@ -64,11 +66,14 @@ void bind_clearance(nb::module_& m) {
           "__init__",
           [](EllipsoidSet* self, InRows3<float> mean, InRows3<float> scale, InRows4<float> quat_wxyz, double k,
              std::optional<InRows3<float>> loss) {
+            using Arrays = std::tuple<InRows3<float>, InRows3<float>, InRows4<float>, std::optional<InRows3<float>>>;
+            auto arrays = std::make_shared<const Arrays>(mean, scale, quat_wxyz, loss);
             const nb::gil_scoped_release release;
-            new (self) EllipsoidSet(as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss), k);
+            new (self)
+                EllipsoidSet(as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss), k, std::move(arrays));
           },
           "mean"_a, "scale"_a, "quat_wxyz"_a, "k"_a, "loss"_a = nb::none(),
-          "Copy the Gaussians; the ellipsoids are at level k, each grown by `loss` (N, 3).")
+          "Hold the arrays, which must not change; the ellipsoids are at level k, each grown by `loss` (N, 3).")
       .def("__len__", &EllipsoidSet::size)
       .def("clearance", &clearance<EllipsoidSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0,
            "progress"_a = nb::none(), kClearanceDoc);

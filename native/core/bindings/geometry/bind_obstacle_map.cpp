@@ -124,6 +124,13 @@ void bind_obstacle_map(nb::module_& m) {
             new (self) EllipsoidMap(std::move(index));
           },
           "index"_a);
+  nb::class_<EllipsoidSetMap, ObstacleMap>(m, "EllipsoidSetMap", "The ellipsoids of a set, without an index.")
+      .def(
+          "__init__",
+          [](EllipsoidSetMap* self, std::shared_ptr<EllipsoidSet> set) {
+            new (self) EllipsoidSetMap(std::move(set));
+          },
+          "set"_a);
   nb::class_<HullMap, ObstacleMap>(m, "HullMap", "Convex hulls.")
       .def(
           "__init__", [](HullMap* self, std::shared_ptr<PolytopeSet> hulls) { new (self) HullMap(std::move(hulls)); },

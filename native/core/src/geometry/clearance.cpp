@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include "alula/base/parallel.hpp"
 #include "alula/geometry/ellipsoid.hpp"
@@ -29,11 +30,10 @@ double half_width(const Box& box) {
   return 0.5 * (1 + 1e-12) * std::min({size.x, size.y, size.z});
 }
 
-Bvh tree_over(const std::vector<Box>& boxes) {
-  if (boxes.size() >= kNone) throw std::invalid_argument("too many obstacles");
-  std::vector<double> depth(boxes.size());
-  std::transform(boxes.begin(), boxes.end(), depth.begin(), half_width);
-  return Bvh(boxes, depth);
+template <class BoxOf>
+Bvh tree_over(std::size_t size, const BoxOf& box_of) {
+  if (size >= kNone) throw std::invalid_argument("too many obstacles");
+  return Bvh(static_cast<std::uint32_t>(size), box_of, half_width);
 }
 
 template <class Set>
@@ -75,7 +75,7 @@ PolytopeSet::PolytopeSet(std::span<const double> normals, std::span<const double
   for (std::size_t k = 0; k < size(); ++k) {
     for (const geometry::Vec3 vertex : polytope(k).vertices) boxes_[k].include(vertex);
   }
-  tree_ = tree_over(boxes_);
+  tree_ = tree_over(size(), [&](std::uint32_t k) { return boxes_[k]; });
 }
 
 geometry::PolytopeView PolytopeSet::polytope(std::size_t k) const {
@@ -96,25 +96,21 @@ double PolytopeSet::clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, st
 }
 
 EllipsoidSet::EllipsoidSet(std::span<const float> mean, std::span<const float> scale,
-                           std::span<const float> quat_wxyz, std::span<const float> loss, double k)
-    : mean_(mean.begin(), mean.end()),
-      scale_(scale.begin(), scale.end()),
-      quat_(quat_wxyz.begin(), quat_wxyz.end()),
-      loss_(loss.begin(), loss.end()),
-      k_(k) {
+                           std::span<const float> quat_wxyz, std::span<const float> loss, double k,
+                           std::shared_ptr<const void> owner)
+    : mean_(mean), scale_(scale), quat_(quat_wxyz), loss_(loss), k_(k), owner_(std::move(owner)) {
   if (mean.size() != scale.size() || 4 * mean.size() != 3 * quat_wxyz.size() ||
       (!loss.empty() && loss.size() != mean.size())) {
     throw std::invalid_argument("the arrays of the ellipsoids do not fit together");
   }
-  std::vector<Box> boxes(size());
-  for (std::size_t i = 0; i < boxes.size(); ++i) {
+  tree_ = tree_over(size(), [&](std::uint32_t i) {
     const Level level = this->level(i);
-    boxes[i] = bounds(ellipsoid(i, level.sigma));
+    Box box = bounds(ellipsoid(i, level.sigma));
     const geometry::Vec3 ball{level.inflation, level.inflation, level.inflation};
-    boxes[i].lower = boxes[i].lower - ball;
-    boxes[i].upper = boxes[i].upper + ball;
-  }
-  tree_ = tree_over(boxes);
+    box.lower = box.lower - ball;
+    box.upper = box.upper + ball;
+    return box;
+  });
 }
 
 Level EllipsoidSet::level(std::size_t i) const {

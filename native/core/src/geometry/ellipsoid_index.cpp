@@ -92,7 +92,8 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       boxes[i].lower = boxes[i].lower - ball, boxes[i].upper = boxes[i].upper + ball;
     }
   });
-  halves_ = geometry::Bvh(boxes, std::vector<double>(n), 8);
+  halves_ = geometry::Bvh(
+      static_cast<std::uint32_t>(n), [&](std::uint32_t i) { return boxes[i]; }, [](const Box&) { return 0.0; }, 8);
   if (splats.loss.empty()) {
     level_ = {all};
   } else {

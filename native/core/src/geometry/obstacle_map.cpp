@@ -30,6 +30,34 @@ Contact contact(ObstacleKind kind, std::uint32_t index, geometry::Vec3 p, double
   return {kind, index, distance, normal, p - distance * normal};
 }
 
+// ObstacleMap::near of a map that visits all contacts.
+void near_of(const ObstacleMap& map, geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+             MapMemory& memory) {
+  found.clear();
+  if (most == 0) return;
+  double within = reach;
+  const auto keep = [&](const Contact& c) {
+    if (!keep_least(found, most, c, nearer)) return;
+    within = std::nextafter(found.front().distance, kInfinity);  // the index decides between equal distances
+  };
+  map.visit(p, within, std::ref(keep), memory);
+  std::sort(found.begin(), found.end(), nearer);
+}
+
+// True if distance(k) is at least `needed` for all obstacles of a tree near the segment a..b.
+template <class Distance>
+bool is_clear_of(const geometry::Bvh& tree, geometry::Vec3 a, geometry::Vec3 b, double needed, MapMemory& memory,
+                 Distance&& distance) {
+  double within = needed;  // ends the search once an obstacle is nearer
+  const auto look_at = [&](std::uint32_t k) {
+    if (within < needed || !(distance(k) < needed)) return;
+    within = -kInfinity, memory.nearest = k;
+  };
+  if (memory.nearest < tree.order().size()) look_at(memory.nearest);
+  tree.visit_near(a, b - a, within, [&](std::uint32_t, std::uint32_t k) { look_at(k); });
+  return within == needed;
+}
+
 }  // namespace
 
 bool nearer(const Contact& a, const Contact& b) {
@@ -77,6 +105,41 @@ bool EllipsoidMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMem
   return is_usable(a, b, d) && !index_->is_near(a, b, with_rounding(d));
 }
 
+EllipsoidSetMap::EllipsoidSetMap(std::shared_ptr<const EllipsoidSet> set) : set_(std::move(set)) {
+  require(set_ != nullptr, "a map of ellipsoids needs a set");
+}
+
+double EllipsoidSetMap::distance(geometry::Vec3 p, double upto, MapMemory& memory) const {
+  return set_->clearance(p, p, upto, memory.nearest, memory.scratch);
+}
+
+double EllipsoidSetMap::segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const {
+  return std::max(0.0, set_->clearance(a, b, upto, memory.nearest, memory.scratch));
+}
+
+void EllipsoidSetMap::visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory&) const {
+  set_->tree().visit_near(p, {}, reach, [&](std::uint32_t, std::uint32_t k) {
+    const auto [ellipsoid, radius] = set_->grown(k);
+    const geometry::SignedDistance at = geometry::signed_distance(ellipsoid, p);
+    const double distance = at.value - radius;
+    if (distance < reach) visit(contact(ObstacleKind::ellipsoid, k, p, distance, at.normal));
+  });
+}
+
+void EllipsoidSetMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+                           MapMemory& memory) const {
+  near_of(*this, p, reach, most, found, memory);
+}
+
+bool EllipsoidSetMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const {
+  if (!is_usable(a, b, d)) return false;
+  const double needed = with_rounding(d, std::max(largest(a), largest(b)));
+  return is_clear_of(set_->tree(), a, b, needed, memory, [&](std::uint32_t k) {
+    const auto [ellipsoid, radius] = set_->grown(k);
+    return geometry::signed_distance(ellipsoid, a, b, needed + radius) - radius;
+  });
+}
+
 HullMap::HullMap(std::shared_ptr<const PolytopeSet> hulls) : hulls_(std::move(hulls)) {
   require(hulls_ != nullptr, "a map of hulls needs hulls");
   for (std::size_t k = 0; k < hulls_->size(); ++k)
@@ -108,29 +171,15 @@ void HullMap::visit(geometry::Vec3 p, const double& reach, const Visit& visit, M
 
 void HullMap::near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
                    MapMemory& memory) const {
-  found.clear();
-  if (most == 0) return;
-  double within = reach;
-  const auto keep = [&](const Contact& c) {
-    if (!keep_least(found, most, c, nearer)) return;
-    within = std::nextafter(found.front().distance, kInfinity);  // the index decides between equal distances
-  };
-  visit(p, within, std::ref(keep), memory);
-  std::sort(found.begin(), found.end(), nearer);
+  near_of(*this, p, reach, most, found, memory);
 }
 
 bool HullMap::is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const {
   if (!is_usable(a, b, d)) return false;
   const double needed = with_rounding(d, std::max({extent_, largest(a), largest(b)}));
-  double within = needed;  // ends the search once a hull is nearer
-  const auto look_at = [&](std::uint32_t k) {
-    if (within < needed || !(geometry::signed_distance(hulls_->polytope(k), a, b, needed, memory.scratch) < needed))
-      return;
-    within = -kInfinity, memory.nearest = k;
-  };
-  if (memory.nearest < hulls_->size()) look_at(memory.nearest);
-  hulls_->tree().visit_near(a, b - a, within, [&](std::uint32_t, std::uint32_t k) { look_at(k); });
-  return within == needed;
+  return is_clear_of(hulls_->tree(), a, b, needed, memory, [&](std::uint32_t k) {
+    return geometry::signed_distance(hulls_->polytope(k), a, b, needed, memory.scratch);
+  });
 }
 
 FenceMap::FenceMap(std::vector<geometry::HalfSpace> planes) : planes_(std::move(planes)) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -56,9 +57,11 @@ struct Level;  // ellipsoid.hpp
 // is that of the ellipsoid minus the radius of the ball.
 class EllipsoidSet {
  public:
-  // Copies the arrays: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz (4), loss (3) or nothing.
+  // Reads the arrays, which must not change: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz
+  // (4), loss (3) or nothing. `owner` keeps them alive as long as the set. Beside them it needs about 50 bytes per
+  // Gaussian.
   EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz,
-               std::span<const float> loss, double k);
+               std::span<const float> loss, double k, std::shared_ptr<const void> owner);
 
   // An ellipsoid, and the radius of the ball that it is grown by.
   struct Grown {
@@ -76,8 +79,9 @@ class EllipsoidSet {
   Level level(std::size_t i) const;
   geometry::Ellipsoid ellipsoid(std::size_t i, double k) const;
 
-  std::vector<float> mean_, scale_, quat_, loss_;
+  std::span<const float> mean_, scale_, quat_, loss_;
   double k_;
+  std::shared_ptr<const void> owner_;
   geometry::Bvh tree_;
 };
 

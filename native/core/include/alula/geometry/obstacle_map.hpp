@@ -94,6 +94,25 @@ class EllipsoidMap final : public ObstacleMap {
   std::shared_ptr<const EllipsoidIndex> index_;
 };
 
+// The ellipsoids of a set, by the search tree of its judge: the obstacles of an `EllipsoidMap` without an index,
+// which takes five times the memory and answers sooner.
+class EllipsoidSetMap final : public ObstacleMap {
+ public:
+  // Throws std::invalid_argument without a set.
+  explicit EllipsoidSetMap(std::shared_ptr<const EllipsoidSet> set);
+
+  MapMemory memory() const override { return {}; }
+  double distance(geometry::Vec3 p, double upto, MapMemory& memory) const override;
+  double segment_distance(geometry::Vec3 a, geometry::Vec3 b, double upto, MapMemory& memory) const override;
+  void near(geometry::Vec3 p, double reach, std::size_t most, std::vector<Contact>& found,
+            MapMemory& memory) const override;
+  void visit(geometry::Vec3 p, const double& reach, const Visit& visit, MapMemory& memory) const override;
+  bool is_clear(geometry::Vec3 a, geometry::Vec3 b, double d, MapMemory& memory) const override;
+
+ private:
+  std::shared_ptr<const EllipsoidSet> set_;
+};
+
 // Convex hulls; distances are the lower ends of their brackets, as in clearance.hpp.
 class HullMap final : public ObstacleMap {
  public:
