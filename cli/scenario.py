@@ -57,8 +57,8 @@ def command(
     """Show a scenario with all of its values and their sources.
 
     FILE is a scenario (.toml). The result is a scenario that says everything: each line ends with the source
-    of its value, which is the file, --set, the vehicle, or a default. A scenario whose parts make no sense
-    together is refused, and the message says what would work instead.
+    of its value, which is the file, --set, the vehicle, or a default. A scenario whose parts contradict one
+    another is refused, and the message says what would work instead.
     """
     from alula.cli.present import echo, print_json
 

@@ -135,8 +135,8 @@ def test_command_lines_within_sentences_have_only_options_that_exist():
         top = cli.make_context("alula", [name], resilient_parsing=True)
         command = cli.get_command(top, name)
         assert command is not None
-        known = {option for param in command.params for option in (*param.opts, *param.secondary_opts)}
-        known |= {"-h", "--help"}
+        params = command.get_params(click.Context(command, top, name))
+        known = {option for param in params for option in (*param.opts, *param.secondary_opts)} | {"-h"}
         for option in re.findall(r"(?<=[ \[])--?[a-zA-Z][\w-]*", text):
             assert option in known, f"{page}: {text}: {option}"
 
