@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
 
+from alula.cli.interruption import InterruptedWithAdvice
 from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import COVER
 from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.artifacts.parts_output import part_name
-from alula.schemas.errors import InputError
+from alula.schemas.errors import InputError, LinkError, OutputError
+from alula.stages.compression.merge_blocks import CoverStore, MemoryStore
 
 
 class FolderStore:
@@ -64,3 +67,41 @@ class FolderStore:
 
     def __len__(self) -> int:
         return len([*self._folder.glob(f"*{COVER.suffix}")])
+
+
+@contextmanager
+def covers_kept_in(folder: Path | None, inputs: Sequence[InputRef]) -> Iterator[CoverStore]:
+    """Context with a store in a folder, which stays after an interruption or the loss of all workers.
+
+    Args:
+        folder: None for a dry run.
+        inputs: of the parts.
+
+    Raises:
+        OutputError: the folder cannot be made.
+        InterruptedWithAdvice: the command was interrupted, and the folder allows it to continue.
+    """
+    if folder is None:
+        yield MemoryStore()
+        return
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot write: {error.strerror or error}") from error
+    store = FolderStore(folder, inputs)
+    try:
+        yield store
+    except KeyboardInterrupt as interruption:
+        if not len(store):
+            raise
+        raise InterruptedWithAdvice(
+            f"the same command continues from {folder.name}, {len(store):,} covers of blocks"
+        ) from interruption
+    except LinkError as error:
+        raise LinkError(f"{error}; the same command continues from {folder.name}") from error
+    except Exception:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        with suppress(OSError):
+            folder.rmdir()  # only when it is empty

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import click
 
-from alula.cli import grouped, options, parted
+from alula.cli import grouped, options
 from alula.cli.addresses import Address, Limits, limited
-from alula.cli.import_parts import import_parts, inputs_of, names_of
 from alula.cli.options import Common
 from alula.cli.progress import shown_progress
 from alula.schemas.errors import AlulaError, InputError, UsageError
@@ -73,20 +72,19 @@ def command(
     per job, whatever the number of parts. Of formats other than .splat, .ply and streamed SOG, of which it is
     one file, a part is a whole file while it is read.
     """
-    if parted.is_parted(common.output, ".scene"):
-        with local_copies(splats, limits, common) as paths:
-            import_parts(paths, config, part_gaussians, common, _shown(splats, paths))
-        return
-    if options.is_given(context, "part_gaussians"):
-        raise UsageError("--part-gaussians goes with a folder as the output, such as -o NAME.scene")
-    from alula.cli.verbs.import_splat import Splats
+    from alula.cli.parted import is_parted
+    from alula.cli.verbs.import_splat import Splats, inputs_of, names_of
     from alula.cli.verbs.verb import run_step
+    from alula.schemas.artifacts.kinds import SCENE
 
+    if options.is_given(context, "part_gaussians") and not is_parted(common.output, SCENE):
+        raise UsageError("--part-gaussians goes with a folder as the output, such as -o NAME.scene")
     with local_copies(splats, limits, common) as paths:
         shown = _shown(splats, paths)
         known_as = {paths[0]: "-"} if str(splats[0]) == "-" else shown
         found = Splats(paths, config.format, config.lod, known_as)
-        run_step(common, found.step(config), names=names_of(found.found, inputs_of(found.found), shown))
+        names = names_of(found.found, inputs_of(found.found), shown)
+        run_step(common, found.step(config, part_gaussians, common.jobs), names=names)
 
 
 def _shown(splats: Sequence[Path | Address], paths: Sequence[Path]) -> dict[Path, str]:

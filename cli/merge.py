@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from alula.cli import grouped, options, parted
+from alula.cli import grouped, options
 from alula.schemas.parameters.configs.merge import MergeConfig
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from alula.schemas.artifacts.artifact import Artifact
-    from alula.schemas.artifacts.parts import Parts
+    from alula.schemas.artifacts.provenance import Provenance
+    from alula.schemas.progress import Progress
+    from alula.stages.compression.merge_blocks import CoverStore
 
 EXAMPLES = """\b
 Examples:
@@ -24,10 +28,10 @@ Examples:
 
 @grouped.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path(), metavar="VOXELS|COVER")
-@options.from_config(MergeConfig)
+@options.fields_of(MergeConfig)
 @options.scheduler("Send blocks")
 @options.output(".cover.npz, or a folder .cover")
-def command(source: Path, config: MergeConfig, scheduler: str | None, common: options.Common) -> None:
+def command(source: Path, fields: dict[str, Any], scheduler: str | None, common: options.Common) -> None:
     """Cover voxels with a limited number of convex polytopes.
 
     Every occupied voxel lies inside a hull, in exact integers. Hulls are merged greedily: the pair that
@@ -57,20 +61,41 @@ def command(source: Path, config: MergeConfig, scheduler: str | None, common: op
     per job, and 250 bytes per voxel of a cube of blocks that is joined. A block of more than 8,388,608
     voxels, or a cover of more than 16,777,216, is refused.
     """
-    from alula.cli.merge_blocks import merge_to_file, merge_to_parts
-    from alula.schemas.artifacts.kinds import COVER, VOXELS
-    from alula.schemas.artifacts.parts import open_parts
-    from alula.schemas.artifacts.parts_join import joined
-    from alula.schemas.errors import UsageError, WrongKindError
+    import shutil
 
-    def read() -> Artifact | Parts:
-        """A cover, or voxels in parts."""
-        found = open_parts(source)
-        if found.kind not in (VOXELS, COVER):
-            raise WrongKindError(f"{source}: is {found.manifest.schema}, but voxels or a cover are needed")
-        if found.kind is COVER and (config.block_m is not None or scheduler is not None):
-            raise UsageError(f"{source}: is a cover; --block and --scheduler are for voxels")
-        return joined(found) if found.kind is COVER else found
+    from alula import _core
+    from alula.cli.block_store import covers_kept_in
+    from alula.cli.journal import JournalFile
+    from alula.cli.parted import is_parted, run_parts
+    from alula.cli.runner import run_stage
+    from alula.cli.verbs.merge import merge
+    from alula.schemas.artifacts.journal import MERGE
+    from alula.schemas.artifacts.kinds import COVER
+    from alula.schemas.artifacts.parts_output import partial_folder
+    from alula.schemas.artifacts.provenance import parameters_of
 
-    is_parted = parted.is_parted(common.output, COVER.folder_suffix)
-    (merge_to_parts if is_parted else merge_to_file)(config, scheduler, common, source, read)
+    step, inputs = merge.step(source, scheduler=scheduler, jobs=common.jobs, **fields), {"source": source}
+    if is_parted(common.output, COVER):
+        run_parts(common, COVER, parameters_of(step.config), inputs, step.into(covers_kept_in))
+        return
+    journal = JournalFile(common, MERGE, _core.MergeJournal)
+    wanted: list[Provenance] = []
+
+    def begin(provenance: Provenance) -> None:
+        journal.begin(provenance)
+        wanted.append(provenance)
+
+    def build(progress: Progress) -> Artifact:
+        def stored() -> AbstractContextManager[CoverStore]:
+            folder = partial_folder(common.output, wanted[0])
+            return covers_kept_in(None if common.dry_run else folder, wanted[0].inputs)
+
+        cover: Artifact = step.cover(progress, kept=journal.kept, stored=stored, output=common.output)
+        return cover
+
+    with journal.until_written():
+        run_stage(common, COVER, step.config, inputs, build, begin=begin)
+    journal.remove()
+    for provenance in wanted:
+        if not common.dry_run:
+            shutil.rmtree(partial_folder(common.output, provenance), ignore_errors=True)

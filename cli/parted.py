@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.parts_output import PartsWriter
 
 
-def is_parted(output: Path, folder_suffix: str) -> bool:
+def is_parted(output: Path, kind: Kind) -> bool:
     """Test whether an output is to be a folder of parts, by its name.
 
     Args:
         output: the path that the user gave.
-        folder_suffix: of the output's kind.
+        kind: of the output.
     """
-    return output.suffix == folder_suffix
+    return output.suffix == kind.folder_suffix
 
 
 def run_parts(

@@ -132,7 +132,8 @@ def look(
         InputError: the splat or the model cannot be read.
         InfeasibleError: no way through the scene was found.
     """
-    from alula.cli.library.verbs import merge, voxelize
+    from alula.cli.verbs.merge import merge
+    from alula.cli.verbs.voxelize import voxelize
     from alula.stages.reconstruction.look import crop_of, height_of
 
     if up is not None and colmap is not None:
@@ -359,7 +360,7 @@ def _size(scene: Scene, finest_m: float, fields: dict[str, Any], jobs: int) -> f
     There are at most `MOST_VOXELS`; of the size that the vehicle needs to pass through a door, four times as
     many.
     """
-    from alula.cli.library.verbs import voxelize
+    from alula.cli.verbs.voxelize import voxelize
 
     step = _step_of(max(finest_m, 1e-4))
     for size in map(_at, range(step, step + 40)):

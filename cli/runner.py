@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -219,11 +219,21 @@ def run_beside(
             status = "dry-run"
         else:
             write()
-    if common.depfile is not None and not common.dry_run:
-        prerequisites = " ".join(["", *(make_escape(index_of(path)) for path in inputs.values())])
-        written = target if mark == INDEX else common.output
-        write_text(common.depfile, make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
+    write_depfile(common, target if mark == INDEX else common.output, inputs.values())
     show(common, status, summary)
+
+
+def write_depfile(common: Common, written: Path, inputs: Iterable[Path]) -> None:
+    """Write the file of Make dependencies, if it is asked for and this is no dry run.
+
+    Args:
+        common: the shared options.
+        written: the target.
+        inputs: what it depends on.
+    """
+    if common.depfile is not None and not common.dry_run:
+        prerequisites = " ".join(["", *(make_escape(index_of(path)) for path in inputs)])
+        write_text(common.depfile, make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
 
 
 def state_of(path: Path) -> tuple[int, ...]:

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from alula.cli import grouped, options, parted
+from alula.cli import grouped, options
 from alula.cli.alignment_table import show_alignment
 from alula.cli.options import PATH, Common, Numbers, NumbersOption
 from alula.cli.present import print_json
-from alula.schemas.artifacts.provenance import Provenance, parameters_of
 from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
-from alula.schemas.progress import Progress
-
-if TYPE_CHECKING:
-    from alula.schemas.artifacts.parts import Parts
-    from alula.schemas.artifacts.parts_output import PartsWriter
-    from alula.stages.alignment.align_parts import PartsAligner
 
 EXAMPLES = """\b
 Examples:
@@ -94,13 +87,10 @@ def command(
     300 bytes per Gaussian of a part per job, and 24 bytes for each of at most 4,194,304 centres, evenly
     chosen, where --floor or --cloud compares them. An output .npz takes 300 bytes per Gaussian of the scene.
     """
-    from alula.cli.verbs.align import Files, evidence_of
+    from alula.cli.verbs.align import Files
     from alula.cli.verbs.verb import run_step
     from alula.schemas.artifacts.kinds import SCENE
-    from alula.schemas.artifacts.manifest import Manifest
     from alula.schemas.artifacts.parts import open_parts
-    from alula.stages.alignment.align_parts import PartsAligner
-    from alula.stages.progress import share
 
     files = Files(**paths)
     config = files.config_of(fields, [((a, b, c), (d, e, f), x) for a, b, c, d, e, f, x in distances])
@@ -111,20 +101,8 @@ def command(
         if not (common.quiet or common.json):
             show_alignment(alignment, common.verbose)
 
-    def build_parts(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
-        half = share(progress, 0, 0.5), share(progress, 0.5, 1)
-        parts = open_parts(scene, SCENE)
-        found = evidence_of(config, files)
-        aligner = PartsAligner(config, parts, found, common.seed, report, common.jobs, half[0])
-        align_parts(aligner, parts, writer, common.jobs, half[1])
-        return writer.whole(recorded, **aligner.whole(writer.manifests))
-
     def run(common: Common) -> None:
-        if parted.is_parted(common.output, SCENE.folder_suffix):
-            parameters, inputs = parameters_of(config), {"scene": scene} | files.inputs()
-            parted.run_parts(common, SCENE, parameters, inputs, build_parts, seed=common.seed)
-        else:
-            run_step(common, files.step(scene, config, common.seed, report))
+        run_step(common, files.step(scene, config, common.seed, report, common.jobs))
 
     if not common.json:
         run(common)
@@ -138,43 +116,6 @@ def command(
         return
     manifest = open_parts(common.output, SCENE).manifest
     print_json({**answer, "summary": manifest.summary, "alignment": _recorded(manifest)})
-
-
-def align_parts(
-    aligner: PartsAligner, parts: Parts, writer: PartsWriter, jobs: int, progress: Progress | None
-) -> None:
-    """Map and write each part that an interrupted run has not finished.
-
-    Args:
-        aligner: of the scene.
-        parts: of the scene.
-        writer: of the aligned scene.
-        jobs: threads, each with one part.
-        progress: called with (done, total) parts.
-    """
-    import msgspec
-
-    from alula.schemas.artifacts.artifact import Artifact, file_hash
-    from alula.schemas.artifacts.kinds import SCENE
-    from alula.schemas.artifacts.manifest import InputRef
-    from alula.schemas.artifacts.parts_output import WrittenPart, kept_part, part_name, write_part
-    from alula.stages.distribute import distribute
-
-    def work(number: int) -> WrittenPart:
-        ref = parts.refs[number]
-        name = ref.file if parts.is_folder else part_name(SCENE, 0)
-        if (kept := kept_part(writer.folder, name, SCENE)) is not None:
-            return kept
-        part = aligner.part(number)
-        sha256 = ref.sha256 if parts.is_folder else file_hash(parts.path)
-        source = InputRef("scene", SCENE.name, SCENE.version, sha256, parts.file(number).name)
-        manifest = msgspec.structs.replace(part.manifest, inputs=[source])
-        return write_part(writer.folder, name, Artifact(manifest, part.arrays))
-
-    for done, made in enumerate(distribute(work, range(len(parts)), jobs=jobs)):
-        writer.take(made)
-        if progress is not None:
-            progress(done + 1, len(parts))
 
 
 def _recorded(manifest: Any) -> dict[str, Any]:

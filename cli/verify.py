@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,11 +11,7 @@ from alula.cli import grouped, options
 from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
-    from alula.schemas.artifacts.artifact import Artifact
     from alula.schemas.artifacts.certificate import Certificate
-    from alula.schemas.artifacts.kinds import Kind
-    from alula.schemas.artifacts.parts import Parts
-    from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
 Examples:
@@ -130,197 +125,63 @@ def command(
 
     from alula.cli import runner
     from alula.cli.progress import shown_progress
-    from alula.cli.sources import map_role
-    from alula.cli.verify_parts import has_domains, verified, verified_part
-    from alula.schemas.artifacts.artifact import read_manifest
-    from alula.schemas.artifacts.certificate import CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, certificate_text
-    from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS
-    from alula.schemas.artifacts.lineage import require_own_map
-    from alula.schemas.artifacts.parts_join import read_whole
-    from alula.schemas.artifacts.provenance import Provenance, read_provenance
-    from alula.schemas.artifacts.signing_key import read_key
-    from alula.schemas.artifacts.tiles import TILES, WHOLE, is_tiles, open_tiles
+    from alula.cli.verbs.verify import check_name, verify
+    from alula.schemas.artifacts.certificate import certificate_text
     from alula.schemas.atomic import write_text
     from alula.schemas.errors import CheckError, UsageError
-    from alula.stages.compression.imported_files import read_imported
-    from alula.stages.compression.onboard.image import read_map
-    from alula.stages.compression.onboard.verify_tiles import verify_tiles
 
-    if output is not None and output.suffix != ".json":
-        raise UsageError(f"{output}: the certificate must end in .json")
-    if output is None and depfile is not None:
+    if output is not None:
+        check_name(output)
+    elif depfile is not None:
         raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
-    if is_tiles(proven):
-        if map_path is not None or within is not None:
-            raise UsageError("tiles are proven against --voxels, --scene and --cover; leave out other files")
-        cover = proven / WHOLE if cover is None else cover
-    elif key_path is not None:
-        raise UsageError("--key is for tiles")
-    is_plan = map_path is not None or _is_plan(proven)
-    is_map = not is_plan and (cover is not None or _is_map(proven))
-    known_as = None if is_plan or is_map else read_provenance(proven)
-    is_seen = known_as is not None and known_as.schema == SEEN.name
-    is_voxels = source is not None and known_as is not None and known_as.schema == VOXELS.name
-    if source is not None and (is_plan or is_map or is_seen or proven.is_dir() or listed is not None):
-        raise UsageError("--source is for a cover or voxels, each one file")
-    if is_voxels and (voxels is not None or scene is not None):
-        raise UsageError("voxels are proven against --source alone; leave out other files")
-    if is_plan and (map_path is None or cover is not None or voxels is not None):
-        raise UsageError(
-            "a plan is proven against the map of --map, --scene and --within; leave out other files"
-        )
+    step = verify.step(
+        proven,
+        voxels=voxels,
+        scene=scene,
+        source=source,
+        cover=cover,
+        map=map_path,
+        within=within,
+        allow_other_map=allow_other_map,
+        key=key_path,
+        certificate=listed,
+        scheduler=scheduler,
+        jobs=jobs,
+    )
     if listed is not None:
-        if is_plan or is_map or is_seen or proven.is_dir():
-            raise UsageError(f"{proven}: --certificate is for one part of a cover, a file")
         if output is not None:
             raise UsageError("--certificate compares with a certificate and writes none; leave out -o")
-        _show(common, "checked", verified_part(proven, listed, voxels, scene))
+        _show(common, "checked", step.prove(lambda done, total: None))
         return
-    is_parted = not (is_plan or is_map or is_seen) and has_domains(proven)
-    if scheduler is not None and not is_parted:
-        raise UsageError("--scheduler is for covers in parts, as merge --block makes them")
-    if (within is not None or allow_other_map) and not is_plan:
-        raise UsageError(f"{'--within' if within is not None else '--allow-other-map'} is for plans")
-    if map_path is not None and map_role(map_path) == "scene":
-        if scene is not None:
-            raise UsageError(f"{map_path} is a scene; --scene is for plans that are proven against a cover")
-        map_path, scene = None, map_path
-    role = "plan" if is_plan else "map" if is_map else "seen" if is_seen else "cover"
-    inputs = {"voxels" if is_voxels else role: proven}
-    inputs = {"map": proven / TILES} if is_tiles(proven) else inputs
-    inputs |= {"cover": map_path} if map_path is not None else {}
-    inputs |= {"within": within} if within is not None else {}
-    inputs |= {"cover": cover} if cover is not None else {}
-    inputs |= {"voxels": voxels} if voxels is not None else {}
-    inputs |= {"scene": scene} if scene is not None else {}
-    inputs |= {"source": source} if source is not None else {}
+    inputs = step.paths()
     if output is not None:
         runner.check_output(output, inputs)
-    refs = [runner.input_ref(role, path) for role, path in inputs.items()]
-    provenance = Provenance.now(CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, {}, None, refs)
-    if is_plan:
-        require_own_map(
-            proven,
-            read_manifest(proven),  # type: ignore[arg-type]
-            provenance.inputs,
-            [path.parent for path in inputs.values()],
-            allow_other=allow_other_map,
-            insist="--allow-other-map",
-        )
+        if depfile is not None:
+            runner.check_output(depfile, {**inputs, "output": output})
+    provenance = step.provenance()
+    step.check_map(provenance)
     known = output is not None and runner.current(output, provenance, force=force) is not None
     with shown_progress(common) as progress:
-        sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
-        certificate: Certificate
-        if is_parted:
-            certificate = verified(proven, voxels, scene, sha256, jobs, scheduler, progress)
-        else:
-            kinds = {
-                **{"plan": PLAN, "seen": SEEN, "cover": COVER},
-                **{"within": SEEN, "voxels": VOXELS, "scene": SCENE},
-            }
-            # Tiles are proven with a few parts of the voxels and the scene in memory; all else as a whole.
-            open_one: Any = _open if is_tiles(proven) else read_whole
-            read: dict[str, Any] = {
-                role: open_one(path, kinds[role]) for role, path in inputs.items() if role in kinds
-            }
-            if source is not None:
-                read["source"] = read_imported(source)
-            if is_tiles(proven):
-                tiles = open_tiles(proven, None if key_path is None else read_key(key_path))
-                certificate = verify_tiles(tiles, **read, sha256=sha256, jobs=jobs, progress=progress)
-            else:
-                if is_map:
-                    read = {"map": read_map(proven.read_bytes(), proven), **read}
-                certificate = prove(read, sha256=sha256, jobs=jobs, progress=progress)
-    if not certificate.covered:
+        certificate = step.prove(progress, provenance.inputs)
+    try:
+        step.require(certificate)
+    except CheckError:
         _show(common, "failed", certificate)
-        raise CheckError(f"{proven}: {certificate.complaint()}")
+        raise
     status = "checked"
     if output is not None:
         text = certificate_text(certificate, provenance)
         # An existing certificate is never trusted: it is compared with the new one.
-        status = (
-            "dry-run"
-            if dry_run
-            else "unchanged"
-            if known and output.read_bytes() == text.encode()
-            else "written"
-        )
+        is_same = known and output.read_bytes() == text.encode()
+        status = "dry-run" if dry_run else "unchanged" if is_same else "written"
         if status == "written":
             write_text(output, text)
         elif status == "unchanged":
             os.utime(output)
+        runner.write_depfile(common, output, inputs.values())
     _show(common, status, certificate)
-
-
-def _open(path: Path, kind: Kind) -> Artifact | Parts:
-    """Voxels or a scene as parts, which are not joined; all else as a whole."""
-    from alula.schemas.artifacts.kinds import COVER
-    from alula.schemas.artifacts.parts import open_parts
-    from alula.schemas.artifacts.parts_join import read_whole
-
-    return read_whole(path, kind) if kind is COVER else open_parts(path, kind)
-
-
-def prove(
-    files: Mapping[str, Any], *, sha256: Mapping[str, str], jobs: int = 0, progress: Progress | None = None
-) -> Certificate:
-    """Prove the first of the files against the others, by the stage for its kind.
-
-    Args:
-        files: artifacts by role, the proven one first: `plan`, `seen`, `cover`, `voxels`, or `map`, an
-            onboard map; `source` is a map as `read_imported` returns it.
-        sha256: of the files, by role.
-        jobs: threads; 0 is all processors.
-        progress: called with (done, total).
-
-    Raises:
-        InputError: a file has another frame, or is too large.
-    """
-    from alula.stages.compression.onboard.verify import verify_map
-    from alula.stages.compression.verify import verify, verify_voxels
-    from alula.stages.planning.verify import verify_plan
-    from alula.stages.planning.verify_seen import verify_seen
-
-    (role, proven), *rest = files.items()
-    against = dict(rest)
-    if role == "plan":
-        return verify_plan(proven, **against, sha256=sha256, jobs=jobs)
-    stages = {"map": verify_map, "seen": verify_seen, "cover": verify, "voxels": verify_voxels}
-    stage: Any = stages[role]
-    certificate: Certificate = stage(proven, **against, sha256=sha256, jobs=jobs, progress=progress)
-    return certificate
-
-
-def _is_plan(path: Path) -> bool:
-    """Test whether a file is a plan; the reader reports a file that cannot be read."""
-    from alula.schemas.artifacts.artifact import read_manifest
-    from alula.schemas.artifacts.kinds import PLAN
-    from alula.schemas.errors import AlulaError
-    from alula.schemas.files import is_special
-
-    if is_special(path):
-        return False
-    try:
-        return read_manifest(path).schema == PLAN.name
-    except (AlulaError, OSError):
-        return False
-
-
-def _is_map(path: Path) -> bool:
-    """Test whether a file begins like an onboard map; the reader reports a file that cannot be read."""
-    from alula.schemas.files import is_special
-    from alula.stages.compression.onboard.image import is_map
-
-    if is_special(path):
-        return False
-    try:
-        with path.open("rb") as file:
-            return is_map(file.read(4))
-    except OSError:
-        return False
 
 
 def _show(common: options.Common, status: str, certificate: Certificate) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,7 +20,7 @@ Examples:
 
 @grouped.command("voxelize", epilog=EXAMPLES)
 @click.argument("scene", type=options.input_path())
-@options.from_config(VoxelizeConfig)
+@options.fields_of(VoxelizeConfig)
 @grouped.option(
     "--tile",
     "tile_m",
@@ -31,11 +32,9 @@ Examples:
 )
 @options.scheduler("Send tiles, 128 voxels wide unless --tile is given,")
 @options.output(".voxels.npz, or a folder .voxels")
-@click.pass_context
 def command(
-    context: click.Context,
     scene: Path,
-    config: VoxelizeConfig,
+    fields: dict[str, Any],
     tile_m: float | None,
     scheduler: str | None,
     common: options.Common,
@@ -57,34 +56,8 @@ def command(
     (96 bytes each) and the voxels of one tile, whatever the number of parts; with --crop also a byte per
     Gaussian of the scene. Interrupted, the same command continues with the parts that are finished.
     """
-    from alula.cli.parted import is_parted
-    from alula.cli.runner import index_of, run_stage
-    from alula.cli.voxelize_parts import voxelize_parts
-    from alula.schemas.artifacts.artifact import Artifact, read_artifact
-    from alula.schemas.artifacts.kinds import SCENE, VOXELS
-    from alula.schemas.errors import InfeasibleError, InputError, UsageError
-    from alula.schemas.progress import Progress
-    from alula.stages.compression.voxelize import voxelize
+    from alula.cli.verbs.verb import run_step
+    from alula.cli.verbs.voxelize import voxelize
 
-    if config.confidence is not None and options.is_given(context, "sigma"):
-        raise UsageError("--confidence sets sigma; give one of --confidence and --sigma")
-
-    if is_parted(common.output, VOXELS.folder_suffix) or index_of(scene) != scene:
-        voxelize_parts(scene, config, tile_m, scheduler, common)
-        return
-
-    def build(progress: Progress) -> Artifact:
-        metric = read_artifact(scene, SCENE)
-        try:
-            return voxelize(
-                config,
-                metric,
-                tile_m=tile_m,
-                scheduler=scheduler,
-                jobs=common.jobs,
-                progress=progress,
-            )
-        except (InputError, InfeasibleError) as error:
-            raise error.reworded(f"{scene}: {error}") from error
-
-    run_stage(common, VOXELS, config, {"scene": scene}, build)
+    how: dict[str, Any] = {"tile_m": tile_m, "scheduler": scheduler, "jobs": common.jobs}
+    run_step(common, voxelize.step(scene, **how, scratch=common.output.parent, **fields))

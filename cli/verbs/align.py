@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
+import msgspec
+
 from alula.cli.interruption import handlers_kept
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Scene, Source, source_of
@@ -20,7 +22,12 @@ from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
     from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.manifest import Manifest
+    from alula.schemas.artifacts.parts import Parts
+    from alula.schemas.artifacts.parts_output import PartsWriter
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.parameters.keywords import ScaleAlignFields
+    from alula.stages.alignment.align_parts import PartsAligner
     from alula.stages.alignment.evidence import Correspondences
     from alula.stages.alignment.nerfstudio import TrainingFrame
     from alula.stages.alignment.scale_align import Evidence
@@ -130,6 +137,7 @@ class Files:
         config: ScaleAlignConfig,
         seed: int,
         report: Callable[[dict[str, Any]], None] = lambda alignment: None,
+        jobs: int = 0,
     ) -> Step[Scene]:
         """The alignment of a scene.
 
@@ -138,6 +146,7 @@ class Files:
             config: of `config_of`.
             seed: of all randomness.
             report: called with what was found, before it is checked.
+            jobs: threads, each with one part, where the output is a folder.
         """
         source = source_of(scene)
 
@@ -147,8 +156,44 @@ class Files:
             found = source.read(SCENE)
             return scale_align(config, found, evidence_of(config, self), seed, report)
 
+        def into(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
+            from alula.stages.alignment.align_parts import PartsAligner
+            from alula.stages.progress import share
+
+            parts = source.parts(SCENE)
+            known, begun = (config, parts, evidence_of(config, self), seed), share(progress, 0, 0.5)
+            aligner = PartsAligner(*known, report, jobs, begun)
+            _align_parts(aligner, parts, writer, jobs, share(progress, 0.5, 1))
+            return writer.whole(recorded, **aligner.whole(writer.manifests))
+
         inputs = {role: File.at(path) for role, path in self.inputs().items()}
-        return Step(Scene, config, {"scene": source} | inputs, build, seed)
+        return Step(Scene, config, {"scene": source} | inputs, build, seed, into)
+
+
+def _align_parts(
+    aligner: PartsAligner, parts: Parts, writer: PartsWriter, jobs: int, progress: Progress | None
+) -> None:
+    """Map and write each part that an interrupted run has not finished."""
+    from alula.schemas.artifacts.artifact import Artifact, file_hash
+    from alula.schemas.artifacts.manifest import InputRef
+    from alula.schemas.artifacts.parts_output import WrittenPart, kept_part, part_name, write_part
+    from alula.stages.distribute import distribute
+
+    def work(number: int) -> WrittenPart:
+        ref = parts.refs[number]
+        name = ref.file if parts.is_folder else part_name(SCENE, 0)
+        if (kept := kept_part(writer.folder, name, SCENE)) is not None:
+            return kept
+        part = aligner.part(number)
+        sha256 = ref.sha256 if parts.is_folder else file_hash(parts.path)
+        source = InputRef("scene", SCENE.name, SCENE.version, sha256, parts.file(number).name)
+        manifest = msgspec.structs.replace(part.manifest, inputs=[source])
+        return write_part(writer.folder, name, Artifact(manifest, part.arrays))
+
+    for done, made in enumerate(distribute(work, range(len(parts)), jobs=jobs)):
+        writer.take(made)
+        if progress is not None:
+            progress(done + 1, len(parts))
 
 
 def _check_evidence(config: ScaleAlignConfig, files: Files) -> None:

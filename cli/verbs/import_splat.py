@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Unpack
 
-from alula.cli.import_parts import inputs_of
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Scene
 from alula.cli.verbs.verb import Step, verb
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.files import printable
-from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
+from alula.schemas.parameters.configs.import_splat import PART_GAUSSIANS, ImportSplatConfig
 from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
     from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.manifest import InputRef, Manifest
+    from alula.schemas.artifacts.parts_output import PartsWriter, WrittenPart
+    from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.parameters.keywords import ImportSplatFields
+    from alula.stages.reconstruction.formats.registry import SplatFile
+    from alula.stages.reconstruction.formats.splats import Level
     from alula.stages.reconstruction.formats.splats import Splats as Read
+    from alula.stages.reconstruction.import_parts import Nothing
     from alula.stages.reconstruction.import_splat import Screened
+    from alula.stages.reconstruction.pieces import Piece
 
 
 @verb(ImportSplatConfig)
@@ -115,15 +121,115 @@ class Splats:
 
         return Scene(scene_of(screened), self._inputs)
 
-    def step(self, config: ImportSplatConfig) -> Step[Scene]:
+    def step(
+        self, config: ImportSplatConfig, part_gaussians: int = PART_GAUSSIANS, jobs: int = 0
+    ) -> Step[Scene]:
         """A scene of the files.
 
         Args:
             config: see `ImportSplatConfig`.
+            part_gaussians: maximum number of Gaussians of a part, where the output is a folder.
+            jobs: threads, which share the pieces of the files, where the output is a folder.
         """
         from alula.stages.reconstruction.import_splat import scene_of
 
         def build(progress: Progress) -> Artifact:
             return scene_of(self.screened(config, progress))
 
-        return Step(Scene, config, self._inputs, build)
+        def into(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
+            from alula.stages.distribute import distribute
+            from alula.stages.reconstruction.import_parts import Nothing, check_parted, whole_scene
+            from alula.stages.reconstruction.pieces import levels_of, pieces_of
+
+            levels = levels_of(self.found)
+            check_parted(config, levels)
+            pieces = list(pieces_of(self.found, part_gaussians))
+            by_role = {ref.role: ref for ref in recorded.inputs}
+            own = [[by_role[role] for role in of_file] for of_file in inputs_of(self.found)]
+
+            def work(piece: Piece) -> list[WrittenPart | Nothing]:
+                return _imported(config, piece, own[piece.file], levels, part_gaussians, writer.folder)
+
+            nothing: list[Nothing] = []
+            for done, made in enumerate(distribute(work, pieces, jobs=jobs)):
+                for one in made:
+                    if isinstance(one, Nothing):
+                        nothing.append(one)
+                    else:
+                        writer.take(one)
+                progress(done + 1, len(pieces))
+            return writer.whole(recorded, **whole_scene(config, writer.manifests, nothing, levels))
+
+        return Step(Scene, config, self._inputs, build, into=into, extra={"part_gaussians": part_gaussians})
+
+
+def inputs_of(found: Sequence[SplatFile]) -> list[dict[str, Path]]:
+    """Files to read by role, for each splat.
+
+    Args:
+        found: the splats.
+    """
+    return [
+        {
+            role if k == 0 else f"splat {k + 1}{role.removeprefix('splat')}": path
+            for role, path in one.fresh().files().items()
+        }
+        for k, one in enumerate(found)
+    ]
+
+
+def names_of(
+    found: Sequence[SplatFile], roles: Sequence[Mapping[str, Path]], shown: Mapping[Path, str]
+) -> dict[str, str]:
+    """Names to record in place of those of the files, by role.
+
+    Args:
+        found: the splats.
+        roles: files by role, for each splat; the splat itself is the first one.
+        shown: names of splats by their paths.
+    """
+    pairs = zip(found, roles, strict=True)
+    return {next(iter(files)): shown[one.path] for one, files in pairs if one.path in shown}
+
+
+def _imported(
+    config: ImportSplatConfig,
+    piece: Piece,
+    refs: Sequence[InputRef],
+    levels: Sequence[Level],
+    most: int,
+    folder: Path | None,
+) -> list[WrittenPart | Nothing]:
+    """Import and write the parts of one piece, unless an interrupted run has done so."""
+    import msgspec
+
+    from alula.schemas.artifacts.artifact import Artifact
+    from alula.schemas.artifacts.kinds import SCENE
+    from alula.schemas.artifacts.manifest import SceneManifest
+    from alula.schemas.artifacts.parts_output import kept_part, part_name, write_part
+    from alula.stages.reconstruction.import_parts import Nothing, import_piece
+
+    kept = kept_part(folder, part_name(SCENE, piece.file, piece.number, 0), SCENE)
+    if kept is not None:
+        assert isinstance(kept.manifest, SceneManifest)
+        if piece.rows is not None or kept.manifest.source["rows"] < most:  # else there may be further parts
+            return [kept]
+    made: list[WrittenPart | Nothing] = []
+    for at, scene in enumerate(import_piece(config, piece, levels, most)):
+        if isinstance(scene, Nothing):
+            made.append(scene)
+            continue
+        manifest = msgspec.structs.replace(scene.manifest, inputs=_refs_of(piece, refs))
+        name = part_name(SCENE, piece.file, piece.number, at)
+        made.append(write_part(folder, name, Artifact(manifest, scene.arrays)))
+    return made
+
+
+def _refs_of(piece: Piece, refs: Sequence[InputRef]) -> list[InputRef]:
+    """Inputs of a piece: of a streamed SOG the index and the files of one of its SOG files."""
+    if not piece.member:
+        return list(refs)
+    of_file = "splat " if piece.file == 0 else f"splat {piece.file + 1} "
+    member = PurePosixPath(piece.member)
+    inside = f"{of_file}{member.parent}/" if member.name == "meta.json" else f"{of_file}{member}"
+    return [refs[0], *(ref for ref in refs[1:] if ref.role.startswith(inside))]

@@ -19,9 +19,10 @@ from alula.cli.verbs.display import table
 from alula.schemas.artifacts.artifact import Artifact, artifact_hash, file_hash, write_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
 from alula.schemas.artifacts.manifest import CoverManifest, InputRef, LevelManifest, Manifest
+from alula.schemas.artifacts.parts import Parts, open_parts
 from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.artifacts.provenance import Provenance
-from alula.schemas.errors import InputError, WrongKindError
+from alula.schemas.errors import InfeasibleError, InputError, OutputError, WrongKindError
 
 _Ints = NDArray[np.signedinteger[Any]]
 _Floats = NDArray[np.floating[Any]]
@@ -56,6 +57,18 @@ class File:
             WrongKindError: it is of another kind.
         """
         return read_whole(self.path, kind)
+
+    def parts(self, kind: Kind) -> Parts:
+        """The artifact as parts, which are read one at a time.
+
+        Args:
+            kind: that is needed.
+
+        Raises:
+            InputError: it cannot be read.
+            WrongKindError: it is of another kind.
+        """
+        return open_parts(self.path, kind)
 
     def is_unchanged(self) -> bool:
         """Whether the file is as it was."""
@@ -129,6 +142,17 @@ class Result:
         if self.KIND is not kind:
             raise WrongKindError(f"a result is {self.KIND.name}, but {kind.name} is needed")
         return self.artifact
+
+    def parts(self, kind: Kind) -> Parts:
+        """The artifact as one part.
+
+        Args:
+            kind: that is needed.
+
+        Raises:
+            WrongKindError: it is of another kind.
+        """
+        return Parts.of(self.read(kind))
 
     @property
     def manifest(self) -> Manifest:
@@ -425,6 +449,25 @@ def source_of(given: Result | _Path) -> Result | File:
         TypeError: it is neither.
     """
     return given if isinstance(given, Result) else File.at(_path(given))
+
+
+@contextmanager
+def named(source: Result | File) -> Iterator[None]:
+    """Context whose errors name the file that was read.
+
+    Args:
+        source: a file, or a result, which has no name.
+
+    Raises:
+        InputError, InfeasibleError: those of the work, after the path of the file if they do not begin so.
+    """
+    try:
+        yield
+    except (InputError, InfeasibleError) as error:
+        is_named = isinstance(source, Result) or str(error).startswith(str(source.path))
+        if is_named or isinstance(error, OutputError):
+            raise
+        raise error.reworded(f"{source.path}: {error}") from error
 
 
 def _path(given: _Path) -> Path:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
 from alula.cli import runner
 from alula.cli.library.bar import shown
 from alula.cli.options import Common
+from alula.cli.parted import is_parted, run_parts
 from alula.cli.verbs.keywords import keywords
 from alula.cli.verbs.results import File, Result
 from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.progress import Progress
+
+if TYPE_CHECKING:
+    from alula.schemas.artifacts.manifest import Manifest
+    from alula.schemas.artifacts.parts_output import PartsWriter
+    from alula.schemas.artifacts.provenance import Provenance
 
 P = ParamSpec("P")
 R = TypeVar("R", bound=Result)
@@ -42,6 +49,9 @@ class Step(Generic[R]):
         inputs: all that the result depends on, by role; files are read by `build`.
         build: function from a progress callback to the artifact.
         seed: of all randomness, where the result depends on one.
+        into: function that writes a folder of parts and returns the manifest of the whole; None where the
+            result is one file.
+        extra: further parameters that a folder of parts depends on.
     """
 
     result: type[R]
@@ -49,6 +59,8 @@ class Step(Generic[R]):
     inputs: Mapping[str, Result | File]
     build: Callable[[Progress], Artifact]
     seed: int | None = None
+    into: Callable[[PartsWriter, Provenance, Progress], Manifest] | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def make(self, progress: Progress) -> R:
         """The result.
@@ -106,7 +118,7 @@ def made_by(name: str, step: Makes[T]) -> T:
 
 
 def run_step(common: Common, step: Step[Any], *, names: Mapping[str, str] | None = None) -> None:
-    """Run a step of a verb whose inputs are files, unless its output is already current.
+    """Run a step of a verb whose inputs are files, unless its output, a file or a folder, is already current.
 
     Args:
         common: the shared options.
@@ -117,4 +129,8 @@ def run_step(common: Common, step: Step[Any], *, names: Mapping[str, str] | None
         UsageError, InputError, OutputError: as `runner.run`.
     """
     paths = {role: one.path for role, one in step.inputs.items() if isinstance(one, File)}
+    if step.into is not None and is_parted(common.output, step.result.KIND):
+        parameters = parameters_of(step.config) | {**step.extra}
+        run_parts(common, step.result.KIND, parameters, paths, step.into, seed=step.seed, names=names)
+        return
     runner.run_stage(common, step.result.KIND, step.config, paths, step.build, seed=step.seed, names=names)

@@ -105,13 +105,13 @@ class PartsWriter:
     """An artifact in parts that is being written; made by `parts_output`.
 
     Attributes:
+        path: the folder to make.
         folder: where `write_part` writes; None for a dry run.
         kind: of the whole and of each part.
     """
 
     def __init__(self, path: Path, kind: Kind, folder: Path | None) -> None:
-        self.folder, self.kind = folder, kind
-        self._path = path
+        self.path, self.folder, self.kind = path, folder, kind
         self._parts: list[WrittenPart] = []
 
     def __len__(self) -> int:
@@ -157,7 +157,7 @@ class PartsWriter:
         Raises:
             OutputError: the index cannot be written, or the folder cannot be renamed.
         """
-        folder, path = self.folder, self._path
+        folder, path = self.folder, self.path
         if folder is None:
             return
         refs = [part.ref for part in self._parts]

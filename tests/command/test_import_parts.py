@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from unit.reconstruction.test_streamed_sog import capture
 
-from alula.cli import import_parts, main
+from alula.cli import main
+from alula.cli.verbs import import_splat as verb
 from alula.schemas.artifacts.artifact import file_hash, read_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import INDEX, open_parts
@@ -188,7 +189,7 @@ def test_an_interrupted_import_continues_with_its_parts(tmp_path, tiles, capsys,
     for path in city.iterdir():
         path.unlink()
     city.rmdir()
-    work, made = import_parts._imported, []
+    work, made = verb._imported, []
 
     def interrupted(config, piece, *others):
         if len(made) == 3:
@@ -196,7 +197,7 @@ def test_an_interrupted_import_continues_with_its_parts(tmp_path, tiles, capsys,
         made.append(piece)
         return work(config, piece, *others)
 
-    monkeypatch.setattr(import_parts, "_imported", interrupted)
+    monkeypatch.setattr(verb, "_imported", interrupted)
     capsys.readouterr()
     assert run(*words) == 130
     (left,) = tmp_path.glob("city.scene.*.partial")

@@ -151,7 +151,7 @@ def voxelized(folder, **fields):
             alula.InfeasibleError,
             "the start",
         ),
-        (lambda f: alula.verify(f / "tiny.plan.npz"), alula.UsageError, "`map`"),
+        (lambda f: alula.verify(f / "tiny.plan.npz"), alula.UsageError, "--map"),
         (lambda f: alula.simulate(f / "tiny.cover.npz", filter="no"), alula.UsageError, "no filter"),
         (lambda f: alula.report(), alula.UsageError, "needs a run"),
         (lambda f: alula.report(f / "tiny.run.mcap", format="doc"), alula.UsageError, "format"),

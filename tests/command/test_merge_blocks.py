@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula.cli import merge_blocks as command
+from alula.cli import block_store as command
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.manifest import InputRef, producer
@@ -23,7 +23,8 @@ from support.parted import write_parts
 WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "60", "--block", "1.3"]
 # The command line of the same commit even when somebody commits between two runs.
 CHILD = (
-    "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
+    "import sys; from alula.schemas.artifacts import manifest;"
+    " manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer(); from alula.cli.main import main; main(sys.argv[1:])"
 )
 

@@ -26,7 +26,8 @@ from alula.stages.compression import merge as stage
 # The command line with a journal that is written at once and often, by a program of the same commit even when
 # somebody commits between two runs.
 EAGER = (
-    "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
+    "import sys; from alula.schemas.artifacts import manifest;"
+    " manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
     " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.05, 0;"
     " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import alula
 from alula.cli import main
 from alula.schemas.artifacts import parts_join
 from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artifact
@@ -147,3 +148,19 @@ def test_no_command_replaces_its_own_input(parted, capsys):
     assert run("scale-align", scene, "-o", scene, "--scale", "2", "-f") == 2
     assert "is also an input" in capsys.readouterr().err
     assert run("info", scene, "-q") == 0
+
+
+def test_functions_of_python_take_parts_and_write_the_bytes_of_the_commands(tmp_path, parted):
+    scene, voxels = parted / "tiny.scene", parted / "tiny.voxels"
+    made = alula.voxelize(scene, size_m=0.2).save(tmp_path / "a.voxels.npz")
+    assert run("voxelize", scene, "-o", tmp_path / "b.voxels.npz", "--size", "0.2", "-q") == 0
+    assert (tmp_path / "a.voxels.npz").read_bytes() == (tmp_path / "b.voxels.npz").read_bytes()
+    assert made.summary["parts"] > 1
+    block = {"block_m": 1.0, "hulls": 30, "jobs": 1}
+    cover = alula.merge(voxels, **block).save(tmp_path / "a.cover.npz")
+    words = ["--block", "1", "--hulls", "30", "--jobs", "1", "-q"]
+    assert run("merge", voxels, "-o", tmp_path / "b.cover.npz", *words) == 0
+    assert (tmp_path / "a.cover.npz").read_bytes() == (tmp_path / "b.cover.npz").read_bytes()
+    assert alula.verify(cover, voxels=voxels, scene=scene).certificate.covered
+    with pytest.raises(alula.UsageError, match="parts that are not joined; give a folder"):
+        alula.merge(voxels, per_block=True, **block)

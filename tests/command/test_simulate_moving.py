@@ -86,7 +86,8 @@ max_time_s = 14.0
 logged = 1
 """
 EAGER = (
-    "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
+    "import sys; from alula.schemas.artifacts import manifest;"
+    " manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
     " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.1, 0;"
     " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"

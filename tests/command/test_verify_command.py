@@ -83,3 +83,13 @@ def test_another_voxels_file_with_the_same_content_is_noted(files, capsys):
     assert "note:" not in capsys.readouterr().out
     assert run(["verify", str(cover), "--voxels", str(again)]) == 0
     assert "note: the cover was made from another voxels file, tiny.voxels.npz" in capsys.readouterr().out
+
+
+def test_the_files_of_a_certificate_are_written_for_make(files, monkeypatch):
+    monkeypatch.chdir(files)
+    proven = ["verify", "tiny.cover.npz", "--voxels", "tiny.voxels.npz"]
+    words = [*proven, "-o", "a.json", "--depfile", "a.d", "-q"]
+    assert run([*words, "-n"]) == 0
+    assert not (files / "a.d").exists()
+    assert run(words) == 0
+    assert (files / "a.d").read_text() == "a.json: tiny.cover.npz tiny.voxels.npz\n"

@@ -16,28 +16,28 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from alula.cli.library.verbs import (
-        Proof,
-        merge,
-        read,
-        verify,
-        voxelize,
-    )
     from alula.cli.verbs.align import align
     from alula.cli.verbs.import_splat import import_splat
     from alula.cli.verbs.import_voxels import import_voxels
+    from alula.cli.verbs.merge import merge
     from alula.cli.verbs.pages import Page
     from alula.cli.verbs.plan import plan
+    from alula.cli.verbs.read import read
     from alula.cli.verbs.report import report
     from alula.cli.verbs.results import Cover, Plan, Scene, Seen, Voxels
     from alula.cli.verbs.runs import Run
     from alula.cli.verbs.simulate import simulate
+    from alula.cli.verbs.verify import Proof, verify
     from alula.cli.verbs.view import view
+    from alula.cli.verbs.voxelize import voxelize
     from alula.schemas.errors import AlulaError, CheckError, InfeasibleError, InputError, UsageError
     from alula.stages.filtering import public as filtering
 
 _PLACES = {
-    "cli.library.verbs": (*("read", "voxelize", "merge", "verify", "Proof"),),
+    "cli.verbs.read": ("read",),
+    "cli.verbs.voxelize": ("voxelize",),
+    "cli.verbs.merge": ("merge",),
+    "cli.verbs.verify": ("verify", "Proof"),
     "cli.verbs.runs": ("Run",),
     "cli.verbs.simulate": ("simulate",),
     "cli.verbs.pages": ("Page",),
