@@ -278,7 +278,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 640
 
 
-@pytest.mark.parametrize("where", ["verbs.runs.write_run", "missions.Mission.summary_of"])
+@pytest.mark.parametrize("where", ["verbs.runs.write_run", "missions.Trials.summary_of"])
 def test_an_interruption_after_the_last_flight_keeps_all_flights(here, where, monkeypatch, capsys):
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     words = [*WORDS, "--trials", "20"]
