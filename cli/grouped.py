@@ -15,6 +15,9 @@ _ALL = "alula.help_of_all"  # in the context: show all options
 COMMON = "Common options"
 """Heading of what nearly all commands have; always the last one."""
 
+HELP = ["-h", "--help"]
+"""Names of the option that shows the help."""
+
 MOST = 10
 """Maximum number of options without a heading; a command with no more of them in all has no headings."""
 
@@ -50,6 +53,10 @@ def option(*names: str, group: str = "", **keywords: Any) -> Callable[[F], F]:
 class Command(click.Command):
     """A command whose help groups its options."""
 
+    def get_help_option_names(self, ctx: click.Context) -> list[str]:
+        """The same names in every context: click keeps the option that it makes in the first one."""
+        return HELP
+
     def sections(self, context: click.Context) -> dict[str, list[tuple[str, str]]]:
         """Options by heading, each with its names and its help.
 
@@ -63,7 +70,7 @@ class Command(click.Command):
         for shown in self.get_params(context):
             if not isinstance(shown, click.Option) or (record := shown.get_help_record(context)) is None:
                 continue
-            is_help = not {*shown.opts}.isdisjoint(context.help_option_names)
+            is_help = not {*shown.opts}.isdisjoint(HELP)
             group = COMMON if is_help else getattr(shown, "group", "") or "Options"
             records = found.setdefault(group, [])
             records.insert(0 if shown.name == "output" else len(records), record)

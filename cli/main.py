@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from alula import __version__
+from alula.cli import grouped
 from alula.cli.interruption import InterruptedWithAdvice, Interruption
 from alula.cli.present import echo, print_json
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
@@ -115,7 +116,7 @@ class LazyGroup(click.Group):
 
 @click.group(
     cls=LazyGroup,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": grouped.HELP, "max_content_width": 100},
     epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input, 4 a check does not hold, "
     "5 infeasible, 6 link or vehicle, 130 interrupted, 141 broken pipe.",
 )

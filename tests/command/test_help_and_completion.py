@@ -156,3 +156,11 @@ def test_filters_complete_after_a_comma():
 def test_vehicles_and_options_complete():
     assert "crazyflie21" in completed(["alula", "simulate", "--vehicle", "cr"])
     assert "--min-opacity" in completed(["alula", "import-splat", "--min"])
+
+
+def test_help_has_the_same_names_whatever_context_a_command_was_first_used_in(monkeypatch):
+    """Click keeps the option that it makes in the first context, and all tests share the commands."""
+    command = cli.get_command(click.Context(cli), "plan")
+    monkeypatch.setattr(command, "_help_option", None)
+    command.get_help(click.Context(command))
+    assert "-h, --help" in command.get_help(click.Context(command, help_option_names=["-h", "--help"]))
