@@ -8,7 +8,7 @@ BIN := .venv/bin
 comma := ,
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
-LOCKED := $(BIN)/pip install -q --disable-pip-version-check --require-hashes
+LOCKED := $(BIN)/pip install -q --disable-pip-version-check --no-compile --require-hashes
 
 # Long native tests that start no thread: not run under the thread sanitizer.
 UNTHREADED := teensy_flight|wrench_filters
@@ -25,13 +25,14 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz attack test-wheel test-core wheel examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz attack test-wheel test-core wheel wheels examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
 
-demo: setup ## fly the built-in scene end to end and leave a report
-	@$(MAKE) --no-print-directory -C examples/room
+demo: ## install what the main job needs, fly the built-in scene end to end and leave a report
+	@$(MAKE) --no-print-directory --quiet -j2 .venv/.demo .venv/.installed
+	@$(MAKE) --no-print-directory -j2 --output-sync -C examples/room
 
 test: setup ## install what the tests need and run them, all but long and real-time ones: minutes
 	$(BIN)/pytest tests -n auto --dist worksteal -m "not slow and not realtime"
@@ -40,18 +41,32 @@ test-all: setup ## run all tests: long ones too, with new random examples, then 
 	ALULA_TESTS=all $(BIN)/pytest tests -m realtime
 	ALULA_TESTS=all $(BIN)/pytest tests -n auto --dist worksteal -m "not realtime"
 
-setup: .venv/.installed ## make the environment in .venv/
+setup: .venv/.dependencies .venv/.installed ## make the environment in .venv/
 
-.venv/.dependencies: .ci/requirements.lock .ci/peers.lock
+.venv/.native: .ci/native.lock
 	.ci/system-packages "$$(.ci/find-python)"
-	"$$(.ci/find-python)" -m venv .venv
-	$(LOCKED) -r .ci/requirements.lock
-	$(LOCKED) --no-deps -r .ci/peers.lock
-	touch $@
+	@echo "making .venv, with what compiles the native code"
+	@[ -x $(BIN)/pip ] || "$$(.ci/find-python)" -m venv .venv
+	@$(LOCKED) -r .ci/native.lock
+	@touch $@
 
-.venv/.installed: .venv/.dependencies pyproject.toml $(NATIVE) native/python/alula/__init__.py
-	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
-	touch $@
+.venv/.demo: .ci/demo.lock | .venv/.native
+	@echo "installing the packages of the pipeline and of its pictures"
+	@$(LOCKED) -r .ci/demo.lock
+	@touch $@
+
+.venv/.dependencies: .ci/requirements.lock .ci/peers.lock | .venv/.demo
+	.ci/system-packages --libraries
+	@echo "installing all extras and what the tests need: 2 GB"
+	@$(LOCKED) -r .ci/requirements.lock
+	@$(LOCKED) --no-deps -r .ci/peers.lock
+	@touch $@
+
+.venv/.installed: pyproject.toml $(NATIVE) native/python/alula/__init__.py | .venv/.native
+	@echo "compiling the native code on $$(nproc) processors, a minute or two"
+	@$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+	@echo "compiled"
 
 firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute
 
@@ -118,6 +133,10 @@ wheel: setup ## build the wheel and the sdist into dist/
 	ALULA_COMMIT=$$(git describe --always --dirty --abbrev=12 --exclude='*' 2>/dev/null || true) \
 	  $(BIN)/python -m build -q --no-isolation --sdist --wheel --outdir dist .
 	@ls -l dist
+
+wheels: .venv/.native ## wheels into dist/ of every CPython that a release has, as far as it is installed here
+	rm -rf dist
+	.ci/wheels
 
 # Its environment has the wheel, and sees the packages (but not the editable install) of .venv.
 test-wheel: wheel ## run smoke tests against the built wheel in an environment of its own

@@ -23,6 +23,7 @@ from alula.schemas.extras import EXTRAS, missing
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Pipeline": {
         "init": ("init", "Write a first project for a splat of your own, ready for make."),
+        "demo": ("demo", "Fly the built-in scene end to end and leave a report."),
         "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
         "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
         "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),

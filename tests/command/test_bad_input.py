@@ -198,7 +198,7 @@ def test_the_table_has_every_command():
     covered = {case.words.split()[0] for case in WRITERS.values()} | {"info", "scenario"}
     # What speaks to vehicles has tests of its own: test_fly_command.py, test_identify_command.py, …
     assert covered == set(COMMANDS) - {
-        *("completion", "doctor", "fly", "help", "identify", "init", "sim-vehicle")
+        *("completion", "demo", "doctor", "fly", "help", "identify", "init", "sim-vehicle")
     }
 
 

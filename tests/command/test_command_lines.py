@@ -24,6 +24,7 @@ PARSED = (
     (r"^alula fly ", "needs a vehicle; tests/realtime flies"),
     (r"^alula identify ", "measures a vehicle in real time"),
     (r"^alula sim-vehicle ", "serves until it is stopped"),
+    (r"^alula demo$", "runs the example of the room; tests/examples does"),
     (r"^alula view (?!.* -o )", "serves a browser until it is stopped"),
     (r"^alula doctor", "is about the machine"),
     (r"^alula verify city.cover", "needs a cover in parts; tests/command/test_city.py proves one"),

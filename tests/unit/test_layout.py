@@ -224,7 +224,7 @@ def test_all_locks_pin_the_same_versions_with_hashes():
         assert all(" --hash=sha256:" in block for block in blocks)
         found = (re.match(r"([A-Za-z0-9._-]+)==([^\s;\\]+)", block).groups() for block in blocks)
         pins[path.stem] = {re.sub(r"[._-]+", "-", package).lower(): version for package, version in found}
-    assert set(pins) == {"requirements", "runtime", "peers", "firmware", "firmware-build"}
+    assert set(pins) == {"requirements", "native", "demo", "runtime", "peers", "firmware", "firmware-build"}
     assert len(pins["runtime"]) > 80
     assert pins["runtime"].items() <= pins["requirements"].items()
     for name, versions in pins.items():
@@ -241,8 +241,10 @@ def test_the_locks_have_every_package_that_the_project_names():
         *project["project"]["dependencies"],
         *(p for e in extras if e != "crazyflie" for p in extras[e]),
     ]
-    named = {"runtime": runtime, "requirements": [*runtime, *groups["dev"]]}
-    named |= {group: groups[group] for group in ("peers", "firmware", "firmware-build")}
+    dev = [*groups["native"], *(p for p in groups["dev"] if p != {"include-group": "native"})]
+    demo = [*project["project"]["dependencies"], *extras["view"]]
+    named = {"runtime": runtime, "requirements": [*runtime, *dev], "demo": demo}
+    named |= {group: groups[group] for group in ("native", "peers", "firmware", "firmware-build")}
     for name, packages in named.items():
         locked = set(re.findall(r"^([\w.-]+)==", (ROOT / ".ci" / f"{name}.lock").read_text(), re.MULTILINE))
         wanted = {re.match(r"[\w.-]+", package).group() for package in packages} - {"alula"}
