@@ -19,7 +19,7 @@ from alula.schemas.log.run import read_run
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe
-from alula.stages.flight.recorder.samples import PlanSample, encoded
+from alula.stages.flight.recorder.samples import BeginSample, PlanSample, TickSample, decoded, encoded
 from alula.stages.runlog.maps import map_message
 from support.browser import drawn, near, opened
 from support.flight_logs import head_of, sample
@@ -84,7 +84,7 @@ def test_a_flight_offers_a_view_some_25_ticks_a_second(tmp_path):
         for i in range(100):
             recorder.tick(sample(i))
         view.offer = offer
-        assert [message[:1] for message in offered] == [b"b"] + [b"t"] * expected
+        assert [type(decoded(message)) for message in offered] == [BeginSample] + [TickSample] * expected
         recorder.finish(None)
     assert view.close(10.0)
 
@@ -101,7 +101,7 @@ def test_it_is_seen_on_loopback_only_and_ends_with_the_pipe():
     with pytest.raises(UsageError, match="in use"):
         open_view(port, view_head(made))
     for i in range(200):
-        pipe.offer(b"t" + encoded(sample(i, 0.01 * i)))
+        pipe.offer(encoded(sample(i, 0.01 * i)))
     assert pipe.close(10.0)
 
 

@@ -15,12 +15,13 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-import msgspec
 import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from alula.schemas.log.foxglove import Vector3
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
+from alula.stages.flight.recorder.samples import PlanSample, encoded
 from alula.stages.runlog.maps import map_message
 from support.browser import SOFTWARE, chromium_program
 from support.flight_logs import sample
@@ -127,10 +128,11 @@ def live(browser: object, target: Path) -> None:
     with shown(browser, address, WIDE, dark=False) as page:
         page.wait_for_selector("canvas")
         page.wait_for_timeout(3000)
-        pipe.offer(b"p" + msgspec.msgpack.encode([1.0, path[60:].tolist()]))
+        pipe.offer(encoded(PlanSample(1.0, path[60:].tolist())))
         for i, point in enumerate(path[:140].tolist()):
-            at = msgspec.structs.replace(sample(i, 0.0), position=tuple(point))
-            pipe.offer(b"t" + msgspec.msgpack.encode(at))
+            seen = sample(i)
+            seen.state.position_m = Vector3(*point)
+            pipe.offer(encoded(seen))
             page.wait_for_timeout(60)
         save(page.screenshot(), target)
     pipe.close(10.0)
