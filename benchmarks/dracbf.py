@@ -35,9 +35,9 @@ from alula.schemas.scenarios.scenario import WorldScenario, read_world
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.prepared_run import PreparedRun
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.prepared_run import PreparedRun
+from alula.stages.simulation.simulate import simulate_world
 from alula.stages.verdict import wilson_interval
 
 FloatArray = NDArray[np.float64]

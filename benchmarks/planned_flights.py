@@ -40,9 +40,9 @@ from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
-from alula.stages.simulation.world.judge import LIMITED
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.world.parts import behind_filters
+from alula.stages.simulation.judge import LIMITED
+from alula.stages.simulation.prepare import prepare
+from alula.stages.world.world import behind_filters
 
 VEHICLE_NAMES = ("crazyflie21", "fastbridge")
 FILTERS = ("cone-backup", "polytope-cbf")

@@ -36,9 +36,9 @@ from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.schemas.scenarios.defaults import vehicle_of
 from alula.schemas.scenarios.scenario import WorldScenario, decoded, plain, read_world
 from alula.stages.compression.merge import merge
-from alula.stages.simulation.world.judge import hits_static
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.judge import hits_static
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.simulate import simulate_world
 from alula.stages.verdict import wilson_interval
 from support import combinations
 

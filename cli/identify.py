@@ -109,7 +109,6 @@ def _identify(
 ) -> None:
     """Fly, fit and write."""
     from alula.schemas.log.foxglove import INFO, SceneUpdate
-    from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.recorder.channels import FlightHead
@@ -122,6 +121,7 @@ def _identify(
         make_survey,
     )
     from alula.stages.vehicles.own_limits import PARAMETERS
+    from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
 
     interrupts = Interrupts()
     head = FlightHead(

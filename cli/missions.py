@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from alula.schemas.scenarios.scenario import WorldScenario
     from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.simulation.pairs import Pairs
-    from alula.stages.simulation.world.simulate import WorldRun
+    from alula.stages.simulation.simulate import WorldRun
 
 MAPS = ("cover", "scene", "seen", "plan")  # roles of the artifacts of a mission
 _ROLES = {"vehicle.file": "vehicle", "mission.pairs_from": "pairs"}  # of files whose keys are named otherwise
@@ -206,8 +206,8 @@ class Trials:
             provenance: of the run.
             cover: that was flown in.
         """
-        from alula.stages.simulation.world.certificate import misfits
-        from alula.stages.simulation.world.summary import world_summary, world_words
+        from alula.stages.simulation.certificate import misfits
+        from alula.stages.simulation.summary import world_summary, world_words
         from alula.stages.unlike import Flown, unlike, unlike_words
 
         summary = world_summary(flown)

@@ -84,8 +84,7 @@ def command(
     from alula.schemas.artifacts.journal import TRIALS
     from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.scenarios.scenario import TEXTS
-    from alula.stages.simulation.chunks import TrialJournal
-    from alula.stages.simulation.world.chunks import FlownChunk
+    from alula.stages.simulation.chunks import FlownChunk, TrialJournal
 
     check_log_name(common.output)
     flights = simulate.step(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from alula.schemas.log.run import RunRecord, TrialResult
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
-    from alula.stages.flight.mission import Mission
+    from alula.stages.flight.mission import PlannedFlight
     from alula.stages.flight.recorder.channels import FlightHead
     from alula.stages.flight.recorder.log import FlightRecorder
     from alula.stages.flight.recorder.pipe import FlightPipe
@@ -36,7 +36,7 @@ class _Flown(NamedTuple):
 
 
 def fly(
-    mission: Mission,
+    mission: PlannedFlight,
     link: Link,
     provenance: Provenance,
     common: Common,
@@ -160,7 +160,7 @@ def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
 def _open_views(
     live: int | None,
     foxglove: int | None,
-    mission: Mission,
+    mission: PlannedFlight,
     head: FlightHead,
     paths: Mapping[str, Path],
     common: Common,
@@ -185,7 +185,7 @@ def _open_views(
 
 
 def _open_view(
-    port: int, mission: Mission, head: FlightHead, paths: Mapping[str, Path], common: Common
+    port: int, mission: PlannedFlight, head: FlightHead, paths: Mapping[str, Path], common: Common
 ) -> FlightPipe:
     """Start the live view with the map, the plan and the names in the log's head, and the splat's file."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
@@ -208,7 +208,7 @@ def _open_view(
     return view
 
 
-def _points(mission: Mission) -> Any:
+def _points(mission: PlannedFlight) -> Any:
     """Points of the plan every 0.1 s, shape (T, 3), world frame [m]."""
     from alula.stages.planning.plan_samples import sample_plan
 
@@ -216,7 +216,7 @@ def _points(mission: Mission) -> Any:
 
 
 def _finish(
-    mission: Mission,
+    mission: PlannedFlight,
     loop: ControlLoop,
     recorder: FlightRecorder,
     provenance: Provenance,

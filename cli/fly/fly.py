@@ -74,7 +74,7 @@ def fly(
     from alula.schemas.parameters.flight_defaults import filter_in
     from alula.schemas.scenarios.vehicle import contents
     from alula.schemas.scenarios.vehicles import vehicle_named
-    from alula.stages.flight.mission import Mission, make_mission
+    from alula.stages.flight.mission import PlannedFlight, make_mission
     from alula.stages.vehicles.ground import ground_of
 
     if foxglove is not None:
@@ -98,7 +98,7 @@ def fly(
         raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(config, filter_parameters={**config.filter_parameters, **settings})
     is_splat = is_among_ellipsoids(config.filter, paths)
-    mission: Mission  # made below; the link asks for its ground when it is opened
+    mission: PlannedFlight  # made below; the link asks for its ground when it is opened
     to_vehicle = route.link(
         link,
         flown,

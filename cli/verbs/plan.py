@@ -67,7 +67,7 @@ def plan(
 
     def build(progress: Progress) -> Artifact:
         from alula.stages.planning.plan import plan as stage
-        from alula.stages.world.parts import behind_filters
+        from alula.stages.world.world import behind_filters
 
         maps = given.read()
         behind = None if config.filter is None else behind_filters(config, given.vehicle, **maps, jobs=jobs)

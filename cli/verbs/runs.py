@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.artifact import Artifact
     from alula.schemas.log.flights import Flight
     from alula.schemas.scenarios.scenario import WorldScenario
-    from alula.stages.simulation.world.simulate import WorldRun
+    from alula.stages.simulation.simulate import WorldRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Flown:
             provenance: of the run.
             summary: of the trials.
         """
-        from alula.stages.simulation.world.summary import world_guarantee, world_words
+        from alula.stages.simulation.summary import world_guarantee, world_words
 
         scenario = self.flights.scenario
         return RunRecord.of(
@@ -81,7 +81,7 @@ class Flown:
             OutputError: a file cannot be written.
         """
         from alula.stages.runlog.world import write_world_log
-        from alula.stages.simulation.world.summary import world_timing
+        from alula.stages.simulation.summary import world_timing
 
         flown, scenario = self.flights, self.flights.scenario
         interface = scenario.vehicle.interface
@@ -239,9 +239,9 @@ def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialRe
         CheckError: there is one.
     """
     from alula.stages.planning.adherence import complaint
-    from alula.stages.simulation.world.certificate import uncertified_words
-    from alula.stages.simulation.world.judge import hits_static, static_clearance
-    from alula.stages.simulation.world.summary import good_outcomes
+    from alula.stages.simulation.certificate import uncertified_words
+    from alula.stages.simulation.judge import hits_static, static_clearance
+    from alula.stages.simulation.summary import good_outcomes
 
     hits = [trial for trial in trials if hits_static(trial)]
     if hits and scenario.safety.filters:

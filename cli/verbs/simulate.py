@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.manifest import InputRef
     from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.artifacts.tiles import TileFiles
-    from alula.stages.simulation.chunks import TrialJournal
-    from alula.stages.simulation.world.chunks import FlownChunk
+    from alula.stages.simulation.chunks import FlownChunk, TrialJournal
 
 Filters = str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
 
@@ -150,7 +149,7 @@ class Flights:
             UsageError, InputError: files and values do not go together.
             InfeasibleError: there are no free pairs.
         """
-        from alula.stages.simulation.world.simulate import simulate_world
+        from alula.stages.simulation.simulate import simulate_world
 
         mission = self.mission
         maps: dict[str, Artifact] = {}

@@ -23,7 +23,7 @@ from scipy.stats import qmc
 from alula.schemas.artifacts.artifact import Artifact, read_artifact
 from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.simulate import simulate_world
 
 ROOM_SPEED_M_S, TILE_SPEED_M_S = 4.1, 3.1
 PRINTED = {"return_time": 0.0, "min_speed_m_s": 0.0, "release_rad_s": 0.0, "shield": False}

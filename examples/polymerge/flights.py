@@ -28,7 +28,7 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.polytope_cbf import barrier, polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.simulation.pairs import Pairs, central_box, sample_pairs
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.prepare import prepare
 from alula.stages.vehicles.bodies import quadrotor
 from papers.polymerge.flights import COACD, OURS, RULE, SAFER, Flights
 from papers.polymerge.measure import half_spaces

@@ -9,11 +9,11 @@ from alula._core import Fence
 from alula.schemas.arrays import FloatArray
 from alula.schemas.parameters.configs.flight import FlightConfig
 from alula.schemas.scenarios.vehicle import Vehicle
-from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint
 from alula.stages.flight.loop.departures import Departures
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.loop.preflight import Needs, Obstacles
 from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint
 from alula.stages.vehicles.velocity_lag import stop_m
 
 

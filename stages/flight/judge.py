@@ -26,7 +26,7 @@ from alula.stages.compression.level import (
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
-from alula.stages.flight.mission import Mission
+from alula.stages.flight.mission import PlannedFlight
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.verdict import head, mean_path_ratio, totals
 
@@ -45,7 +45,7 @@ def outcome_of_cause(cause: Event | None) -> Outcome:
 
 
 def judge(
-    mission: Mission,
+    mission: PlannedFlight,
     rows: FloatArray,
     cause: Event | None,
     jobs: int = 0,
@@ -116,7 +116,7 @@ def judge(
     )
 
 
-def _tube(mission: Mission, plan: Artifact, jobs: int) -> PlanJudge:
+def _tube(mission: PlannedFlight, plan: Artifact, jobs: int) -> PlanJudge:
     obstacles = [each for _, each in mission.obstacles]
     return PlanJudge(plan, obstacles, mission.vehicle.body.radius_m, mission.along.tolerance_m, jobs)
 
@@ -177,7 +177,7 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
     }
 
 
-def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Guarantee:
+def guarantee_of(mission: PlannedFlight, trial: TrialResult, new_plans: int = 0) -> Guarantee:
     """Statement of what a flight shows; a real flight proves nothing about other flights.
 
     Args:
@@ -211,7 +211,7 @@ def guarantee_of(mission: Mission, trial: TrialResult, new_plans: int = 0) -> Gu
     )
 
 
-def _map_record(mission: Mission) -> dict[str, Any]:
+def _map_record(mission: PlannedFlight) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if mission.cover is not None:
         level = level_of(mission.cover)

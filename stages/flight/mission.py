@@ -46,7 +46,6 @@ from alula.stages.filtering.protocol import SafetyFilter
 from alula.stages.filtering.registry import complete_parameters, make_filter
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
-from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.departures import departures_of
 from alula.stages.flight.loop.fence_guard import FenceGuard
@@ -62,6 +61,7 @@ from alula.stages.planning.plan_samples import curve_of, sample_plan
 from alula.stages.planning.unseen import is_seen
 from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.vehicles.fence import KeepOut, fence
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
 from alula.stages.world.filters import filter_world, flown_filter, needs_index
 from alula.stages.world.obstacles import StaticWorld, static_world
@@ -79,7 +79,7 @@ _CARRYING_S = 600.0  # maximum time of checks with moves by hand
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
+class PlannedFlight:
     """Plan, vehicle and map of a real flight.
 
     Attributes:
@@ -240,7 +240,7 @@ def make_mission(
     tiles: TileFiles | None = None,
     within: Artifact | None = None,
     jobs: int = 0,
-) -> Mission:
+) -> PlannedFlight:
     """Build a mission from its artifacts, and prove again that the plan is clear of the map.
 
     The proof holds in continuous time, against hulls (`certify`) and against ellipsoids (`certify_among`).
@@ -344,7 +344,7 @@ def make_mission(
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]
     keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None
-    return Mission(
+    return PlannedFlight(
         config=config,
         plan=plan,
         vehicle=vehicle,
@@ -422,7 +422,7 @@ def _scenario(
     return completed(scenario, vehicle)
 
 
-def _scenario_of(mission: Mission) -> WorldScenario:
+def _scenario_of(mission: PlannedFlight) -> WorldScenario:
     return _scenario(
         mission.config,
         mission.vehicle,
@@ -432,7 +432,7 @@ def _scenario_of(mission: Mission) -> WorldScenario:
     )
 
 
-def make_safety(mission: Mission) -> SafetyFilter | None:
+def make_safety(mission: PlannedFlight) -> SafetyFilter | None:
     """Build the safety filter, with the parameters of `simulate`; None sends the nominal command.
 
     Args:
@@ -463,12 +463,12 @@ def make_safety(mission: Mission) -> SafetyFilter | None:
     return without_filter(told, parameters) if made is None and not mission.is_splat else made
 
 
-def _speed_m_s(mission: Mission) -> float:
+def _speed_m_s(mission: PlannedFlight) -> float:
     """Speed of the plan [m/s]."""
     return float(mission.plan.manifest.speed_m_s)  # type: ignore[attr-defined]
 
 
-def wanted_setpoints(mission: Mission, safety: SafetyFilter | None) -> tuple[type[Setpoint], ...]:
+def wanted_setpoints(mission: PlannedFlight, safety: SafetyFilter | None) -> tuple[type[Setpoint], ...]:
     """Kinds of set-points that can carry the filter's output, the best first.
 
     Args:
@@ -483,7 +483,7 @@ def wanted_setpoints(mission: Mission, safety: SafetyFilter | None) -> tuple[typ
 
 
 def make_commander(
-    mission: Mission, safety: SafetyFilter | None, accepts: frozenset[type[Setpoint]]
+    mission: PlannedFlight, safety: SafetyFilter | None, accepts: frozenset[type[Setpoint]]
 ) -> FlightCommander:
     """Build the commander: the flight of `simulate`, with the vehicle, the filter and the controller.
 
@@ -535,7 +535,7 @@ def _response_room_m_s2(vehicle: Vehicle) -> float:
     return max(found or 0.0, _RESPONSE_ROOM_M_S2)
 
 
-def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
+def make_guard(mission: PlannedFlight, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
     """Build the geofence behind the filter.
 
     Args:
@@ -547,7 +547,7 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
     )
 
 
-def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
+def make_needs(mission: PlannedFlight, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """Requirements of the flight for the pre-flight checks.
 
     Args:
@@ -573,7 +573,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     )
 
 
-def _plan_verdict(mission: Mission, setpoint: type[Setpoint]) -> tuple[bool, str]:
+def _plan_verdict(mission: PlannedFlight, setpoint: type[Setpoint]) -> tuple[bool, str]:
     """Whether a plan can be flown by set-points of a kind, and how this was found, in words.
 
     Behind accelerations that the vehicle follows late it gets faster than planned, and no filter of
@@ -616,7 +616,7 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
     )
 
 
-def make_clock(mission: Mission) -> PlanClock:
+def make_clock(mission: PlannedFlight) -> PlanClock:
     """Build the clock along the plan.
 
     Args:
@@ -625,7 +625,7 @@ def make_clock(mission: Mission) -> PlanClock:
     return PlanClock(mission.curve, mission.along.waits)
 
 
-def describe(mission: Mission) -> str:
+def describe(mission: PlannedFlight) -> str:
     """Describe the vehicle in words, for log and record.
 
     Args:
@@ -637,7 +637,7 @@ def describe(mission: Mission) -> str:
     return f"{vehicle.name}: a real quadrotor of {exact(vehicle.body.mass_kg)} kg in {sphere}"
 
 
-def head_facts(mission: Mission) -> dict[str, Any]:
+def head_facts(mission: PlannedFlight) -> dict[str, Any]:
     """Fields of `FlightHead` that the mission determines.
 
     Args:

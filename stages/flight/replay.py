@@ -14,13 +14,8 @@ from alula.schemas.log.channels import REPLAY_TOPIC, Replay
 from alula.schemas.log.mcap import messages
 from alula.stages.flight.commanders.native import FlightCommander
 from alula.stages.flight.commanders.protocol import TickInputs
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VelocitySetpoint,
-)
 from alula.stages.flight.recorder.samples import numbers_of
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,10 +10,11 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Decision
-from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VehicleState, VelocitySetpoint
+from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.plan_clock import heading_of
 from alula.stages.identification.recording import Phase, Tape
 from alula.stages.identification.steps import MAX_LEAN_RAD, Step
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint, VelocitySetpoint
 
 _DAMPED = 0.5  # gain of the position times the lag: a damping of 0.71
 _GO_M_S = 1.0  # speed between steps

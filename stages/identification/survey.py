@@ -15,7 +15,6 @@ from alula.schemas.errors import UsageError
 from alula.schemas.parameters.configs.identify import IdentifyConfig
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
-from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.departures import departures_at
 from alula.stages.flight.loop.fence_guard import FenceGuard
@@ -24,6 +23,7 @@ from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import Steps, plan_steps
 from alula.stages.vehicles.fence import fence
 from alula.stages.vehicles.own_limits import first_guess, own_limits
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.vehicles.velocity_lag import stop_m, stop_time_s
 
 _BETWEEN_S = 20.0  # maximum time from the end of a step to the start of the next

@@ -37,8 +37,8 @@ from alula.stages.runlog.messages import (
 )
 from alula.stages.runlog.piloted import pilot_fields
 from alula.stages.runlog.writer import LogWriter
+from alula.stages.simulation.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.judge import CAPPED, CERTIFIED, CERTIFIED_MOVING, INFEASIBLE, LIMITED
 
 SIMULATED_EPOCH_NS = 946_684_800 * 10**9  # 2000-01-01T00:00:00Z, when each simulated run starts
 _GAP_S = 1.0  # between trials, which follow one another in log time

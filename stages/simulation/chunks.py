@@ -1,16 +1,24 @@
-"""Trials of a scenario in chunks: a journal of finished chunks, and the flights of the others."""
+"""Trials of a scenario in chunks: what to fly, what comes back, and a journal of what is finished."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 import msgspec
 
+from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.decode import msgpack_decoder
 from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
+from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.distribute import distribute
+from alula.stages.durations import Times
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import WorldFlight
 
 
 class FlownTrials(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,6 +29,50 @@ class FlownTrials(msgspec.Struct, frozen=True, kw_only=True):
 
     first: int
     trials: list[TrialResult]
+
+
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
+    """Consecutive trials; times are measured and differ from run to run.
+
+    Attributes:
+        filter_times: of the filters, see `PreparedRun.filter_seconds`.
+        tick_times: of each tick on board.
+        command_s: time of the filter in the tick of the warning, per trial and obstacle, float64 [s]; NaN
+            without a warning.
+        reaction_s: time from the warning to the reaction, including `command_s`, float64 [s]; NaN without
+            one.
+        flights: samples of the trials that the log shows.
+    """
+
+    filter_times: Times
+    tick_times: Times
+    command_s: bytes
+    reaction_s: bytes
+    flights: list[WorldFlight]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunParts:
+    """What a run is prepared from, on this machine or another; `key` alone tells runs apart."""
+
+    key: str
+    scenario: WorldScenario = field(compare=False)
+    vehicle: Vehicle | None = field(compare=False)
+    cover: Artifact | None = field(compare=False)
+    scene: Artifact | None = field(compare=False)
+    seen: Artifact | None = field(default=None, compare=False)
+    plan: Artifact | None = field(compare=False)
+    tiles: TileFiles | None = field(default=None, compare=False)
+    pairs: Pairs | None = field(compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class TrialChunk:
+    """Consecutive trials to fly; `parts` only where they are flown elsewhere."""
+
+    parts: RunParts | None
+    first: int
+    count: int
 
 
 class _Chunk(Protocol):

@@ -14,7 +14,7 @@ from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
 from alula.schemas.parameters.filter_options import GeofenceParameters
 from alula.schemas.scenarios.tables import DisturbanceTable, FenceTable, PilotTable
-from alula.stages.simulation.world import simulate as stage
+from alula.stages.simulation import simulate as stage
 from support.paths import VEHICLES
 
 RACER = VEHICLES / "racer7.toml"

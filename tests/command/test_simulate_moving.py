@@ -19,9 +19,8 @@ from alula.schemas.artifacts.manifest import producer
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.mcap import messages
 from alula.schemas.log.run import RunRecord, read_run
-from alula.stages.simulation.chunks import TrialJournal
-from alula.stages.simulation.world import simulate as stage
-from alula.stages.simulation.world.chunks import FlownChunk
+from alula.stages.simulation import simulate as stage
+from alula.stages.simulation.chunks import FlownChunk, TrialJournal
 
 # What is random is too small to matter: what comes out can be reckoned.
 SMALL = """

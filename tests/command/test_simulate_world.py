@@ -12,7 +12,7 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
-from alula.stages.simulation.world import simulate as stage
+from alula.stages.simulation import simulate as stage
 from support.covers import with_manifest
 from support.small_scenes import box_cover, line_plan
 

@@ -14,9 +14,10 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie.link import CrazyflieLink
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import AccelerationSetpoint, Order, VelocitySetpoint
+from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from alula.stages.vehicles.frames import LocalFrame
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, VelocitySetpoint
 from support.crazyflie_peer import clock, crazyflie_vehicle, fly_until, pause, served
 
 pytest.importorskip("cflib", reason="cflib, of the extra crazyflie, is not there")

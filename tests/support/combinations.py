@@ -14,8 +14,8 @@ from alula.schemas.log.run import Outcome, TrialResult
 from alula.schemas.parameters.filter_options import FILTERS
 from alula.schemas.scenarios.defaults import vehicle_of
 from alula.schemas.scenarios.scenario import decoded
-from alula.stages.simulation.world.judge import hits_static
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.judge import hits_static
+from alula.stages.simulation.prepare import prepare
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 TIME_S = 0.3  # of a flight

@@ -7,15 +7,9 @@ import numpy as np
 from alula import _core
 from alula.schemas.errors import LinkError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    RatesSetpoint,
-    VehicleState,
-    VehicleStatus,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
 from alula.stages.vehicles.bodies import quadrotor
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 
 STEP_S = 2.5e-3
 _GAINS = _core.TrackingGains(max_tilt_rad=0.6)

@@ -643,7 +643,7 @@ def preload() -> None:
         *("alula.stages.show.viewing.page", "viser"),
         *("alula.stages.planning.plan", "alula.stages.compression.merge", "alula.stages.compression.verify"),
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
-        "alula.stages.simulation.world.simulate",
+        "alula.stages.simulation.simulate",
         *("alula.stages.reconstruction.formats.registry", "alula.stages.export.export", "zstandard"),
         *("alula.cli.simulate", "alula.cli.sources", "alula.stages.reporting.tables"),
         *(
@@ -651,7 +651,7 @@ def preload() -> None:
             "alula.stages.alignment.nerfstudio",
             "alula.stages.alignment.colmap",
         ),
-        "alula.stages.simulation.world.summary",
+        "alula.stages.simulation.summary",
     ):
         importlib.import_module(name)
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import read_vehicle
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.simulate import simulate_world
 from support.paths import VEHICLES
 from support.world_runs import set_value
 

@@ -11,9 +11,7 @@ import pytest
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    Order,
-)
+from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from alula.stages.vehicles.frames import LocalFrame

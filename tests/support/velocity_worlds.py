@@ -5,8 +5,9 @@ import dataclasses
 import msgspec
 import numpy as np
 
-from alula.stages.flight.links.protocol import VehicleState, VelocitySetpoint
+from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.vehicles.setpoints import VelocitySetpoint
 from support.flights import mission
 from support.small_scenes import box_cover, line_plan
 

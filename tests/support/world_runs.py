@@ -16,8 +16,8 @@ from alula.schemas.scenarios.vehicle import FASTBRIDGE, LimitsTable, Vehicle
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.simulate import WorldRun, simulate_world
-from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
+from alula.stages.simulation.simulate import WorldRun, simulate_world
+from alula.stages.simulation.summary import world_guarantee, world_summary, world_words
 
 IDEAL_POINT = msgspec.structs.replace(VEHICLES["double-integrator"], limits=LimitsTable())
 """A double integrator without limits."""

@@ -12,13 +12,8 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Decision, TickInputs
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import VehicleState
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 
 INTERFACES: dict[type[Setpoint], str] = {
     VelocitySetpoint: "velocity",

@@ -7,7 +7,8 @@ from typing import Protocol
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.links.protocol import Setpoint, VehicleState
+from alula.stages.flight.links.protocol import VehicleState
+from alula.stages.vehicles.setpoints import Setpoint
 
 
 @dataclass(frozen=True, slots=True)

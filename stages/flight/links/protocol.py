@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.own_safety import OwnSafety
+from alula.stages.vehicles.setpoints import Setpoint
 
 HIGHEST_M = 100.0  # maximum take-off height
 UNANSWERED, UNDONE = "no answer", "not done"  # first words of the reason if no refusal was received
@@ -47,38 +48,6 @@ class VehicleState:
             now_s: this host's monotonic clock [s].
         """
         return now_s - self.received_s + self.latency_s
-
-
-@dataclass(frozen=True, slots=True)
-class RatesSetpoint:
-    """Thrust per mass along body z [m/s^2] and body rates, shape (3,) [rad/s]."""
-
-    thrust_m_s2: float
-    omega: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class AccelerationSetpoint:
-    """Translational acceleration [m/s^2] with its reference velocity [m/s] and position [m] and the yaw.
-
-    The three vectors have shape (3,) and are in the world frame.
-    """
-
-    acceleration: FloatArray
-    velocity: FloatArray
-    position: FloatArray
-    yaw_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class VelocitySetpoint:
-    """Velocity, shape (3,), world frame [m/s], and yaw."""
-
-    velocity: FloatArray
-    yaw_rad: float
-
-
-Setpoint = RatesSetpoint | AccelerationSetpoint | VelocitySetpoint
 
 
 class Order(Enum):

@@ -16,16 +16,9 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.scenarios.vehicle import DisturbanceTable, Vehicle, check_vehicle, read_vehicle
 from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    Order,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VehicleStatus,
-    VelocitySetpoint,
-    check_height,
-)
-from alula.stages.flight.links.simulated_body import STEP_S, Body
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus, check_height
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.vehicles.simulated_body import STEP_S, Body
 
 _SILENCE_S = 0.3  # a set-point expires after this time, as with GUID_TIMEOUT
 _MAX_BEHIND_S = 0.25  # real time that one poll catches up; more is skipped

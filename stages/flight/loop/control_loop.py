@@ -22,14 +22,7 @@ from alula.schemas.log.foxglove import ERROR, INFO, WARNING
 from alula.stages.durations import Durations
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander, Decision
-from alula.stages.flight.links.protocol import (
-    Link,
-    Order,
-    Setpoint,
-    VehicleState,
-    VelocitySetpoint,
-    refusal_words,
-)
+from alula.stages.flight.links.protocol import Link, Order, VehicleState, refusal_words
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
@@ -59,6 +52,7 @@ from alula.stages.flight.replan.replanner import Replanner
 from alula.stages.flight.watchdog.watchdog import Watchdog
 from alula.stages.planning.adherence import FINISHED_M, FINISHED_M_S
 from alula.stages.planning.plan_samples import curve_of, path_of
+from alula.stages.vehicles.setpoints import Setpoint, VelocitySetpoint
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason

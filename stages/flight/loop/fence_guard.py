@@ -11,13 +11,8 @@ from alula._core import Fence, Geofence, RacerModel
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import Vehicle
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import VehicleState
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 
 # For a fence around a room rather than an airfield: it pushes the vehicle off walls at short distances only.
 # beta is the one wanted, so that commands a few decimetres away from the limit do not change; ticks that are

@@ -13,10 +13,11 @@ from alula._core import EllipsoidSet, Fence, PolytopeSet
 from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.own_safety import OwnSafety
-from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
+from alula.stages.flight.links.protocol import HIGHEST_M, VehicleState, VehicleStatus
 from alula.stages.flight.loop.departures import Departures
 from alula.stages.flight.loop.failsafe_check import failsafe_faults
 from alula.stages.rotation import matrix_from_quat_wxyz
+from alula.stages.vehicles.setpoints import Setpoint
 
 Obstacles = PolytopeSet | EllipsoidSet
 

@@ -10,14 +10,8 @@ import math
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.flight.commanders.protocol import Decision
-from alula.stages.flight.links.protocol import (
-    Order,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VehicleStatus,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint, VelocitySetpoint
 
 _FAILSAFE_S = 1.0  # a failsafe changes the mode this long after it was reported at most
 _UNKNOWN_S = 1.0  # a health value may be unknown for this long

@@ -13,16 +13,11 @@ from alula.schemas.log.channels import OF_BARRIER, Replay, Safety, State, Superv
 from alula.schemas.log.foxglove import ERROR, INFO, WARNING, Quaternion, Vector3
 from alula.schemas.log.run import RunRecord
 from alula.stages.flight.commanders.protocol import Decision
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VehicleStatus,
-)
+from alula.stages.flight.links.protocol import VehicleState, VehicleStatus
 from alula.stages.flight.loop.fence_guard import Guarded
 from alula.stages.flight.loop.supervisor import Event, Taken
 from alula.stages.flight.loop.supervisor import State as Phase
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint
 
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}

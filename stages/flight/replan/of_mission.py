@@ -10,7 +10,7 @@ import numpy as np
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.parameters.flight_defaults import planned_interface
 from alula.stages.filtering.registry import filter_kind
-from alula.stages.flight.mission import Mission
+from alula.stages.flight.mission import PlannedFlight
 from alula.stages.flight.replan.process import Planner, PlannerProcess
 from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
 from alula.stages.flight.replan.task import KeptMap, ReplanFacts
@@ -24,7 +24,7 @@ _STEP_S = 0.02  # of the plan, whose lowest point is looked for
 _FOOT = 1.5  # of radius and margin: the last part of a way home, as in the checks before the flight
 
 
-def replan_facts(mission: Mission) -> ReplanFacts | None:
+def replan_facts(mission: PlannedFlight) -> ReplanFacts | None:
     """What all new plans of a flight have in common; None if no new plans are to be made.
 
     Plans keep to what the vehicle's autopilot follows where it is flown by velocities or accelerations. They
@@ -80,13 +80,13 @@ def _has_more(plan: Artifact) -> bool:
     return turns or bool(zones) or any(each.kind == "gate" or each.hold_s > 0 for each in passes_of(plan))
 
 
-def _interface(mission: Mission) -> dict[str, str]:
+def _interface(mission: PlannedFlight) -> dict[str, str]:
     """What the vehicle is commanded by, as a parameter of `plan`."""
     roles = ("scene",) if mission.is_splat else ("cover",)
     return {"interface": planned_interface([mission.config.filter], filter_kind, roles)}
 
 
-def maps_of(mission: Mission) -> dict[str, Artifact]:
+def maps_of(mission: PlannedFlight) -> dict[str, Artifact]:
     """Maps of a flight by role.
 
     Args:
@@ -96,7 +96,7 @@ def maps_of(mission: Mission) -> dict[str, Artifact]:
     return {role: each for role, each in maps.items() if each is not None}
 
 
-def make_planner(mission: Mission, paths: Mapping[str, Path]) -> PlannerProcess | None:
+def make_planner(mission: PlannedFlight, paths: Mapping[str, Path]) -> PlannerProcess | None:
     """Start the process that makes new plans; None if no new plans are to be made.
 
     Args:
@@ -110,7 +110,7 @@ def make_planner(mission: Mission, paths: Mapping[str, Path]) -> PlannerProcess 
     return None if facts is None else PlannerProcess(facts, mission.vehicle, maps_of(mission), paths)
 
 
-def make_replanner(mission: Mission, planner: Planner) -> Replanner:
+def make_replanner(mission: PlannedFlight, planner: Planner) -> Replanner:
     """Decide when new plans are asked for, and join them.
 
     Args:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.flight.links.simulated_body import Body
 from alula.stages.rotation import multiply_quat_wxyz
+from alula.stages.vehicles.simulated_body import Body
 
 _UNKNOWN_M2, _KNOWN_M2 = 100.0, 1e-4  # variances
 _WEIGHT = 0.2  # fraction of the difference to a pose by which the estimate is corrected

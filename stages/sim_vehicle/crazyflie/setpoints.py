@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.flight.links.crazyflie.setpoints import expand_quat_wxyz
 from alula.stages.sim_vehicle.crazyflie.planner import Goal
+from alula.stages.vehicles.packed_attitude import expand_quat_wxyz
 
 PID, MELLINGER, LEE, OUT_OF_TREE = 1, 2, 5, 6
 

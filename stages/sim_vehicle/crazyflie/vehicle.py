@@ -18,9 +18,6 @@ import numpy as np
 
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import Vehicle
-from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz
-from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint
-from alula.stages.flight.links.simulated_body import STEP_S, Body
 from alula.stages.sim_vehicle.crazyflie.estimator import Estimator
 from alula.stages.sim_vehicle.crazyflie.planner import Goal, Plan, Planner
 from alula.stages.sim_vehicle.crazyflie.setpoints import (
@@ -35,6 +32,9 @@ from alula.stages.sim_vehicle.crazyflie.setpoints import (
 )
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage, Supervisor
 from alula.stages.sim_vehicle.crazyflie.tables import LogTable, ParameterTable
+from alula.stages.vehicles.packed_attitude import compress_quat_wxyz
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint
+from alula.stages.vehicles.simulated_body import STEP_S, Body
 
 PROTOCOL = 12
 BASE_PORT = 19850  # UDP port that clients scan first

@@ -25,11 +25,11 @@ from alula.schemas.scenarios.scenario import WorldScenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.durations import Times
-from alula.stages.simulation.world.left_out import left_out
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.prepared_run import PreparedRun
-from alula.stages.simulation.world.simulate import WorldRun
-from alula.stages.simulation.world.summary import world_guarantee
+from alula.stages.simulation.left_out import left_out
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.prepared_run import PreparedRun
+from alula.stages.simulation.simulate import WorldRun
+from alula.stages.simulation.summary import world_guarantee
 from support.attack.outcome import Outcome
 from support.fabricate import exact_hull, make_cover
 

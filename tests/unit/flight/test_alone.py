@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
-from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.mission import make_needs
+from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
 from support.flights import BALL, mission
 from support.lockstep import Flight, Upset, stall
 from support.paths import VEHICLES

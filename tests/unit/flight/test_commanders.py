@@ -10,16 +10,12 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    VehicleState,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.mission import make_commander, make_safety
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.flights import BALL, START, mission
 from support.reference_flights import along, vehicle_of
 from support.small_scenes import box_cover, line_plan

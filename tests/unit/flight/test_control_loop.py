@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 
 from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    RatesSetpoint,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.mission import make_safety
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import (
     BALL,

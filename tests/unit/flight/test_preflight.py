@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from alula.stages.flight.links.protocol import RatesSetpoint, VehicleState, VehicleStatus
+from alula.stages.flight.links.protocol import VehicleState, VehicleStatus
 from alula.stages.flight.loop.frame_check import HandCheck, MotionCheck
 from alula.stages.flight.loop.preflight import CHECKS, Observed, climb, verdicts
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.mission import make_needs, make_safety, wanted_setpoints
+from alula.stages.vehicles.setpoints import RatesSetpoint
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, fly, loop_of, mission
 from support.small_scenes import box_cover, line_plan

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, IdentifiedTable, VelocitiesTable
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
-from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
-from alula.stages.flight.links.simulated_body import STEP_S, Body
 from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
+from alula.stages.vehicles.simulated_body import STEP_S, Body
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
 from support.autopilot_client import EXACT, Client
 from support.crazyflie_rehearsal import Rehearsal

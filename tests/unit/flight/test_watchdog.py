@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.wire import Wire
-from alula.stages.flight.links.protocol import Place, VelocitySetpoint, Ward
+from alula.stages.flight.links.protocol import Place, Ward
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.watchdog import companion, watchdog
 from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S, STOPPING_S, Frames, Takeover
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
+from alula.stages.vehicles.setpoints import VelocitySetpoint
 from support.flights import BALL, mission
 from support.lockstep import Flight, Upset, interrupt, stall
 from support.mavlink_peer import m, vehicle

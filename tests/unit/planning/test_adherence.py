@@ -18,8 +18,8 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.adherence import PlanJudge, complaint, outcome_of_plan, require_room, via_tolerance
 from alula.stages.planning.plan import plan, resolve_plan
 from alula.stages.planning.plan_samples import sample_plan
-from alula.stages.simulation.world.simulate import simulate_world
-from alula.stages.simulation.world.summary import world_summary
+from alula.stages.simulation.simulate import simulate_world
+from alula.stages.simulation.summary import world_summary
 from support.covers import boxes_cover
 from support.effort import examples
 

@@ -7,11 +7,11 @@ from scipy.interpolate import PPoly
 
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, VelocitiesTable
-from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from alula.stages.flight.mission import make_needs
 from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan import plan, resolve_plan
 from alula.stages.vehicles.following import following_options, shaped_stop_s
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.flights import BALL, mission
 from support.small_scenes import box_cover
 

@@ -19,7 +19,7 @@ from alula.stages.planning.limits import LIMIT_SHARE, motion_limits
 from alula.stages.planning.plan import plan
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.prepare import prepare
 from alula.stages.vehicles.bodies import quadrotor
 from support.covers import boxes_cover
 from support.effort import examples

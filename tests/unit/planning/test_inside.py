@@ -12,7 +12,7 @@ from alula.stages.planning.endpoints import free_points
 from alula.stages.planning.inside import enclosed, inside_of
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import mapped_box, plan_space
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.simulate import simulate_world
 from support.covers import with_manifest
 from support.small_scenes import box_cover
 

@@ -13,7 +13,7 @@ from alula.stages.planning.mapped import Mapped
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
 from alula.stages.planning.trajectory import evaluate
-from alula.stages.simulation.world.simulate import simulate_world
+from alula.stages.simulation.simulate import simulate_world
 from support.covers import with_manifest
 from support.small_scenes import box_cover
 

@@ -12,7 +12,7 @@ from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
-from alula.stages.simulation.world.simulate import prepare
+from alula.stages.simulation.simulate import prepare
 from support.fabricate import make_scene
 from support.world_runs import flown, scenario_of
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.flight.links.protocol import RatesSetpoint, VehicleState
+from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.identification.step_flight import StepFlight
 from alula.stages.identification.steps import LEAN_RAD, MAX_LEAN_RAD, plan_steps
 from alula.stages.vehicles.own_limits import PARAMETERS, first_guess, own_limits, rate_notes
+from alula.stages.vehicles.setpoints import RatesSetpoint
 
 BEFORE = {  # ArduPilot Copter 4.6
     "WPNAV_SPEED_UP": 250.0,

@@ -10,7 +10,7 @@ from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.flight import mission as flight
-from alula.stages.world.parts import parts_of
+from alula.stages.world.world import make_world
 from support import flights
 from support.small_scenes import ball_scene, box_cover, line_plan
 
@@ -34,7 +34,7 @@ def told_by_simulate(name, **given):
         "mission": {"kind": "goal", "start_m": flights.START, "goal_m": flights.GOAL},
         "safety": {"filters": [name]},
     }
-    return parts_of(decoded(tree, "case"), FASTBRIDGE, **given).told
+    return make_world(decoded(tree, "case"), FASTBRIDGE, **given).told
 
 
 @pytest.mark.parametrize(

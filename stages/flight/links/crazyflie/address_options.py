@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from alula.schemas.errors import UsageError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.protocol import AccelerationSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, Setpoint, VelocitySetpoint
 
 # Values of stabilizer.controller, and the set-points that each controller can fly. PID ignores accelerations.
 # Given a velocity, Mellinger descends to height 0 and Lee stops the motors.

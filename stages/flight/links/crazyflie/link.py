@@ -18,18 +18,13 @@ from alula.stages.flight.links.crazyflie.address_options import read_address_opt
 from alula.stages.flight.links.crazyflie.orders import Motion, Orders
 from alula.stages.flight.links.crazyflie.parameters import Parameters
 from alula.stages.flight.links.crazyflie.session import Session
-from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder, expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder
 from alula.stages.flight.links.mocap import PoseFeed
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    Setpoint,
-    VehicleState,
-    VehicleStatus,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
 from alula.stages.flight.links.vehicle_clock import VehicleClock
+from alula.stages.vehicles.packed_attitude import expand_quat_wxyz
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, Setpoint, VelocitySetpoint
 
 _STATE = [f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")]
 _STATE += [f"stateEstimateZ.rate{name}" for name in ("Roll", "Pitch", "Yaw")]

@@ -12,13 +12,8 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink.ardupilot_failsafes import ARDUPILOT_SAFETY, ardupilot_safety
 from alula.stages.flight.links.mavlink.px4_failsafes import PX4_SAFETY, px4_safety
 from alula.stages.flight.links.own_safety import OwnSafety
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VelocitySetpoint,
-)
 from alula.stages.vehicles.own_limits import RESPONSES
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 
 _MULTICOPTERS = (2, 13, 14, 15, 29, 35)  # MAV_TYPE
 _THROTTLE_HZ = 25.0

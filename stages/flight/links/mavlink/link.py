@@ -29,15 +29,8 @@ from alula.stages.flight.links.mavlink.setpoints import SetpointEncoder
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
 from alula.stages.flight.links.mocap import Mocap
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    Order,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-    VehicleStatus,
-    Ward,
-    check_height,
-)
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus, Ward, check_height
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint
 
 _ANSWER_S = 2.0
 _OPTIONAL_S = 0.6  # for the answer of a vehicle that may not have a parameter

@@ -12,12 +12,8 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.options import Limits
-from alula.stages.flight.links.protocol import (
-    RatesSetpoint,
-    Setpoint,
-    VelocitySetpoint,
-)
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
+from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint, VelocitySetpoint
 
 # Bits of type_mask: fields that the vehicle ignores.
 RATES_MASK = 128  # SET_ATTITUDE_TARGET: ignores the attitude, uses all three rates and the thrust

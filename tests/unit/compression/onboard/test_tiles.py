@@ -33,7 +33,7 @@ from alula.stages.filtering.obstacles import tile_set
 from alula.stages.filtering.polytope_cbf import polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.prepare import prepare
 from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples
 from support.fabricate import exact_hull, make_cover

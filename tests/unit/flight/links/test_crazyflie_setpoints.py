@@ -14,9 +14,9 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.crazyflie.setpoints import LEAD_S, SetpointEncoder
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import Limits, LinkOptions
-from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.vehicles.frames import LocalFrame
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 
 G = 9.81
 

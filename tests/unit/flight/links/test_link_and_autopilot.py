@@ -9,14 +9,10 @@ import pytest
 
 from alula.schemas.errors import LinkError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    RatesSetpoint,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.common.faults import Fault
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.autopilot_client import EXACT, QUICK
 from support.mocap_samples import sample
 from support.served_autopilot import FRAME, G, Served, flight, stream, take_off

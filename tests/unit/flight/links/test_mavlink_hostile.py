@@ -18,9 +18,7 @@ from alula.stages.flight.links.mavlink.session import WANTED
 from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    Order,
-)
+from alula.stages.flight.links.protocol import Order
 from alula.stages.vehicles.frames import LocalFrame
 from support.effort import examples
 from support.mavlink_peer import Peer, Time, m, said, vehicle

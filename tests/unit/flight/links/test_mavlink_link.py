@@ -12,11 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.options import Limits
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    VelocitySetpoint,
-)
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.effort import examples
 from support.mavlink_peer import FRAME, Peer, m, vehicle
 

@@ -8,11 +8,8 @@ import pytest
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    Order,
-    RatesSetpoint,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order
+from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
 from support.mavlink_peer import ARDUPILOT, FRAME, PX4, Peer, m, vehicle
 
 

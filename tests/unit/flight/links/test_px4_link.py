@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    RatesSetpoint,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.autopilot_client import QUICK
 from support.mocap_samples import sample
 from support.served_autopilot import FRAME, G, Served, flight, stream, take_off

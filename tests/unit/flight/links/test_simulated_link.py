@@ -18,13 +18,8 @@ from alula.stages.flight.links.addresses import check_address, parse_address
 from alula.stages.flight.links.mavlink.hover import HoverThrottle, hover_from, throttle_of
 from alula.stages.flight.links.open_link import link_schemes, open_link
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Order,
-    RatesSetpoint,
-    VehicleState,
-    VelocitySetpoint,
-)
+from alula.stages.flight.links.protocol import Order, VehicleState
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 
 G = 9.81
 

@@ -18,9 +18,9 @@ from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from alula.stages.simulation.moving import moving_spec
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
+from alula.stages.world.moving import moving_spec
 from support import fabricate
 from support.fabricate import make_scene
 from support.quadrotor_model import E3, body_to_inertial

@@ -35,13 +35,13 @@ _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii large
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class World:
     """What does not depend on the missions.
 
     Attributes:
         scenario: completed.
         vehicle: that it names.
-        world: static obstacles.
+        static: obstacles that do not move.
         told: what the filters were built for.
         spec, options: what the computer on board knows.
         filters: native, in their order.
@@ -53,7 +53,7 @@ class Parts:
 
     scenario: WorldScenario
     vehicle: Vehicle
-    world: StaticWorld
+    static: StaticWorld
     told: FilterWorld
     spec: _core.VehicleSpec
     options: _core.FlightOptions
@@ -94,7 +94,7 @@ class Parts:
         )
 
 
-def parts_of(
+def make_world(
     scenario: WorldScenario,
     vehicle: Vehicle | None = None,
     *,
@@ -105,7 +105,7 @@ def parts_of(
     tiles: TileFiles | None = None,
     ends: FloatArray | None = None,
     jobs: int = 0,
-) -> Parts:
+) -> World:
     """Make them.
 
     Args:
@@ -155,10 +155,10 @@ def parts_of(
     extent = _extent(full, world, most, max(lag_s), ends, plan)
     known_m_s = most if math.isfinite(most) else PLAN_SPEED_FACTOR * peak  # a point may have no limit
     told = filter_world(full, vehicle, world, speed_m_s=peak, max_speed_m_s=known_m_s, extent_m=extent)
-    return Parts(
+    return World(
         scenario=full,
         vehicle=vehicle,
-        world=world,
+        static=world,
         told=told,
         spec=spec,
         options=_options(full),
@@ -209,7 +209,7 @@ def behind_filters(
     }
     try:
         scenario = decoded(tree, "--filter")
-        return parts_of(scenario, vehicle, cover=cover, scene=scene, seen=within, jobs=jobs).behind()
+        return make_world(scenario, vehicle, cover=cover, scene=scene, seen=within, jobs=jobs).behind()
     except UsageError as error:
         raise UsageError(f"--filter {config.filter}: {str(error).removeprefix('--filter: ')}") from error
 

@@ -18,9 +18,9 @@ from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWo
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.runlog import world as runlog
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import simulate_world
-from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_words
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.simulate import simulate_world
+from alula.stages.simulation.summary import world_guarantee, world_summary, world_words
 from support.foreign_filters import provide
 from support.small_scenes import ball_scene, box_cover, line_plan
 from support.world_runs import set_value

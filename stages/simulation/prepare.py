@@ -15,17 +15,17 @@ from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan
-from alula.stages.simulation.moving import moving_spec
+from alula.stages.simulation.among_hulls import note_of_psi
+from alula.stages.simulation.encounters import risk_window_s, seen_by, watcher
+from alula.stages.simulation.judge import WorldJudge
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.piloted import is_fenced, pilots_geofence, start_h_i
 from alula.stages.simulation.planned import PlanMaps
-from alula.stages.simulation.world.among_hulls import note_of_psi
-from alula.stages.simulation.world.encounters import risk_window_s, seen_by, watcher
-from alula.stages.simulation.world.judge import WorldJudge
-from alula.stages.simulation.world.piloted import is_fenced, pilots_geofence, start_h_i
-from alula.stages.simulation.world.prepared_run import PreparedRun
-from alula.stages.simulation.world.tasks import Missions, missions_of
+from alula.stages.simulation.prepared_run import PreparedRun
+from alula.stages.simulation.tasks import Missions, missions_of
+from alula.stages.world.moving import moving_spec
 from alula.stages.world.obstacles import StaticWorld
-from alula.stages.world.parts import has_losses, parts_of, plant_steps_of
+from alula.stages.world.world import has_losses, make_world, plant_steps_of
 
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
@@ -66,7 +66,7 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
-    parts = parts_of(
+    built = make_world(
         scenario,
         vehicle,
         cover=cover,
@@ -77,10 +77,10 @@ def prepare(
         ends=None if pairs is None else np.concatenate([pairs.start, pairs.goal]),
         jobs=jobs,
     )
-    full, world, told, filters = parts.scenario, parts.world, parts.told, parts.filters
+    full, world, told, filters = built.scenario, built.static, built.told, built.filters
     rules, mission, table = full.rules, full.mission, full.vehicle
     assert table.radius_m is not None
-    most, names = parts.max_speed_m_s, parts.names
+    most, names = built.max_speed_m_s, built.names
     geofence = pilots_geofence(full, told)
     judging = geofence if is_fenced(full, told) else None
     if judging is not None and not filters:
@@ -88,17 +88,17 @@ def prepare(
     among = None
     if world.hulls is not None and ("polytope-cbf" in names or full.vehicle.interface == "velocity"):
         among = barrier(told)
-    is_point = parts.is_point
+    is_point = built.is_point
     missions = missions_of(
         full,
         world,
         count=_count(full, pairs),
-        speed_m_s=parts.peak_m_s,
+        speed_m_s=built.peak_m_s,
         max_speed_m_s=most,
         plan=plan,
         maps=PlanMaps(cover, scene, seen, world.among),
-        vehicle=parts.vehicle,
-        behind=parts.behind() if mission.planned else None,
+        vehicle=built.vehicle,
+        behind=built.behind() if mission.planned else None,
         given=pairs,
         geofence=geofence,
         psi=None if among is None else lambda points: among.psi(points, jobs=jobs)[1],
@@ -109,8 +109,8 @@ def prepare(
     by_ticks = any(missions.curves) or is_point or world.ellipsoids is not None
     simulation, bare = (
         _core.SimulationSpec(
-            parts.spec,
-            options=parts.options,
+            built.spec,
+            options=built.options,
             rules=_rules(full, world, missions, most_m_s=most, is_point=is_point, **kept),
             losses=_losses(full),
             moving=moving_spec(
@@ -133,7 +133,7 @@ def prepare(
     judge = WorldJudge(
         world=world,
         filters=names,
-        guides=parts.guides,
+        guides=built.guides,
         has_goal=mission.kind not in ("hover", "pilot"),
         obstacle_radii_m=[one.radius_m for one in full.world.moving],
         seen_by=seen_by(full),
@@ -151,12 +151,12 @@ def prepare(
 
     return PreparedRun(
         scenario=full,
-        vehicle=parts.vehicle,
+        vehicle=built.vehicle,
         world=world,
         told=told,
         missions=missions,
-        vehicle_spec=parts.spec,
-        options=parts.options,
+        vehicle_spec=built.spec,
+        options=built.options,
         spec=simulation,
         bare=bare,
         filters=filters,

@@ -15,20 +15,20 @@ from alula.schemas.scenarios.scenario import WorldScenario
 from alula.schemas.scenarios.tables import EstimationTable, MissionTable
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
-from alula.stages.simulation.result import outcomes_of
-from alula.stages.simulation.world.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
-from alula.stages.simulation.world.certificate import (
+from alula.stages.simulation.among_hulls import note_of_starts, proof_among_hulls, unsafe_starts
+from alula.stages.simulation.certificate import (
     beforehand,
     certifying,
     claims_of,
     judged_words,
     limits_words,
 )
-from alula.stages.simulation.world.encounters import encounter_summary, encounter_timing
-from alula.stages.simulation.world.judge import hits_static, worst_clearance
-from alula.stages.simulation.world.left_out import left_out
-from alula.stages.simulation.world.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
-from alula.stages.simulation.world.simulate import WorldRun
+from alula.stages.simulation.encounters import encounter_summary, encounter_timing
+from alula.stages.simulation.judge import hits_static, worst_clearance
+from alula.stages.simulation.left_out import left_out
+from alula.stages.simulation.piloted import HOLDS, fence_filter_of, fence_notes, fence_summary
+from alula.stages.simulation.result import outcomes_of
+from alula.stages.simulation.simulate import WorldRun
 from alula.stages.verdict import head, mean, mean_path_ratio, minimum, statement, totals
 
 _COUNTED = (

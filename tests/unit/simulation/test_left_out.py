@@ -11,8 +11,8 @@ from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.defaults import completed, vehicle_of
 from alula.schemas.scenarios.scenario import WorldScenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
-from alula.stages.simulation.world.left_out import NO_DIFFERENCE, REFUSED, keys_with_difference, left_out
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.left_out import NO_DIFFERENCE, REFUSED, keys_with_difference, left_out
+from alula.stages.simulation.prepare import prepare
 from support.quadrotor_model import derivative, fastbridge
 from support.small_scenes import box_cover
 from support.world_runs import set_value

@@ -16,14 +16,13 @@ from alula.schemas.log.json_schema import json_schema
 from alula.schemas.log.run import RunRecord
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
-from alula.stages.simulation.chunks import TrialJournal
+from alula.stages.simulation import simulate as stage
+from alula.stages.simulation.chunks import FlownChunk, TrialJournal
+from alula.stages.simulation.judge import worst_clearance
+from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world import simulate as stage
-from alula.stages.simulation.world.chunks import FlownChunk
-from alula.stages.simulation.world.judge import worst_clearance
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import chunk_size
-from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
+from alula.stages.simulation.simulate import chunk_size
+from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
 from support.fence_flights import STATUSES
 from support.piloted_runs import RACER, fly, scenario
 

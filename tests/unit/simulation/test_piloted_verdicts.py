@@ -9,8 +9,8 @@ import pytest
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.parameters.filter_options import GeofenceParameters
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.summary import world_guarantee, world_summary
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.summary import world_guarantee, world_summary
 from alula.stages.vehicles.racer import racer_model
 from support.fence_flights import fly_in
 from support.piloted_runs import BOX, RACER, STARTS, TICK_S, fly, scenario

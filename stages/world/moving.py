@@ -1,8 +1,7 @@
-"""Moving obstacles of a scenario as native specifications, and encounters with them as results."""
+"""Moving obstacles of a scenario as native specifications, with the sensor and the tracker that see them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,10 +9,7 @@ import msgspec
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.log.run import ObstacleResult
 from alula.schemas.scenarios.moving import DetectorTable, ObstacleTable, TrackerTable, interval
-
-_EVENTS = ("separation_m", "closing_m_s", "detected_s", "warned_s", "reaction_s", "avoid_s")
 
 
 def moving_spec(
@@ -46,23 +42,6 @@ def moving_spec(
         )
     except ValueError as error:
         raise UsageError(f"`$.estimation.sensor`: {error}") from error
-
-
-def obstacle_results(log: dict[str, Any], reach_m: Sequence[float]) -> list[ObstacleResult]:
-    """Encounters of one flight with each obstacle.
-
-    Args:
-        log: native log of the flight.
-        reach_m: radius of each obstacle and of the vehicle together [m].
-    """
-    known = [
-        {name: float(log[name][i]) if math.isfinite(log[name][i]) else None for name in _EVENTS}
-        for i in range(len(reach_m))
-    ]
-    return [
-        ObstacleResult(closest_m=closest, collision=closest <= reach, **events)
-        for closest, reach, events in zip(log["closest_m"].tolist(), reach_m, known, strict=True)
-    ]
 
 
 def _obstacle(index: int, table: ObstacleTable) -> _core.ObstacleSpec:

@@ -18,13 +18,12 @@ from alula.schemas.scenarios.defaults import vehicle_of
 from alula.schemas.scenarios.scenario import WorldScenario, decoded, read_world
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.filtering.moving_filters import moving_options
-from alula.stages.simulation.chunks import TrialJournal
-from alula.stages.simulation.world import simulate as module
-from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
-from alula.stages.simulation.world.judge import worst_clearance
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import simulate_world
-from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
+from alula.stages.simulation import simulate as module
+from alula.stages.simulation.chunks import FlownChunk, RunParts, TrialChunk, TrialJournal
+from alula.stages.simulation.judge import worst_clearance
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.simulate import simulate_world
+from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
 from alula.stages.verdict import wilson_interval
 from alula.stages.world.obstacles import static_walls
 from support.clusters import Cluster
@@ -361,7 +360,7 @@ def test_nothing_is_promised_of_a_filter_that_goes_by_tracks():
     assert (found.claims["trials"], found.claims["collisions"]) == (4, hits)
 
 
-STORED = json.loads((Path(__file__).parents[3] / "support" / "vectors_encounters.json").read_text())
+STORED = json.loads((Path(__file__).parents[2] / "support" / "vectors_encounters.json").read_text())
 
 
 @pytest.mark.every(2)

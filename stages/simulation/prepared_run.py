@@ -20,9 +20,9 @@ from alula.schemas.scenarios.scenario import WorldScenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.adherence import PlanJudge
+from alula.stages.simulation.judge import WorldJudge
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.judge import WorldJudge
-from alula.stages.simulation.world.tasks import Missions
+from alula.stages.simulation.tasks import Missions
 from alula.stages.world.obstacles import StaticWorld
 
 

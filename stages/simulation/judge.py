@@ -15,9 +15,8 @@ from alula.schemas.log.run import FilterResult, Outcome, TrialResult
 from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
-from alula.stages.simulation.moving import obstacle_results
-from alula.stages.simulation.world.encounters import encounter_figures
-from alula.stages.simulation.world.piloted import fence_result
+from alula.stages.simulation.encounters import encounter_figures, obstacle_results
+from alula.stages.simulation.piloted import fence_result
 from alula.stages.verdict import minimum
 from alula.stages.world.obstacles import StaticWorld
 

@@ -10,14 +10,9 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.scenarios.vehicle import Vehicle
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    RatesSetpoint,
-    Setpoint,
-    VelocitySetpoint,
-)
 from alula.stages.vehicles.bodies import plant, quadrotor, tracking_gains
 from alula.stages.vehicles.ground import Footing, Ground
+from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 
 STEP_S = 0.0025
 _VELOCITY_GAIN_PER_S = 4.0  # from a velocity error to an acceleration

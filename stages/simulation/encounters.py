@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +22,7 @@ from alula.stages.filtering.moving_filters import moving_filter
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.verdict import mean, success, totals
 
+_EVENTS = ("separation_m", "closing_m_s", "detected_s", "warned_s", "reaction_s", "avoid_s")
 WITHOUT_FILTER = (
     "dr-acbf"  # whose values count for flights among moving obstacles without a filter that sees them
 )
@@ -76,6 +79,23 @@ def risk_window_s(scenario: WorldScenario) -> float:
     names = [name for name in scenario.safety.filters if name in TRACKING]
     options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
     return float(options.h_max_s)
+
+
+def obstacle_results(log: dict[str, Any], reach_m: Sequence[float]) -> list[ObstacleResult]:
+    """Encounters of one flight with each obstacle.
+
+    Args:
+        log: native log of the flight.
+        reach_m: radius of each obstacle and of the vehicle together [m].
+    """
+    known = [
+        {name: float(log[name][i]) if math.isfinite(log[name][i]) else None for name in _EVENTS}
+        for i in range(len(reach_m))
+    ]
+    return [
+        ObstacleResult(closest_m=closest, collision=closest <= reach, **events)
+        for closest, reach, events in zip(log["closest_m"].tolist(), reach_m, known, strict=True)
+    ]
 
 
 def encounter_figures(flown: dict[str, Any], seen: str | None) -> dict[str, Any]:

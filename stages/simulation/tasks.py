@@ -27,8 +27,8 @@ from alula.stages.planning.mapped import BEYOND_KEY
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+from alula.stages.simulation.piloted import pilots_starts
 from alula.stages.simulation.planned import PlanMaps, margins, plan_config, planned_alone, plans_of
-from alula.stages.simulation.world.piloted import pilots_starts
 from alula.stages.world.obstacles import StaticWorld, require_clear
 
 _EXTRA_TIME_S = 10.0

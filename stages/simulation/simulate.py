@@ -19,14 +19,13 @@ from alula.schemas.scenarios.scenario import WorldScenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.progress import share
-from alula.stages.simulation.chunks import TrialJournal, fly_missing, shown
+from alula.stages.simulation.chunks import FlownChunk, RunParts, TrialChunk, TrialJournal, fly_missing, shown
+from alula.stages.simulation.encounters import rows_of_obstacles
+from alula.stages.simulation.judge import worst_clearance
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.prepared_run import PreparedRun
 from alula.stages.simulation.result import WorldFlight
-from alula.stages.simulation.world.chunks import FlownChunk, RunParts, TrialChunk
-from alula.stages.simulation.world.encounters import rows_of_obstacles
-from alula.stages.simulation.world.judge import worst_clearance
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.prepared_run import PreparedRun
 from alula.stages.world.obstacles import StaticWorld
 
 CHUNK, CHUNK_TICKS = 16, 100_000  # maximum number of trials and ticks whose samples are in memory at once

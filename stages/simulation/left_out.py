@@ -12,8 +12,8 @@ from typing import Any
 
 from alula.schemas.decimals import exact
 from alula.schemas.scenarios.scenario import WorldScenario
-from alula.stages.simulation.world.piloted import fence_filter_of
-from alula.stages.world.parts import PLANT_STEP_S, plant_steps_of
+from alula.stages.simulation.piloted import fence_filter_of
+from alula.stages.world.world import PLANT_STEP_S, plant_steps_of
 
 _BY_ROTORS = ("wrench", "body-rates")
 _FOLLOWED = ("velocity", "acceleration")

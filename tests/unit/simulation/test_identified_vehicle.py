@@ -19,7 +19,7 @@ from alula.stages.planning.adherence import FINISHED_M, waits
 from alula.stages.planning.plan import plan
 from alula.stages.sim_vehicle.ardupilot.shaping import LevelProfile, VerticalProfile
 from alula.stages.sim_vehicle.common.airframe import TICK_S
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.prepare import prepare
 from alula.stages.vehicles.bodies import plant_options, quadrotor, tracking_gains
 from alula.stages.vehicles.following import following_options, shaped_stop_s, shaping_limits
 from alula.stages.vehicles.velocity_lag import filter_lags_s, stop_time_s

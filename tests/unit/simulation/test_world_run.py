@@ -11,10 +11,10 @@ from scipy import stats
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.scenarios.defaults import vehicle_of
 from alula.schemas.scenarios.scenario import decoded
-from alula.stages.simulation.world.judge import hits_static, worst_clearance
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import simulate_world
-from alula.stages.simulation.world.summary import world_guarantee, world_summary, world_timing
+from alula.stages.simulation.judge import hits_static, worst_clearance
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.simulate import simulate_world
+from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
 from support.covers import with_manifest
 from support.foreign_filters import Broken, Holding, Limiting, Passing, provide
 from support.small_scenes import ball_scene, box_cover, line_plan

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from alula.schemas.scenarios.scenario import read_world
-from alula.stages.simulation.world.piloted import fence_distance
-from alula.stages.simulation.world.prepare import prepare
+from alula.stages.simulation.piloted import fence_distance
+from alula.stages.simulation.prepare import prepare
 from support.paths import EXAMPLES
 from support.piloted_runs import RACER, TICK_S
 from support.small_scenes import box_cover

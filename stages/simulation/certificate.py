@@ -26,9 +26,9 @@ from alula.stages.compression.level import (
     recorded_level,
     require_sigma,
 )
-from alula.stages.simulation.world.simulate import WorldRun
+from alula.stages.simulation.simulate import WorldRun
 from alula.stages.verdict import UNFILTERED
-from alula.stages.world.parts import plant_steps_of
+from alula.stages.world.world import plant_steps_of
 
 _ROUNDING_M = 1e-9  # of sums of lengths
 _SHIELD = ("margin_m", "rest_drift_m", "early_end")  # parameters that the certificate of a step depends on

@@ -16,11 +16,11 @@ from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.planning.limits import motion_limits
 from alula.stages.simulation.pairs import Pairs
-from alula.stages.simulation.world.prepare import prepare
-from alula.stages.simulation.world.simulate import simulate_world
-from alula.stages.simulation.world.summary import world_summary
+from alula.stages.simulation.prepare import prepare
+from alula.stages.simulation.simulate import simulate_world
+from alula.stages.simulation.summary import world_summary
 from alula.stages.world.behind import undisturbed
-from alula.stages.world.parts import Parts
+from alula.stages.world.world import Parts
 from support.small_scenes import ball_scene, box_cover
 from support.world_runs import IDEAL_POINT, flown
 

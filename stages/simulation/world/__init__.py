@@ -1,1 +1,0 @@
-"""Flights of a scenario whose parts are chosen each on its own."""
