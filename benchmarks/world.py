@@ -65,8 +65,14 @@ QUICK_LISTS = ((), ("polytope-cbf",), ("dr-acbf",), ("shield",), ("dr-acbf", "sh
 TIMED = 200  # flights of which the ticks are timed, one after the other
 # What the loops of simulations and of `fly` consist of, with their commands, logs and bindings.
 _STAGES = (
-    *("stages/simulation", "stages/runlog", "stages/flight/commanders", "cli/simulate", "cli/simulate.py"),
-    *("cli/missions.py", "cli/sources.py"),
+    *(
+        "stages/simulation",
+        "stages/runlog",
+        "stages/flight/commanders",
+        "cli/verbs/simulate.py",
+        "cli/verbs/runs.py",
+    ),
+    *("cli/verbs/missions.py", "cli/verbs/sources.py"),
     *("native/core/src/flight", "native/core/include/alula/flight", "native/core/bindings/flight"),
 )
 

@@ -12,51 +12,48 @@ from typing import Any
 import click
 
 from alula import __version__
-from alula.cli import grouped
-from alula.cli.interruption import InterruptedWithAdvice, Interruption
-from alula.cli.present import echo, print_json
-from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
+from alula.cli.shell import grouped
+from alula.cli.shell.interruption import InterruptedWithAdvice, Interruption
+from alula.cli.shell.present import echo, print_json
+from alula.cli.shell.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
 from alula.schemas.extras import EXTRAS, missing
 
-# heading: name: (module, first line of its help); a test compares the lines with the commands.
-GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+# Names by heading, each with the first line of its help; a test compares the lines with the commands.
+GROUPS: dict[str, dict[str, str]] = {
     "Pipeline": {
-        "init": ("init", "Write a first project for a splat of your own, ready for make."),
-        "demo": ("demo", "Fly the built-in scene end to end and leave a report."),
-        "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
-        "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
-        "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
-        "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
-        "import-voxels": ("import_voxels", "Mark every voxel that a mesh, a cloud or an OctoMap touches."),
-        "observe": ("observe", "Mark the space that cameras saw to be free and that a vehicle can reach."),
-        "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
-        "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
-        "plan": ("plan", "Find a smooth collision-free trajectory through a map."),
-        "simulate": ("simulate", "Fly missions through a world behind safety filters, and judge them."),
+        "init": "Write a first project for a splat of your own, ready for make.",
+        "demo": "Fly the built-in scene end to end and leave a report.",
+        "demo-scene": "Write the built-in scene: a furnished room with hoops.",
+        "import-splat": "Read Gaussian splat files into a scene.",
+        "scale-align": "Give a scene metric scale and a named world frame.",
+        "voxelize": "Mark every voxel that an obstacle touches.",
+        "import-voxels": "Mark every voxel that a mesh, a cloud or an OctoMap touches.",
+        "observe": "Mark the space that cameras saw to be free and that a vehicle can reach.",
+        "merge": "Cover voxels with a limited number of convex polytopes.",
+        "verify": "Prove independently that a cover contains the ellipsoids of a scene.",
+        "plan": "Find a smooth collision-free trajectory through a map.",
+        "simulate": "Fly missions through a world behind safety filters, and judge them.",
     },
     "Vehicle": {
-        "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
-        "identify": ("identify", "Measure how a vehicle responds to steps, and write its vehicle file."),
-        "sim-vehicle": (
-            "sim_vehicle",
-            "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4.",
-        ),
+        "fly": "Fly a plan on a real vehicle, behind a safety filter.",
+        "identify": "Measure how a vehicle responds to steps, and write its vehicle file.",
+        "sim-vehicle": "Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4.",
     },
     "Look": {
-        "report": ("report", "Turn runs into a verdict, pictures, figures and tables."),
-        "view": ("view", "Show artifacts, runs and splat files in three dimensions."),
-        "info": ("info", "Explain an artifact or a splat file."),
+        "report": "Turn runs into a verdict, pictures, figures and tables.",
+        "view": "Show artifacts, runs and splat files in three dimensions.",
+        "info": "Explain an artifact or a splat file.",
     },
     "Tools": {
-        "scenario": ("scenario", "Show a scenario with all of its values and their sources."),
-        "export": ("export", "Convert a cover, a scene or a run for other programs."),
-        "doctor": ("doctor", "Check that everything alula needs is installed."),
-        "help": ("help", "Show the help of alula or of a command."),
-        "completion": ("completion", "Print the completion script of a shell."),
+        "scenario": "Show a scenario with all of its values and their sources.",
+        "export": "Convert a cover, a scene or a run for other programs.",
+        "doctor": "Check that everything alula needs is installed.",
+        "help": "Show the help of alula or of a command.",
+        "completion": "Print the completion script of a shell.",
     },
 }
-COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
+COMMANDS = {name: line for group in GROUPS.values() for name, line in group.items()}
 
 
 class LazyGroup(click.Group):
@@ -104,7 +101,7 @@ class LazyGroup(click.Group):
         """Import the module of one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"alula.cli.{COMMANDS[cmd_name][0]}")
+        module = importlib.import_module(f"alula.cli.commands.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
 
@@ -112,7 +109,7 @@ class LazyGroup(click.Group):
         """List the commands by group, without importing them."""
         for heading, commands in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(name, text) for name, (_, text) in commands.items()])
+                formatter.write_dl(list(commands.items()))
 
 
 @click.group(

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from alula.cli.grouped import Command
 from alula.cli.main import COMMANDS, cli
+from alula.cli.shell.grouped import Command
 
 HEADER = """# Command reference
 

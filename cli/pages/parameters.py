@@ -9,8 +9,8 @@ import pkgutil
 import typing
 from typing import Any
 
-from alula.cli.options import option_of
 from alula.cli.pages.tables import code, table
+from alula.cli.shell.options import option_of
 from alula.schemas.parameters import configs
 from alula.schemas.parameters.filter_options import FILTERS, TABLES
 from alula.schemas.parameters.filters.values import Entry, entries

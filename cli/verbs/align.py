@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import msgspec
 
-from alula.cli.interruption import handlers_kept
+from alula.cli.shell.interruption import handlers_kept
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import File, Scene, Source, source_of
 from alula.cli.verbs.verb import Step, verb

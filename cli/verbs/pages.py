@@ -8,9 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli.library.bar import quiet, shown
-from alula.cli.options import Common
-from alula.cli.present import echo
+from alula.cli.shell.bar import quiet, shown
+from alula.cli.shell.options import Common
+from alula.cli.shell.present import echo
 from alula.cli.verbs.results import Result
 from alula.cli.verbs.runs import Run
 from alula.schemas.progress import Progress

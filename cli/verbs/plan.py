@@ -7,9 +7,9 @@ from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from alula.cli.sources import map_role
 from alula.cli.verbs.keywords import configured
 from alula.cli.verbs.results import Cover, File, Plan, Result, Scene, Source, source_of
+from alula.cli.verbs.sources import map_role
 from alula.cli.verbs.verb import Step, verb
 from alula.schemas.artifacts.kinds import COVER, SCENE, SEEN
 from alula.schemas.errors import InputError, UsageError, WrongKindError

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from alula.cli.options import Common
-from alula.cli.runner import check_output, input_ref, run
+from alula.cli.shell.options import Common
+from alula.cli.shell.runner import check_output, input_ref, run
 from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.pages import Page, path_of
 from alula.cli.verbs.results import Source, on_disk

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from alula.cli import runner
+from alula.cli.shell import runner
 from alula.cli.verbs.display import table
 from alula.schemas.artifacts.artifact import Artifact, artifact_hash, file_hash, write_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind

@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli import runner
-from alula.cli.missions import Trials
-from alula.cli.run_files import check_log_name, write_run
+from alula.cli.shell import runner
+from alula.cli.shell.run_files import check_log_name, write_run
 from alula.cli.verbs.display import table
+from alula.cli.verbs.missions import Trials
 from alula.cli.verbs.results import File, Result, on_disk
 from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.artifacts.provenance import Provenance

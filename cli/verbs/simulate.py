@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli.missions import MAPS, Trials, names_of, scenario_of
-from alula.cli.sources import read_tiles_of
+from alula.cli.verbs.missions import MAPS, Trials, names_of, scenario_of
 from alula.cli.verbs.results import File, Result, Source, on_disk
 from alula.cli.verbs.runs import Flown, Run
+from alula.cli.verbs.sources import read_tiles_of
 from alula.cli.verbs.verb import verb
 from alula.schemas.errors import UsageError
 from alula.schemas.files import printable

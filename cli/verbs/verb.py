@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
-from alula.cli import runner
-from alula.cli.library.bar import shown
-from alula.cli.options import Common
-from alula.cli.parted import is_parted, run_parts
+from alula.cli.shell import runner
+from alula.cli.shell.bar import shown
+from alula.cli.shell.options import Common
+from alula.cli.shell.parted import is_parted, run_parts
 from alula.cli.verbs.keywords import keywords
 from alula.cli.verbs.results import File, Result
 from alula.schemas.artifacts.artifact import Artifact

@@ -8,9 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli import runner
-from alula.cli.sources import map_role
+from alula.cli.shell import runner
 from alula.cli.verbs.results import Cover, File, Result, Scene, Source, source_of
+from alula.cli.verbs.sources import map_role
 from alula.cli.verbs.verb import verb
 from alula.schemas.artifacts.certificate import (
     CERTIFICATE_SCHEMA,

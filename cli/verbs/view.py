@@ -8,8 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from alula.cli.options import Common
-from alula.cli.runner import run
+from alula.cli.shell.options import Common
+from alula.cli.shell.runner import run
 from alula.cli.verbs.keywords import configured, keywords
 from alula.cli.verbs.pages import Page, path_of
 from alula.cli.verbs.results import Source, on_disk

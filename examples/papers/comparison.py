@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from alula.cli.runner import input_ref
+from alula.cli.shell.runner import input_ref
 from alula.schemas.artifacts.manifest import producer
 from alula.schemas.atomic import write_text
 from alula.stages.reporting.figures import Figure

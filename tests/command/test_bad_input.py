@@ -305,7 +305,7 @@ def test_a_full_disk_leaves_nothing(name, here, tmp_path_factory):
 
 TELL_WHEN_READY = """
 import sys
-from alula.cli.interruption import Interruption
+from alula.cli.shell.interruption import Interruption
 from alula.cli.main import main
 
 install = Interruption.install

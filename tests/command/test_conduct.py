@@ -10,7 +10,7 @@ import click
 import pytest
 
 from alula.cli.main import COMMANDS, cli, run
-from alula.cli.present import plain, print_sections
+from alula.cli.shell.present import plain, print_sections
 from alula.schemas.artifacts.artifact import write_artifact
 from support.fabricate import make_scene
 
@@ -159,11 +159,11 @@ def test_long_sequences_are_printed_in_brief(capsys):
 
 
 def test_an_interruption_is_one_word_however_other_code_words_it(here, monkeypatch, capsys):
-    import alula.schemas.artifacts.artifact as artifact
+    from alula.cli.verbs.results import File
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt("decoding with 'cp437' codec failed")
 
-    monkeypatch.setattr(artifact, "read_artifact", interrupted)
+    monkeypatch.setattr(File, "parts", interrupted)
     assert run(["voxelize", "a.scene.npz", "-o", "v.voxels.npz"]) == 130
     assert capsys.readouterr().err.split("\n")[-2:] == ["alula: interrupted", ""]

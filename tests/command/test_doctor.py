@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from alula.cli import doctor
-from alula.cli.doctor import PACKAGES, Check
+from alula.cli.commands import doctor
+from alula.cli.commands.doctor import PACKAGES, Check
 from alula.cli.main import run
 from support.paths import ROOT
 

@@ -12,9 +12,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import click
 import pytest
 
-from alula.cli import download
-from alula.cli.addresses import Address, ByteCount
 from alula.cli.main import run
+from alula.cli.shell import download
+from alula.cli.shell.addresses import Address, ByteCount
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import open_parts

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from alula.cli.fly import flight as fly_run
-from alula.cli.options import Common
+from alula.cli.shell.options import Common
+from alula.cli.verbs.fly import flight as fly_run
 from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.errors import CheckError, ExitCode, LinkError, OutputError
 from alula.schemas.log.cut import read_logged

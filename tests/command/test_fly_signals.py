@@ -5,8 +5,8 @@ import signal
 
 import pytest
 
-from alula.cli.fly.flight import fly
-from alula.cli.options import Common
+from alula.cli.shell.options import Common
+from alula.cli.verbs.fly.flight import fly
 from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION
 from support.fake_vehicle import FakeClock, FakeVehicle

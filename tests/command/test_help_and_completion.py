@@ -9,8 +9,8 @@ import click
 import pytest
 
 from alula import __version__
-from alula.cli.grouped import COMMON, MANY, MOST
 from alula.cli.main import COMMANDS, cli, run
+from alula.cli.shell.grouped import COMMON, MANY, MOST
 from alula.schemas.parameters.flight_defaults import COMPARATORS, FILTERS
 from alula.stages.filtering.registry import filter_names
 

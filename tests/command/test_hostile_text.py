@@ -51,8 +51,8 @@ def test_a_manifest_cannot_write_to_the_terminal(pipeline, tmp_path, capsys, kin
 
 
 def test_notes_and_keys_of_an_output_cannot_write_to_the_terminal(capsys, tmp_path):
-    from alula.cli.options import Common
-    from alula.cli.runner import show
+    from alula.cli.shell.options import Common
+    from alula.cli.shell.runner import show
 
     common = Common(tmp_path / HOSTILE.replace("\n", ""), False, False, False, False, 0, 0, 0, None)
     show(common, "written", {HOSTILE: HOSTILE, "b": {HOSTILE: [HOSTILE]}, "notes": [HOSTILE]})

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from alula.cli.fly import contact
 from alula.cli.main import run
+from alula.cli.verbs.fly import contact
 from alula.schemas.scenarios.vehicle import read_vehicle
 from support.paths import VEHICLES
 from support.sim_vehicle_process import free_port

@@ -12,7 +12,7 @@ import pytest
 
 import alula
 from alula.cli.main import run
-from alula.cli.project import LEARN_SCALE
+from alula.cli.verbs.project import LEARN_SCALE
 from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.scenario import read_world

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import alula
-from alula.cli.library import bar
 from alula.cli.main import run
+from alula.cli.shell import bar
 from alula.cli.verbs.results import RESULTS
 from alula.schemas.artifacts import kinds
 from support.paths import DOCS, EXAMPLES

@@ -8,7 +8,7 @@ import click
 import pytest
 
 from alula.cli.main import COMMANDS, cli, run
-from alula.cli.manual import escaped, man_pages
+from alula.cli.shell.manual import escaped, man_pages
 
 HAS_GROFF = pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
 

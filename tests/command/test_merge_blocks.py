@@ -11,8 +11,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula.cli import block_store as command
 from alula.cli.main import run
+from alula.cli.verbs import block_store as command
 from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.manifest import InputRef, producer
 from alula.schemas.artifacts.parts import open_parts

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from alula.cli import journal as file
 from alula.cli.main import run
+from alula.cli.shell import journal as file
 from alula.schemas.artifacts.artifact import make_artifact, write_artifact
 from alula.schemas.artifacts.journal import mismatches, pack, unpack
 from alula.schemas.artifacts.kinds import VOXELS
@@ -29,7 +29,7 @@ EAGER = (
     "import sys; from alula.schemas.artifacts import manifest;"
     " manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
-    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.05, 0;"
+    " from alula.cli.shell import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.05, 0;"
     " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
 WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "50"]

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from alula.cli.commands.plan import command
 from alula.cli.main import COMMANDS, run
-from alula.cli.plan import command
 from alula.schemas.artifacts.artifact import make_artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN
 from support.paths import VEHICLES
@@ -260,7 +260,7 @@ def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
 
 
 def test_help_shows_the_line_of_the_command_list_and_examples():
-    assert command.help.splitlines()[0] == COMMANDS["plan"][1]
+    assert command.help.splitlines()[0] == COMMANDS["plan"]
     done = subprocess.run(
         [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
     )

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from alula.cli import progress
-from alula.cli.progress import PERIOD_S, ProgressLines, shown_progress
+from alula.cli.shell import progress
+from alula.cli.shell.progress import PERIOD_S, ProgressLines, shown_progress
 
 
 class Clock:

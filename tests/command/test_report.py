@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from alula.cli.main import run
-from alula.cli.runner import input_ref
+from alula.cli.shell.runner import input_ref
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.artifacts.provenance import Provenance, read_provenance
 from alula.schemas.artifacts.report import Report

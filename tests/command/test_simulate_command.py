@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from alula.cli.main import run
-from alula.cli.runner import input_ref
+from alula.cli.shell.runner import input_ref
 from alula.schemas.artifacts.artifact import make_artifact, write_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, VOXELS
 from alula.schemas.artifacts.manifest import Guarantee

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula.cli import journal as file
 from alula.cli.main import run
+from alula.cli.shell import journal as file
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
 from alula.schemas.parameters.filter_options import GeofenceParameters

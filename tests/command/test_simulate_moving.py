@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula.cli import journal as file
 from alula.cli.main import run
+from alula.cli.shell import journal as file
 from alula.schemas.artifacts.journal import TRIALS, unpack
 from alula.schemas.artifacts.manifest import producer
 from alula.schemas.log.flights import read_flights
@@ -88,7 +88,7 @@ EAGER = (
     "import sys; from alula.schemas.artifacts import manifest;"
     " manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
-    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.1, 0;"
+    " from alula.cli.shell import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.1, 0;"
     " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
 WORDS = ["simulate", "long.toml", "-o", "r.run.mcap", "--jobs", "1"]
@@ -277,7 +277,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 640
 
 
-@pytest.mark.parametrize("where", ["verbs.runs.write_run", "missions.Trials.summary_of"])
+@pytest.mark.parametrize("where", ["verbs.runs.write_run", "verbs.missions.Trials.summary_of"])
 def test_an_interruption_after_the_last_flight_keeps_all_flights(here, where, monkeypatch, capsys):
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     words = [*WORDS, "--trials", "20"]

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from alula.cli.main import run
-from alula.cli.runner import input_ref
+from alula.cli.shell.runner import input_ref
 from alula.schemas.artifacts.artifact import Artifact, make_artifact, write_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.manifest import InputRef

@@ -5,9 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula.cli import journal as file
 from alula.cli.main import run
-from alula.cli.set_values import settings_of
+from alula.cli.shell import journal as file
+from alula.cli.shell.set_values import settings_of
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import read_flights

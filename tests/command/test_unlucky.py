@@ -50,7 +50,7 @@ def test_a_library_of_colmap_does_not_take_the_signals_away():
     pytest.importorskip("pycolmap")
     script = (
         "import os, signal\n"
-        "from alula.cli.interruption import Interruption, handlers_kept\n"
+        "from alula.cli.shell.interruption import Interruption, handlers_kept\n"
         "Interruption().install()\n"
         "with handlers_kept():\n"
         "    import pycolmap\n"

@@ -3,7 +3,7 @@
 import click
 import pytest
 
-from alula.cli.options import Numbers, NumbersOption
+from alula.cli.shell.options import Numbers, NumbersOption
 
 
 @click.command()

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from alula.cli.main import run
-from alula.cli.runner import input_ref
+from alula.cli.shell.runner import input_ref
 from alula.schemas.artifacts.artifact import describe_arrays, read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import COVER
 from alula.schemas.artifacts.manifest import producer

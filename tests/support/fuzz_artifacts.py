@@ -625,8 +625,8 @@ def preload() -> None:
 
     from alula.cli.main import COMMANDS
 
-    for module, _ in COMMANDS.values():
-        importlib.import_module(f"alula.cli.{module}")
+    for name in COMMANDS:
+        importlib.import_module(f"alula.cli.commands.{name.replace('-', '_')}")
     for name in (
         *(
             "mcap.writer",
@@ -645,7 +645,7 @@ def preload() -> None:
         *("alula.stages.reporting.inspect", "alula.stages.alignment.scale_align", "scipy.spatial"),
         "alula.stages.simulation.simulate",
         *("alula.stages.reconstruction.formats.registry", "alula.stages.export.export", "zstandard"),
-        *("alula.cli.simulate", "alula.cli.sources", "alula.stages.reporting.tables"),
+        *("alula.cli.commands.simulate", "alula.cli.verbs.sources", "alula.stages.reporting.tables"),
         *(
             "alula.stages.alignment.transforms",
             "alula.stages.alignment.nerfstudio",

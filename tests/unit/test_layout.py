@@ -54,6 +54,20 @@ def test_imports_point_one_way(path):
     assert imported_parts(path) <= MAY_IMPORT[part]
 
 
+def test_the_rooms_of_the_command_line_import_one_way():
+    """Commands call verbs, which know neither commands nor click; what all share knows neither of them."""
+    above = {"shell": {"commands", "verbs"}, "verbs": {"commands"}}
+    for module, others in imported_files().items():
+        room = module.split(".")[2] if module.startswith("alula.cli.") else ""
+        rooms = {other.split(".")[2] for other in others if other.startswith("alula.cli.")}
+        assert not rooms & above.get(room, set()), module
+    for path in (ROOT / "cli/verbs").rglob("*.py"):
+        for node in ast.walk(parsed(path)):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [f"{node.module}"] if isinstance(node, ast.ImportFrom) else []
+            assert "click" not in {name.partition(".")[0] for name in names}, path
+
+
 def test_packages_that_import_slowly_are_imported_where_they_are_used():
     """At the top of a module `scipy.optimize` doubled the start of `alula simulate`."""
     for path in SOURCES:
@@ -157,7 +171,7 @@ def test_help_of_each_command_imports_nothing_heavy_and_shows_two_examples():
     code = f"""
 import sys
 from alula.cli.main import COMMANDS, run
-for name, (_, line) in COMMANDS.items():
+for name, line in COMMANDS.items():
     import contextlib, io
     out = io.StringIO()
     with contextlib.redirect_stdout(out):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from alula.cli.fly.flight import _conclude, _Flown
+from alula.cli.verbs.fly.flight import _conclude, _Flown
 from alula.schemas.errors import CheckError, LinkError
 from alula.stages.flight.links.mavlink.satellites import Satellites
 from alula.stages.flight.links.mavlink.telemetry import Telemetry

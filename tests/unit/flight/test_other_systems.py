@@ -3,7 +3,7 @@
 import fcntl
 import os
 
-from alula.cli.fly.conduct import priority
+from alula.cli.verbs.fly.conduct import priority
 from alula.stages.flight.recorder.pipe import FlightPipe
 from alula.stages.flight.watchdog import companion
 

@@ -26,7 +26,7 @@ def line_of(begin):
 def missions_of(monkeypatch):
     """Missions that `alula fly` would fly; it flies none."""
     found = []
-    monkeypatch.setattr("alula.cli.fly.flight.fly", lambda mission, *_: found.append(mission))
+    monkeypatch.setattr("alula.cli.verbs.fly.flight.fly", lambda mission, *_: found.append(mission))
     return found
 
 

@@ -446,7 +446,7 @@ def test_links_without_orders_of_their_own_have_none():
 
 
 def test_a_system_without_what_the_watchdog_needs_flies_without_and_says_so(monkeypatch, capsys):
-    from alula.cli.fly.contact import NO_WATCHDOG, reach
+    from alula.cli.verbs.fly.contact import NO_WATCHDOG, reach
 
     class Guarded:
         def open(self, within_s):

@@ -1,1 +1,0 @@
-"""The Python library: functions and results that `import alula` offers."""

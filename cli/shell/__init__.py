@@ -1,0 +1,1 @@
+"""What all commands share: options, help, progress, provenance of outputs."""

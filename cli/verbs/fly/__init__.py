@@ -1,0 +1,1 @@
+"""`fly`: one flight, from its files to its verdict."""
