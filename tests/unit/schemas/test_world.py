@@ -279,7 +279,7 @@ def test_the_text_of_a_scenario_reads_back_and_says_where_values_come_from(write
     assert sources["world.moving.0.radius_m"] == sources["rules.dt_s"] == "default"
     assert "radius_m = 0.3 " in text
     # Tables without an effect are left out.
-    assert not any(path.startswith(("safety.mpc", "mission.pilot")) for path in sources)
+    assert not any(path.startswith(("safety.cone-di", "mission.pilot")) for path in sources)
     for line in text.splitlines():
         assert not line or line.startswith("[") or "  # " in line
 
