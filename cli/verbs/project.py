@@ -74,13 +74,15 @@ class Choices:
 
 
 @dataclass(frozen=True, slots=True)
-class _Way:
-    """Start and goal of a plan, where the vehicle stands before it, and what is assumed to be free [m]."""
+class Way:
+    """Start and goal of a plan, where the vehicle stands, what is assumed to be free, and the margin [m]."""
 
     start_m: tuple[float, ...]
     goal_m: tuple[float, ...]
     stand_m: tuple[float, ...]
     beyond_m: float
+    margin_m: float
+    words: str
 
 
 def folder_of(splat: Path, output: Path | None) -> Path:
@@ -194,14 +196,16 @@ def look(
         f"{HULLS}, with {grown:.3g} times the volume of the voxels; more of them are tighter (make HULLS=...)"
     )
     is_known = metres_per_unit is not None or height_m is not None
-    way = _ends(cover, scale, assumed, is_scale_known=is_known, jobs=jobs)
+    way = undisturbed_way(cover, scale, assumed, is_scale_known=is_known, jobs=jobs)
+    assumed["start, goal"] = f"{_words(way.start_m)} and {_words(way.goal_m)} m, {way.words}"
     assumed["vehicle"] = (
-        "of the plan and its rehearsal a quadrotor of radius 0.15 m with a margin of 0.1 m, at most 1 m/s; "
-        "the simulated flights move a point of the same radius by velocities, which polytope-cbf filters"
+        f"of the plan and its rehearsal a quadrotor of radius 0.15 m with a margin of {way.margin_m:g} m, at "
+        "most 1 m/s; the simulated flights move a point of the same radius by velocities, which polytope-cbf "
+        "filters"
     )
     return Choices(
         importing, aligning, voxelizing, size, way.beyond_m, way.start_m, way.goal_m, way.stand_m,
-        _undisturbed(cover, way, assumed, jobs), assumed, scale, not is_known,
+        way.margin_m, assumed, scale, not is_known,
     )  # fmt: skip
 
 
@@ -388,7 +392,7 @@ def _at(step: int) -> float:
     return float(f"{_SIZES[digit] * 10.0**power:.2g}")
 
 
-def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known: bool, jobs: int) -> _Way:
+def _ends(cover: Cover, margin_m: float, scale: float, *, is_scale_known: bool, jobs: int) -> Way:
     """Start, goal and place to stand of a plan that exists; around the map where there is no way in it."""
     import dataclasses
 
@@ -397,7 +401,7 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
     from alula.stages.planning.plan import resolve_plan
     from alula.stages.planning.space import plan_space
 
-    config = resolve_plan(PlanConfig(interface="velocity"))
+    config = resolve_plan(PlanConfig(interface="velocity", margin_m=margin_m))
     space = plan_space(config, cover=cover.artifact, jobs=jobs)
     failure: InfeasibleError | None = None
     for beyond in (0.0, _BEYOND_M):
@@ -417,8 +421,7 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
                 words += "; it is hardly larger than the vehicle: is the scale right?"
         if not found.is_plain:
             words += "; not both are 0.5 to 2 m above the ground with room above them"
-        assumed["start, goal"] = f"{_words(found.start)} and {_words(found.goal)} m, {words}"
-        return _Way(found.start, found.goal, found.stand, beyond)
+        return Way(found.start, found.goal, found.stand, beyond, margin_m, words)
     extent = " x ".join(f"{x:.3g}" for x in _extent(space))
     raise InfeasibleError(
         f"{failure}; the map is {extent} m at {scale:g} m a unit, and the vehicle with its margin "
@@ -426,11 +429,36 @@ def _ends(cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known
     )
 
 
-def _undisturbed(cover: Cover, way: _Way, assumed: dict[str, str], jobs: int) -> float:
-    """The margin of a plan along which the filter does not act and leads nothing off it [m]."""
+def undisturbed_way(
+    cover: Cover, scale: float, assumed: dict[str, str], *, is_scale_known: bool, jobs: int
+) -> Way:
+    """The way with the smallest margin along whose plan the filter does not act and leads nothing off it.
+
+    Start and goal of a larger margin have more room. Where the filter always acts it is the first.
+
+    Args:
+        cover: to fly in.
+        scale: metres per unit, for messages.
+        assumed: sentences by subject; one about the distance is added.
+        is_scale_known: somebody gave the scale.
+        jobs: threads; 0 is all processors.
+
+    Raises:
+        InfeasibleError: no way through the scene was found.
+    """
     from alula.cli.verbs.plan import plan
 
+    ways: list[Way] = []
     for margin in _MARGINS_M:
+        try:
+            way = _ends(cover, margin, scale, is_scale_known=is_scale_known, jobs=jobs)
+        except InfeasibleError:
+            if not ways:
+                raise
+            break
+        ways.append(way)
+        if way.beyond_m > ways[0].beyond_m:
+            break
         try:
             found = plan(
                 cover, start=way.start_m, goal=way.goal_m, interface="velocity", margin_m=margin,
@@ -439,17 +467,17 @@ def _undisturbed(cover: Cover, way: _Way, assumed: dict[str, str], jobs: int) ->
         except InfeasibleError:
             continue
         if not found.summary.get("notes"):
-            if margin > _MARGINS_M[0]:
+            if len(ways) > 1:
                 keep = found.artifact.manifest.radius_m  # type: ignore[attr-defined]
                 assumed["distance"] = (
                     f"the plan keeps {keep:g} m from the hulls, where the filter does not act"
                 )
-            return margin
+            return way
     assumed["distance"] = (
         f"the plan keeps {_KEEP_M:g} m from the hulls, and the filter acts along it: a flight may leave the "
         "plan's tube, and make fly-rehearsal then ends with exit code 4"
     )
-    return _MARGINS_M[0]
+    return ways[0]
 
 
 def _extent(space: PlanSpace) -> list[float]:

@@ -12,10 +12,13 @@ import pytest
 
 import alula
 from alula.cli.main import run
-from alula.cli.verbs.project import LEARN_SCALE
+from alula.cli.verbs import plan as plans
+from alula.cli.verbs.project import LEARN_SCALE, undisturbed_way
 from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.scenario import read_world
+from alula.stages.clearance import hull_obstacles, segment_clearance
+from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.space import plan_space
 from support.doc_files import write_garden
 from support.pipeline import COLUMNS
@@ -80,6 +83,26 @@ def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
     assert radius_m == read_world(project / "scenario.toml").vehicle.radius_m
     scene = alula.read(project / "out/metric.scene.npz")
     assert np.percentile(scene.mean[:, 2], 30) == pytest.approx(0, abs=0.1)  # the lawn
+
+
+def test_where_the_filter_acts_ends_with_more_room_are_chosen(project, monkeypatch):
+    assert make(project, "out/map.cover.npz").returncode == 0
+    cover = alula.read(project / "out/map.cover.npz")
+    planned = plans.plan
+
+    def plan(*maps, margin_m, **fields):
+        found = planned(*maps, margin_m=margin_m, **fields)
+        found.summary["notes"] = ["the filter acts"] * (margin_m < 0.2)
+        return found
+
+    monkeypatch.setattr(plans, "plan", plan)
+    assumed = {}
+    way = undisturbed_way(cover, 1.0, assumed, is_scale_known=True, jobs=0)
+    assert way.margin_m == 0.2
+    assert "keeps 0.35 m" in assumed["distance"]
+    hulls = hull_obstacles(Hulls.from_cover(cover.artifact))
+    ends = np.array([way.start_m, way.goal_m])
+    assert segment_clearance(ends, ends, hulls).min() >= 0.35
 
 
 def test_a_height_or_a_scale_gives_metres(project, tmp_path, capsys):
