@@ -85,9 +85,10 @@ def command(
 
     SOURCE is a plan, with --map and --link, or a scenario (.toml) with a plan. The table [fly] of a scenario
     sets the link and options of this command. After the pre-flight checks the vehicle arms, takes off to the
-    height of the plan's start, flies the plan and lands. docs/guide/fly.md describes all other courses.
-    --dry-run runs the checks and does not arm. Ctrl-C lands the vehicle; a second Ctrl-C stops the motors,
-    but only on the ground. The pilot can take control at any time; this command then sends nothing more.
+    height of the plan's start, flies the plan and lands. docs/guide/fly-states.md describes all other
+    courses. --dry-run runs the checks and does not arm. Ctrl-C lands the vehicle; a second Ctrl-C stops the
+    motors, but only on the ground. The pilot can take control at any time; this command then sends nothing
+    more.
 
     The log is written during the flight; R.run.json beside it holds the summary and the measured times. Exit
     code 3: an input cannot be read, or the flight went well, but its log or record is not complete; 4: a

@@ -331,7 +331,7 @@ IGNORED: Mapping[State, frozenset[Event]] = {
 
 
 def described() -> str:
-    """Table in Markdown for docs/guide/fly.md: event, next state and action per state."""
+    """Table in Markdown for docs/guide/fly-states.md: event, next state and action per state."""
     lines = ["| in | when | then | and |", "| --- | --- | --- | --- |"]
     for state, row in TABLE.items():
         together: dict[tuple[State, Action], list[str]] = {}

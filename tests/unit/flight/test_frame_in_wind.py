@@ -57,7 +57,7 @@ def test_wind_that_begins_is_no_wrong_frame(ramp_s, size, at_s):
 @given(
     st.floats(0, 2 * np.pi), st.floats(0.2, 3.0), st.floats(0.2, 6.0), st.floats(0, 6.0), st.integers(0, 99)
 )
-@settings(max_examples=100, derandomize=True)  # of 600 gusts drawn evenly, 6 fail: docs/guide/fly.md
+@settings(max_examples=100, derandomize=True)  # of 600 gusts drawn evenly, 6 fail: docs/guide/fly-checks.md
 def test_gusts_are_no_wrong_frame(direction, size, rate, phase, seed):
     along = np.array([np.cos(direction), np.sin(direction)])
     push = lambda t: size * along * (1 + np.sin(rate * t + phase))  # noqa: E731

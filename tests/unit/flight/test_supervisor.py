@@ -179,7 +179,7 @@ def test_no_way_leads_from_hand_over_to_set_points_or_orders():
 
 
 def test_the_documentation_has_the_table():
-    text = (ROOT / "docs" / "guide" / "fly.md").read_text()
+    text = (ROOT / "docs" / "guide" / "fly-states.md").read_text()
     assert described() in text
 
 
