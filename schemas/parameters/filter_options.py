@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from alula.schemas.parameters.filters.values import Options, Part
+from alula.schemas.parameters.filters.values import NativeStruct, Options
 
 
 class CbfQpParameters(Options, frozen=True, kw_only=True):
@@ -377,35 +377,35 @@ TABLES: dict[str, str] = {
 }
 """The table of a scenario that has the parameters of each filter."""
 
-PARTS: dict[str, tuple[Part, ...]] = {
+NATIVE_STRUCTS: dict[str, tuple[NativeStruct, ...]] = {
     "cone-backup": (
-        Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
-        Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
+        NativeStruct("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
+        NativeStruct("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        NativeStruct("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
+        NativeStruct("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
     "cone-di": (
-        Part("ConeDiOptions", "", ('alpha', 'recovery', 'swell', 'escape_rate', 'min_speed', 'max_acceleration', 'max_braking', 'lateral_bias', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
+        NativeStruct("ConeDiOptions", "", ('alpha', 'recovery', 'swell', 'escape_rate', 'min_speed', 'max_acceleration', 'max_braking', 'lateral_bias', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
+        NativeStruct("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
     ),
     "cone-ecbf": (
-        Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'nominal_attitude_rad_s', 'nominal_position_rad_s', 'nominal_catch_up_m_s', 'nominal_acceleration', 'nominal_speed_m_s', 'nominal_cone_rate_1_s')),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
-        Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
+        NativeStruct("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
+        NativeStruct("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'nominal_attitude_rad_s', 'nominal_position_rad_s', 'nominal_catch_up_m_s', 'nominal_acceleration', 'nominal_speed_m_s', 'nominal_cone_rate_1_s')),
+        NativeStruct("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        NativeStruct("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
+        NativeStruct("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
     "polytope-cbf": (
-        Part("PolytopeCbfConfig", "", ('radius_m', 'beta', 'kappa_per_m', 'dt_s', 'v_max', 'smoothing', 'brute_force')),
+        NativeStruct("PolytopeCbfConfig", "", ('radius_m', 'beta', 'kappa_per_m', 'dt_s', 'v_max', 'smoothing', 'brute_force')),
     ),
     "safer-splat": (
-        Part("SaferSplatOptions", "", ('alpha', 'beta', 'hessian', 'rows', 'brute', 'max_braking', 'max_acceleration')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
+        NativeStruct("SaferSplatOptions", "", ('alpha', 'beta', 'hessian', 'rows', 'brute', 'max_braking', 'max_acceleration')),
+        NativeStruct("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
     ),
     "shield": (
-        Part("ShieldFilterOptions", "", ()),
-        Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
-        Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
+        NativeStruct("ShieldFilterOptions", "", ()),
+        NativeStruct("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'early_end', 'motor_time_constant_s', 'rate_time_constant_s', 'max_rate_rad_s', 'tube_horizon_s', 'tube_risk', 'tube_acceleration_m_s2')),
+        NativeStruct("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
 }
 """The native structs that make up the options of a filter."""

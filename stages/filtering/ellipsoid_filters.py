@@ -7,8 +7,8 @@ from typing import Any
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.parameters.filter_options import FILTERS, PARTS
-from alula.schemas.parameters.filters.values import Part, complaint, defaults, entries
+from alula.schemas.parameters.filter_options import FILTERS, NATIVE_STRUCTS
+from alula.schemas.parameters.filters.values import NativeStruct, complaint, defaults, entries
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.obstacles import ellipsoid_index, union_of
 from alula.stages.filtering.protocol import FilterWorld
@@ -122,10 +122,10 @@ def _build(name: str, world: FilterWorld, parameters: Mapping[str, Any]) -> _cor
         given["solver"] = "active-set"
         others = {"qp_backend": clarabel_backend}
 
-    def options(part: Part, **nested: Any) -> Any:
+    def options(part: NativeStruct, **nested: Any) -> Any:
         return getattr(_core, part.native)(**{key: given[key] for key in part.names}, **nested)
 
-    own, *parts = PARTS[name]
+    own, *parts = NATIVE_STRUCTS[name]
     made = {part.argument: options(part) for part in parts}
     others |= _rows_of_hulls(name, world, index, given)
     if _POLICY not in made:

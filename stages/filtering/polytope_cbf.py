@@ -9,12 +9,12 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.parameters.filter_options import NATIVE_NAMES, PARTS, PolytopeCbfParameters
+from alula.schemas.parameters.filter_options import NATIVE_NAMES, NATIVE_STRUCTS, PolytopeCbfParameters
 from alula.schemas.parameters.filters.values import entries
 from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.protocol import FilterWorld
 
-_NATIVE = PARTS["polytope-cbf"][0].names
+_NATIVE = NATIVE_STRUCTS["polytope-cbf"][0].names
 
 
 def polytope_cbf(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeFilter:

@@ -14,7 +14,7 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.space import PlanSpace, scene_part
+from alula.stages.planning.space import PlanSpace, scene_map
 from alula.stages.planning.trajectory import DEGREE, control_points
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
@@ -138,26 +138,26 @@ def certify_among(
         InputError: the radius is not positive, or the trajectory has no finite bounds.
         UsageError: the level is invalid for these ellipsoids.
     """
-    part = scene_part(scene, sigma, radius_m)
+    one = scene_map(scene, sigma, radius_m)
     return certify_curve(
-        plan["time"], plan["coefficient"], part.obstacles, radius_m, jobs=jobs, extent_m=part.extent_m
+        plan["time"], plan["coefficient"], one.obstacles, radius_m, jobs=jobs, extent_m=one.extent_m
     )
 
 
 def certify_in(
     time: ArrayLike, coefficient: ArrayLike, space: PlanSpace, *, jobs: int = 0, radius_m: float | None = None
 ) -> Certificate:
-    """Prove that a trajectory keeps from each part of a space the distance of that part.
+    """Prove that a trajectory keeps from each map of a space the distance of that map.
 
     Args:
         time: as for `certify_curve` [s].
         coefficient: as for `certify_curve`.
         space: obstacles.
         jobs: threads; the result does not depend on it.
-        radius_m: distance to keep from all parts instead [m].
+        radius_m: distance to keep from all maps instead [m].
 
     Returns:
-        The bounds on the clearance are of the distance to the nearest part.
+        The bounds on the clearance are of the distance to the nearest map.
 
     Raises:
         InputError: as `certify_curve`.
@@ -166,12 +166,12 @@ def certify_in(
         certify_curve(
             time,
             coefficient,
-            part.obstacles,
-            part.keep_m if radius_m is None else radius_m,
+            one.obstacles,
+            one.keep_m if radius_m is None else radius_m,
             jobs=jobs,
-            extent_m=part.extent_m,
+            extent_m=one.extent_m,
         )
-        for part in space.parts
+        for one in space.maps
     ]
     return Certificate(
         np.logical_and.reduce([each.proven for each in found]),

@@ -57,7 +57,7 @@ class Ellipsoids(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class PlanMap:
     """One map among the obstacles of a plan.
 
     Attributes:
@@ -109,35 +109,34 @@ class PlanSpace:
     """The obstacles of a plan.
 
     Attributes:
-        parts: maps, at least one.
+        maps: at least one.
         frame: name of their frame.
-        keep_m: the least distance that a plan keeps from a part [m].
+        keep_m: the least distance that a plan keeps from a map [m].
         map: all obstacles, where those that need a larger distance have grown by the difference.
         floor_m: height of the floor that the scene was levelled to; None where it was not [m].
     """
 
-    parts: tuple[Part, ...]
+    maps: tuple[PlanMap, ...]
     frame: str
     keep_m: float
     map: _core.ObstacleMap
     floor_m: float | None = None
 
     @classmethod
-    def of(cls, parts: Sequence[Part], frame: str, floor_m: float | None = None) -> PlanSpace:
+    def of(cls, maps: Sequence[PlanMap], frame: str, floor_m: float | None = None) -> PlanSpace:
         """Join maps in one frame.
 
         Args:
-            parts: maps, at least one.
+            maps: at least one.
             frame: name of their frame.
             floor_m: height of the floor, if it is known [m].
         """
-        keep = min(part.keep_m for part in parts)
+        keep = min(one.keep_m for one in maps)
         grown = [
-            part.map if part.keep_m == keep else _core.GrownMap(part.map, part.keep_m - keep)
-            for part in parts
+            one.map if one.keep_m == keep else _core.GrownMap(one.map, one.keep_m - keep) for one in maps
         ]
         joined = grown[0] if len(grown) == 1 else _core.MapUnion(grown)
-        return cls(parts=tuple(parts), frame=frame, keep_m=keep, map=joined, floor_m=floor_m)
+        return cls(maps=tuple(maps), frame=frame, keep_m=keep, map=joined, floor_m=floor_m)
 
     def kept(self, more_m: float) -> PlanSpace:
         """The same obstacles, from which plans keep a larger distance.
@@ -145,28 +144,28 @@ class PlanSpace:
         Args:
             more_m: by which it is larger [m].
         """
-        parts = [
-            replace(part, keep_m=part.keep_m + more_m, facts=part.facts | {"keep_m": part.keep_m + more_m})
-            for part in self.parts
+        maps = [
+            replace(one, keep_m=one.keep_m + more_m, facts=one.facts | {"keep_m": one.keep_m + more_m})
+            for one in self.maps
         ]
-        return PlanSpace.of(parts, self.frame, self.floor_m)
+        return PlanSpace.of(maps, self.frame, self.floor_m)
 
     def distances(self) -> str:
         """Distances that a plan keeps, and from what, with the level of the obstacles, in words."""
-        each = [f"{part.keep_m:g} m from every {part.level_words}" for part in self.parts]
+        each = [f"{one.keep_m:g} m from every {one.level_words}" for one in self.maps]
         return ", and ".join(each)
 
     def omits(self) -> list[str]:
         """What the levels of the obstacles leave out, in words."""
-        return list(dict.fromkeys(words for part in self.parts for words in part.omits))
+        return list(dict.fromkeys(words for one in self.maps for words in one.omits))
 
     def solids(self) -> list[Kept]:
-        """Obstacles of all parts, with the distance to keep from them beyond `keep_m`."""
-        return [Kept(part.solids, part.keep_m - self.keep_m + part.short_m) for part in self.parts]
+        """Obstacles of all maps, with the distance to keep from them beyond `keep_m`."""
+        return [Kept(one.solids, one.keep_m - self.keep_m + one.short_m) for one in self.maps]
 
     def box(self) -> tuple[FloatArray, FloatArray] | None:
         """Corners of a box around all obstacles, each of shape (3,) [m]; None without any."""
-        boxes = [(part.lower, part.upper) for part in self.parts if part.lower is not None]
+        boxes = [(one.lower, one.upper) for one in self.maps if one.lower is not None]
         if not boxes:
             return None
         lower, upper = (np.array(each) for each in zip(*boxes, strict=True))
@@ -179,8 +178,8 @@ class PlanSpace:
             point: shape (3,) [m].
         """
         at = np.array([point], np.float64)
-        away = [float(part.map.distance(at, part.keep_m)[0]) - part.keep_m for part in self.parts]
-        return _NEAR[self.parts[int(np.argmin(away))].role == "seen"]
+        away = [float(one.map.distance(at, one.keep_m)[0]) - one.keep_m for one in self.maps]
+        return _NEAR[self.maps[int(np.argmin(away))].role == "seen"]
 
     def is_free(self, points: ArrayLike, radius_m: float) -> Any:
         """Whether balls at points are free, shape (N,); never wrongly true.
@@ -201,13 +200,13 @@ class PlanSpace:
         """
         path = np.ascontiguousarray(points, np.float64)
         least = _FAR_M
-        for part in self.parts:
+        for one in self.maps:
             # What is farther than one of the points does not matter, and is passed over quickly.
-            least = min(least, float(part.map.distance(path[::16], least).min()) + 1e-9)
-            if isinstance(part.obstacles, _core.PolytopeSet):
-                found = segment_clearance(path[:-1], path[1:], part.obstacles, jobs, least)
+            least = min(least, float(one.map.distance(path[::16], least).min()) + 1e-9)
+            if isinstance(one.obstacles, _core.PolytopeSet):
+                found = segment_clearance(path[:-1], path[1:], one.obstacles, jobs, least)
             else:
-                found = part.map.segment_distance(path[:-1], path[1:], least)
+                found = one.map.segment_distance(path[:-1], path[1:], least)
             least = min(least, float(found.min()))
         return least if least < _FAR_M else None
 
@@ -254,19 +253,19 @@ def plan_space(
     suggested = 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
     is_whole = config.margin_m is None
     inflation = suggested if config.inflation_m is None else config.inflation_m
-    parts = []
+    kept = []
     if cover is not None:
         beyond = 0.0 if is_whole else beyond_hulls(config.inflation_m, cover, suggested)
-        parts.append(_cover_part(cover, config.keep_m, beyond, jobs))
+        kept.append(_cover_map(cover, config.keep_m, beyond, jobs))
     if image is not None:
-        parts.append(_image_part(image, config.keep_m, config.inflation_m or 0.0))
+        kept.append(_image_map(image, config.keep_m, config.inflation_m or 0.0))
     if scene is not None:
         sigma = config.sigma if config.confidence is None else sigma_of_confidence(config.confidence)
-        parts.append(scene_part(scene, sigma, config.keep_m, 0.0 if is_whole else inflation, ellipsoids))
+        kept.append(scene_map(scene, sigma, config.keep_m, 0.0 if is_whole else inflation, ellipsoids))
     if within is not None:
-        parts.append(_seen_part(within, config.keep_m))
+        kept.append(_seen_map(within, config.keep_m))
     floors = [floor for each in maps.values() if (floor := floor_of(each)) is not None]
-    return PlanSpace.of(parts, next(iter(frames.values()), IMAGE_FRAME), max(floors, default=None))
+    return PlanSpace.of(kept, next(iter(frames.values()), IMAGE_FRAME), max(floors, default=None))
 
 
 def _origins(cover: Artifact) -> dict[str, Any]:
@@ -276,7 +275,7 @@ def _origins(cover: Artifact) -> dict[str, Any]:
     return {"made_from": found} if found else {}
 
 
-def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> Part:
+def _cover_map(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> PlanMap:
     require_solid_hulls(cover, jobs=jobs)
     level = level_of(cover)
     facts = {
@@ -287,23 +286,23 @@ def _cover_part(cover: Artifact, keep_m: float, beyond_m: float, jobs: int) -> P
         **_origins(cover),
     }
     hulls, left_out = Hulls.from_cover(cover), omissions(level)
-    part = _hull_part("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
-    return replace(part, crop=None if level.crop is None else tuple(level.crop))
+    one = _hull_map("cover", hulls, keep_m + beyond_m, facts, hull_words(level), left_out)
+    return replace(one, crop=None if level.crop is None else tuple(level.crop))
 
 
-def _seen_part(within: Artifact, keep_m: float) -> Part:
+def _seen_map(within: Artifact, keep_m: float) -> PlanMap:
     level = level_of(within)
     facts = {"map": "seen", "keep_m": keep_m, "level": recorded_level(level)}
     left_out = omissions(level, is_cropped=False)
-    return _hull_part("seen", unseen_hulls(within), keep_m, facts, _WORDS["seen"], left_out)
+    return _hull_map("seen", unseen_hulls(within), keep_m, facts, _WORDS["seen"], left_out)
 
 
-def _hull_part(
+def _hull_map(
     role: str, hulls: Hulls, keep_m: float, facts: dict[str, Any], words: str, left_out: Sequence[str]
-) -> Part:
+) -> PlanMap:
     obstacles = hull_obstacles(hulls)
     points = hulls.vertices_world
-    return Part(
+    return PlanMap(
         role=role,
         keep_m=keep_m,
         solids=obstacles,
@@ -317,13 +316,13 @@ def _hull_part(
     )
 
 
-def scene_part(
+def scene_map(
     scene: Artifact,
     sigma: float,
     keep_m: float,
     inflation_m: float = 0.0,
     ellipsoids: Ellipsoids | None = None,
-) -> Part:
+) -> PlanMap:
     """The ellipsoids of a scene.
 
     Args:
@@ -340,7 +339,7 @@ def scene_part(
         among = _core.EllipsoidMap(ellipsoid_index(scene, sigma, keep_m + inflation_m))
         ellipsoids = Ellipsoids(scene_obstacles(scene, sigma), among)
     corners = ellipsoid_box(scene, sigma)
-    return Part(
+    return PlanMap(
         role="scene",
         keep_m=keep_m + inflation_m,
         solids=ellipsoids.solids,
@@ -360,11 +359,11 @@ def scene_part(
     )
 
 
-def _image_part(image: bytes, keep_m: float, inflation_m: float) -> Part:
+def _image_map(image: bytes, keep_m: float, inflation_m: float) -> PlanMap:
     decoded = decode_map(image)
     among = _core.ImageMap(image[: decoded.image_bytes])
     edge = decoded.voxel_size_m
-    return Part(
+    return PlanMap(
         role="image",
         keep_m=keep_m + inflation_m,
         solids=hull_obstacles(image_hulls(decoded)),
@@ -393,8 +392,8 @@ def mapped_box(space: PlanSpace, beyond_m: float = 0.0) -> Mapped | None:
     box = space.box()
     if box is None:
         return None
-    for part in space.parts:
-        box = within_crop(box, part.crop)
+    for one in space.maps:
+        box = within_crop(box, one.crop)
     return Mapped(*box, beyond_m)
 
 

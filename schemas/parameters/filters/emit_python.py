@@ -21,7 +21,7 @@ def module(structs: dict[str, Struct]) -> str:
         "",
         "from msgspec import Meta",
         "",
-        "from alula.schemas.parameters.filters.values import Options, Part",
+        "from alula.schemas.parameters.filters.values import NativeStruct, Options",
         "",
     ]
     for struct in named:
@@ -31,7 +31,7 @@ def module(structs: dict[str, Struct]) -> str:
     out += ["}", '"""The parameters of each filter."""', "", "TABLES: dict[str, str] = {"]
     out += [f'    "{name}": "{struct.filter}",' for name, struct in filters(structs).items()]
     out += ["}", '"""The table of a scenario that has the parameters of each filter."""', ""]
-    out += ["PARTS: dict[str, tuple[Part, ...]] = {"]
+    out += ["NATIVE_STRUCTS: dict[str, tuple[NativeStruct, ...]] = {"]
     for struct in structs.values():
         if struct.filter and struct.cpp and not struct.parameters_of:
             out += [f'    "{struct.filter}": (', *(f"        {part}," for part in _parts(struct)), "    ),"]
@@ -140,9 +140,9 @@ def _parts(struct: Struct) -> list[str]:
     own = names(struct.parameters) + tuple(
         name for part in struct.parts if part.flat for name in names(part.struct.parameters)
     )
-    made = [f'Part("{struct.cpp}", "", {own!r})']
+    made = [f'NativeStruct("{struct.cpp}", "", {own!r})']
     made += [
-        f'Part("{part.struct.cpp}", "{part.name}", {names(part.struct.parameters)!r})'
+        f'NativeStruct("{part.struct.cpp}", "{part.name}", {names(part.struct.parameters)!r})'
         for part in struct.parts
         if not part.flat and not part.table
     ]

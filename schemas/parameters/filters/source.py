@@ -87,7 +87,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class Included:
     """A struct whose parameters a filter has beside its own."""
 
     name: str
@@ -109,7 +109,7 @@ class Struct:
     name: str
     doc: str
     parameters: list[Parameter]
-    parts: list[Part]
+    parts: list[Included]
     filter: str = ""
     python: str = ""
     cpp: str = ""
@@ -145,7 +145,7 @@ def load(folder: Path) -> dict[str, Struct]:
             tables = dict(raw[name])
             head, parts = tables.pop("struct"), tables.pop("parts", {})
             made = [
-                Part(name=key, struct=add(keys.pop("schema", key.replace("_", "-"))), **keys)
+                Included(name=key, struct=add(keys.pop("schema", key.replace("_", "-"))), **keys)
                 for key, keys in ((key, dict(keys)) for key, keys in parts.items())
             ]
             for part in made:
@@ -164,7 +164,7 @@ def filters(structs: dict[str, Struct]) -> dict[str, Struct]:
     return {s.filter: structs[s.parameters_of or s.name] for s in structs.values() if s.filter}
 
 
-def _check_defaults(struct: str, part: Part) -> None:
+def _check_defaults(struct: str, part: Included) -> None:
     """Refuse a default of a part that the part has no parameter for, or of another type."""
     known = {parameter.name: parameter.default for parameter in part.struct.parameters}
     for name, value in part.defaults.items():

@@ -16,7 +16,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Parameters of a filter: unknown keys are refused."""
 
 
-class Part(NamedTuple):
+class NativeStruct(NamedTuple):
     """A native struct that takes some of a filter's parameters.
 
     Attributes:

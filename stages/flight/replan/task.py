@@ -143,9 +143,9 @@ class ReplanTask:
         self.facts, self.vehicle = facts, vehicle
         self._within = artifacts.get("within")
         spaces = [_space(each, artifacts[each.role]) for each in facts.maps]
-        self._space = PlanSpace.of([part for space in spaces for part in space.parts], spaces[0].frame)
+        self._space = PlanSpace.of([part for space in spaces for part in space.maps], spaces[0].frame)
         self._obstacles = [
-            (part.words, part.solids) for part in self._space.parts if part.role in ("cover", "scene")
+            (part.words, part.solids) for part in self._space.maps if part.role in ("cover", "scene")
         ]
 
     def plan(self, request: ReplanRequest, own: OwnSafety | None = None) -> Artifact:

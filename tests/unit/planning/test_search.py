@@ -220,7 +220,7 @@ def test_a_plan_keeps_from_hulls_and_ellipsoids_the_distance_of_each():
 def test_the_proof_among_ellipsoids_agrees_with_dense_samples(seed):
     rng = np.random.default_rng(seed)
     centres = rng.uniform(0, 3, (12, 3)).astype(np.float32)
-    among = space_of(config(), scene=balls(centres, 0.2)).parts[0]
+    among = space_of(config(), scene=balls(centres, 0.2)).maps[0]
     time = np.array([0.0, 1.0, 2.5, 3.0])
     c = septic_spline(rng.uniform(-0.5, 3.5, (4, 3)), np.diff(time))
     for radius in (0.02, 0.1, 0.3):

@@ -12,7 +12,7 @@ import pytest
 
 from alula import _core
 from alula.schemas.generate import PAGES, filter_files
-from alula.schemas.parameters.filter_options import FILTERS, NATIVE_NAMES, PARTS
+from alula.schemas.parameters.filter_options import FILTERS, NATIVE_NAMES, NATIVE_STRUCTS
 from alula.schemas.parameters.filters import source
 from alula.schemas.parameters.filters.values import complaint, defaults, entries
 from alula.stages.filtering.moving_filters import native_options
@@ -115,12 +115,12 @@ def test_one_changed_default_is_found_everywhere(tmp_path):
     assert "safety.polytope-cbf.beta = 2.625" in keys
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", NATIVE_STRUCTS)
 def test_native_defaults_are_those_of_python(name):
-    known, own = defaults(FILTERS[name]), getattr(_core, PARTS[name][0].native)()
+    known, own = defaults(FILTERS[name]), getattr(_core, NATIVE_STRUCTS[name][0].native)()
     names = NATIVE_NAMES.get(name, {})
     compared = set()
-    for part in PARTS[name]:
+    for part in NATIVE_STRUCTS[name]:
         if part.argument and hasattr(own, part.argument):
             native = getattr(own, part.argument)
         else:

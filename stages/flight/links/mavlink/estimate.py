@@ -23,7 +23,7 @@ _LOCAL_NED, _BODY_FRD, _LOCAL_FRD = 1, 12, 20  # MAV_FRAME
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _Half:
     stamp_s: float
     arrival_s: float
     first: FloatArray  # position, or attitude
@@ -52,7 +52,7 @@ class Estimate:
         self.dropped = 0
         self._is_open = is_open
         self._clocks = {"boot": VehicleClock(), "odometry": VehicleClock()}
-        self._parts: dict[str, _Part] = {}
+        self._parts: dict[str, _Half] = {}
         self._has_odometry = self._has_quaternion = False
         self._state: VehicleState | None = None
         self._is_new = False
@@ -160,7 +160,7 @@ class Estimate:
         if before is not None and stamp_s <= before.stamp_s:
             return False
         values = np.array(first, np.float64) if part == "position" else _unit(first)
-        self._parts[part] = _Part(stamp_s, arrival_s, values, np.array(second, np.float64))
+        self._parts[part] = _Half(stamp_s, arrival_s, values, np.array(second, np.float64))
         self._is_new = self._is_new or self._is_open(now_s)
         return True
 
