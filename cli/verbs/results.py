@@ -115,21 +115,6 @@ class Result:
         self._file = file
         self._is_read = file is not None
 
-    @classmethod
-    def of(cls, given: Result | _Path) -> Self:
-        """The result itself, or what a file holds.
-
-        Args:
-            given: a result or the path of a file.
-
-        Raises:
-            InputError: the file cannot be read.
-            WrongKindError: it is of another kind.
-        """
-        found = source_of(given)
-        artifact = found.read(cls.KIND)
-        return cast(Self, found) if isinstance(found, Result) else cls(artifact, file=found)
-
     def read(self, kind: Kind) -> Artifact:
         """The artifact.
 
