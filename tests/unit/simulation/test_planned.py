@@ -20,7 +20,7 @@ from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_summary
 from alula.stages.world.behind import undisturbed
-from alula.stages.world.world import Parts
+from alula.stages.world.world import World
 from support.small_scenes import ball_scene, box_cover
 from support.world_runs import IDEAL_POINT, flown
 
@@ -160,7 +160,7 @@ def test_a_quadrotor_flies_its_plans_without_its_filter_acting(vehicle, name, mo
     assert trial.filtered_steps <= 0.01 * trial.steps
     assert trial.saturated_steps == 0
     assert trial.max_tracking_error_m < 0.01
-    monkeypatch.setattr(Parts, "behind", lambda self: None)
+    monkeypatch.setattr(World, "behind", lambda self: None)
     _, fastest = flight()
     assert fastest.filtered_steps > 0.02 * fastest.steps
     assert fastest.duration_s < trial.duration_s
