@@ -123,8 +123,8 @@ def test_what_is_not_finite_is_refused_on_the_target_too(short, core):
 def test_a_simulated_flight_is_flown_the_same_on_the_target(measured, monkeypatch, core):
     """What is flown with `world.onboard` in each tick is what the microcontroller commands."""
     from alula.schemas.scenarios.scenario import decoded
-    from alula.stages.world import filters
     from alula.stages.simulation.simulate import prepare
+    from alula.stages.world import filters
 
     worlds, make = [], filters.make_filter
     monkeypatch.setattr(
