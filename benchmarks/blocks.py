@@ -19,8 +19,8 @@ import numpy as np
 import scenes
 
 from alula.schemas.artifacts.artifact import Artifact
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.parameters.configs.merge import MergeConfig
-from alula.stages.compression.block_tree import OnePart
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks
 
@@ -51,7 +51,7 @@ def measure(name: str, voxels: Artifact) -> bool:
         for along in ALONG:
             config = MergeConfig(hulls=hulls, block_m=-(-extent // along) * size)
             start = time.process_time()
-            plan = plan_blocks(config, OnePart(voxels))
+            plan = plan_blocks(config, Parts.of(voxels))
             assert plan is not None
             (cover,) = merge_blocks(config, plan, jobs=1)
             cpu = (time.process_time() - start) / taken

@@ -48,10 +48,10 @@ from scale_page import page
 from alula import _core
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import VOXELS
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.artifacts.tiles import WHOLE, read_tiles
 from alula.schemas.parameters.configs.merge import MergeConfig
-from alula.stages.compression.block_tree import OnePart
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks
 from alula.stages.compression.onboard.layout import encode_map
@@ -301,7 +301,7 @@ def excess_ratio(voxels: Path, block_m: float, hulls: int) -> float:
     """Excess volume of the cover by blocks over that of the cover at once, at equal numbers of hulls."""
     artifact = read_whole(voxels, VOXELS)
     config = MergeConfig(hulls=hulls, block_m=block_m)
-    (blocks,) = merge_blocks(config, plan_blocks(config, OnePart(artifact)), jobs=1)
+    (blocks,) = merge_blocks(config, plan_blocks(config, Parts.of(artifact)), jobs=1)
     at_once = merge(MergeConfig(hulls=int(blocks.manifest.summary["hulls"])), artifact, jobs=1)
     by_blocks, once = (made.manifest.conservativeness - 1 for made in (blocks, at_once))  # type: ignore[attr-defined]
     return float(by_blocks / once)

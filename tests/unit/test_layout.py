@@ -1,6 +1,7 @@
 """The shape of the project: import directions, circles, sizes, generated files, a quick command line."""
 
 import ast
+import importlib.util
 import re
 import subprocess
 import sys
@@ -52,6 +53,18 @@ def imported_parts(path: Path) -> set[str]:
 def test_imports_point_one_way(path):
     part = path.relative_to(ROOT).parts[0]
     assert imported_parts(path) <= MAY_IMPORT[part]
+
+
+def test_all_that_benchmarks_examples_and_tests_import_of_alula_is_there():
+    """Also what is imported inside functions; for `alula` itself mypy checks it."""
+    files = [path for part in ("benchmarks", "examples", "tests") for path in (ROOT / part).rglob("*.py")]
+    for path in files:
+        for node in ast.walk(parsed(path)):
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("alula."):
+                continue
+            module = importlib.import_module(node.module)
+            for name in [alias.name for alias in node.names if not hasattr(module, alias.name)]:
+                assert importlib.util.find_spec(f"{node.module}.{name}"), f"{path}:{node.lineno}: {name}"
 
 
 def test_the_rooms_of_the_command_line_import_one_way():
