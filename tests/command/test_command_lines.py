@@ -199,7 +199,7 @@ def shortened(words: tuple[str, ...]) -> list[str]:
         return result
     source = Path(words[2])
     many = source.name.endswith((".cover.npz", ".scene.npz")) or (
-        source.suffix == ".toml" and re.search(r"^(trials|count) = ", source.read_text(), re.MULTILINE)
+        source.suffix == ".toml" and re.search(r"^(trials|count) = (?!1$)", source.read_text(), re.MULTILINE)
     )
     return [*result, "--trials", "2"] if many else result
 

@@ -40,6 +40,7 @@ def commands_in(done: subprocess.CompletedProcess[str]) -> list[str]:
     """The alula commands that make ran."""
     assert done.returncode == 0, done.stderr + done.stdout
     lines = [line for line in done.stdout.splitlines() if " -m alula.cli " in line]
+    lines = [line for line in lines if not line.startswith("  ")]  # what it advises to try next
     return [line.split(" -m alula.cli ")[1].split()[0] for line in lines]
 
 

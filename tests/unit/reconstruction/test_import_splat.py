@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import InputError, UsageError
@@ -191,6 +191,7 @@ def test_parameters_that_mean_nothing_are_refused(wrong):
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.floats(0, 1))
+@example(1, 0.0)  # the median of sizes near the largest number
 def test_whatever_is_kept_is_a_valid_scene(seed, min_opacity):
     rng = np.random.default_rng(seed)
     odd = np.array([np.nan, np.inf, -np.inf, 0.0, 1e-38, 3e38, 1.0, -2.0, 0.5], np.float32)
