@@ -343,13 +343,11 @@ def with_rounding(splats: Splats) -> Splats:
         finite[part] = np.all([np.isfinite(column) for column in (*mean.T, x, y, z)], axis=0)
         longest[part] = np.maximum(np.maximum(x, y), z)
         largest = max(largest, float(np.abs(mean[finite[part]]).max(initial=0.0)))
-    sizes = longest[finite]
-    middle = np.array([(len(sizes) - 1) // 2, len(sizes) // 2])
-    if len(sizes):
+    sizes, typical = longest[finite], 0.0
+    if len(sizes):  # their median, which np.median computes with an overflow near the largest number
+        middle = np.array([(len(sizes) - 1) // 2, len(sizes) // 2])
         sizes.partition(middle)
-    typical = (
-        float(sizes[middle].mean(dtype=np.float64)) if len(sizes) else 0.0
-    )  # the median, without overflow
+        typical = float(sizes[middle].mean(dtype=np.float64))
     most = float(np.finfo(np.float32).max)
     if spacing(np.array(min(largest, most), np.float32)) <= _FINE * typical:
         return splats

@@ -1,4 +1,4 @@
-"""Set-points: what a vehicle is told to fly, in the world frame with z up and the body frame x forward."""
+"""Set-points: the commands sent to a vehicle, in the world frame with z up and the body frame x forward."""
 
 from __future__ import annotations
 
