@@ -52,7 +52,7 @@ void bind_voxelize(nb::module_& m) {
   m.def(
       "tally_opacity",
       [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, alula::InVector<float> opacity,
-         alula::InVector<float> limits, alula::Vec3 origin, double edge, alula::Index3 size, unsigned jobs) {
+         alula::InVector<float> limits, alula::Triple origin, double edge, alula::Index3 size, unsigned jobs) {
         const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz), {}};
         alula::PythonControl control{nb::none()};
         alula::OpacityTally tally;

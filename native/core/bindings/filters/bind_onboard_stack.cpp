@@ -63,8 +63,8 @@ OnboardStackSpec spec_of(nb::handle takes, nb::handle gives, const std::optional
 }
 
 // The nominal command has 4 numbers for sticks, else 3.
-Result filter(OnboardStack& self, const InRacer& state, const InVector<double>& nominal, const Tracks& tracks,
-              const InRows4<double>& walls, const std::array<double, 6>& covariance, double yaw_rate_rad_s) {
+Result filter_racer(OnboardStack& self, const InRacer& state, const InVector<double>& nominal, const Tracks& tracks,
+                    const InRows4<double>& walls, const std::array<double, 6>& covariance, double yaw_rate_rad_s) {
   alula_stack_input in{};
   in.kind = self.config().takes;
   const bool has_sticks = in.kind == ALULA_STACK_STICKS;
@@ -152,7 +152,7 @@ void bind_onboard_stack(nb::module_& m) {
               "= None, geofence: Geofence | None = None, model: RacerModel = ..., velocity_gain: float = 2.5, "
               "most_walls: int = 8) -> None"))
       .def("reset", &OnboardStack::reset, "Reset to the state before the first tick.")
-      .def("filter", &filter, "state"_a, "nominal"_a, "tracks"_a, "walls"_a, nb::kw_only(),
+      .def("filter", &filter_racer, "state"_a, "nominal"_a, "tracks"_a, "walls"_a, nb::kw_only(),
            "covariance"_a = std::array<double, 6>{}, "yaw_rate_rad_s"_a = 0.0,
            "Filter one tick: `state` (13), nominal velocity or acceleration (3) or sticks (4), tracks (n, 29) and "
            "walls\n"

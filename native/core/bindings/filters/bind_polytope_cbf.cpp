@@ -75,7 +75,8 @@ std::tuple<std::int64_t, bool> tile(const PolytopeCbf& self) {
   return {found ? static_cast<std::int64_t>(*found) : -1, self.window()->place() == ALULA_TILES_INSIDE};
 }
 
-std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
+std::tuple<Triple, int, double, double, std::int64_t> filter_velocity(PolytopeCbf& self, const Triple& x,
+                                                                      const Triple& u_nom) {
   const FilterOutput output = self.filter(x, u_nom);
   const auto active = output.detail.active;
   return {output.u, static_cast<int>(output.status), output.detail.margin_m, output.detail.hard_margin_m,
@@ -140,7 +141,7 @@ void bind_polytope_cbf(nb::module_& m) {
                        .c_str()),
            fields::documentation(PolytopeCbfArguments{}).c_str())
       .def_prop_ro("config", &PolytopeCbf::config)
-      .def("filter", &filter, "x"_a, "u_nom"_a,
+      .def("filter", &filter_velocity, "x"_a, "u_nom"_a,
            "(u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.")
       .def_static(
           "from_image", &from_image, "image"_a, "others"_a,

@@ -7,12 +7,12 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/unique_ptr.h>
 
-#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
 #include <tuple>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/parallel.hpp"
 #include "alula/filters/cone_di.hpp"
 #include "alula/filters/option_fields.hpp"
@@ -38,8 +38,6 @@ using flight::Nominal;
 using flight::Pruning;
 using flight::SaferSplat;
 using flight::SafetyFilter;
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 using Array3 = std::array<double, 3>;
 using Array4 = std::array<double, 4>;
@@ -187,7 +185,8 @@ struct Fields<Tick> {
 
 namespace {
 
-Record filter(SafetyFilter& self, const State12& state, const Array3& acceleration, const nb::kwargs& others) {
+Record filter_command(SafetyFilter& self, const State12& state, const Array3& acceleration,
+                      const nb::kwargs& others) {
   Tick tick;
   tick.state.x = {at(state, 0), at(state, 3), at(state, 6), at(state, 9)};
   tick.nominal.acceleration = vec(acceleration);
@@ -296,7 +295,7 @@ void bind_splat_filters(nb::module_& m) {
   fields::bind<Pruning>(m, "Pruning", "Selection of the ellipsoids that become rows of a tick.");
 
   nb::class_<SafetyFilter>(m, "SafetyFilter", "Safety filter of one kind of command; one per thread.")
-      .def("filter", &filter, "state"_a, "acceleration"_a, "others"_a,
+      .def("filter", &filter_command, "state"_a, "acceleration"_a, "others"_a,
            nb::sig(fields::signature(Tick{},
                                      "self, state: collections.abc.Sequence[float], "
                                      "acceleration: collections.abc.Sequence[float]",

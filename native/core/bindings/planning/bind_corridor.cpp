@@ -12,24 +12,21 @@
 
 #include "alula/planning/corridor.hpp"
 #include "alula/planning/minimum_time.hpp"
-#include "arrays.hpp"
+#include "flight_arrays.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 using namespace alula;
+using flight::Doubles, flight::Triple, flight::triple_of, flight::vector_of;
 using geometry::Vec3;
 
 namespace {
 
-using Triple = std::array<double, 3>;
-using Doubles = nb::ndarray<nb::numpy, double>;
 using Longs = nb::ndarray<nb::numpy, std::int64_t>;
 using Bytes = nb::ndarray<nb::numpy, std::uint8_t>;
 using Hulls = std::vector<const PolytopeSet*>;
 using Ellipsoids = std::vector<const EllipsoidSet*>;
-
-Vec3 vector_of(const Triple& t) { return {t[0], t[1], t[2]}; }
 
 std::vector<Vec3> vectors(InRows3<double> rows) {
   std::vector<Vec3> result;

@@ -12,22 +12,18 @@
 #include "alula/planning/curve_check.hpp"
 #include "alula/planning/passage.hpp"
 #include "alula/planning/search.hpp"
-#include "arrays.hpp"
+#include "flight_arrays.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 using namespace alula;
+using flight::Doubles, flight::Triple, flight::triple_of, flight::vector_of;
 
 namespace {
 
-using Triple = std::array<double, 3>;
 using InCurves = In<double, nb::shape<-1, 8, 3>>;
 
-geometry::Vec3 vector_of(const Triple& t) { return {t[0], t[1], t[2]}; }
-Triple triple_of(geometry::Vec3 p) { return {p.x, p.y, p.z}; }
-
-using Doubles = nb::ndarray<nb::numpy, double>;
 using Bytes = nb::ndarray<nb::numpy, std::uint8_t>;
 
 Doubles rows(const std::vector<geometry::Vec3>& points) {

@@ -18,8 +18,8 @@ namespace {
 __extension__ using Wide = __int128;
 using Position = std::array<std::int32_t, 3>;
 
-constexpr std::uint64_t kLongest = (1 << 15) - 1;  // largest |n_i| of an outer polytope
-constexpr double kMostPairs = 0x1p32;              // of a plane and a vertex or member: about ten seconds
+constexpr std::uint64_t kLongestNormal = (1 << 15) - 1;  // largest |n_i| of an outer polytope
+constexpr double kMostPairs = 0x1p32;                    // of a plane and a vertex or member: about ten seconds
 
 Position row(std::span<const std::int32_t> rows, std::size_t i) {
   return {rows[3 * i], rows[3 * i + 1], rows[3 * i + 2]};
@@ -29,7 +29,7 @@ std::uint64_t magnitude(std::int64_t a) {
   return a < 0 ? ~static_cast<std::uint64_t>(a) + 1 : static_cast<std::uint64_t>(a);
 }
 
-struct HalfSpace {
+struct IntegerHalfSpace {
   std::int64_t x, y, z, offset;
 
   Wide excess(const Position& p) const { return Wide{x} * p[0] + Wide{y} * p[1] + Wide{z} * p[2] - offset; }
@@ -38,13 +38,13 @@ struct HalfSpace {
     return excess(p) + std::max<Wide>(x, 0) + std::max<Wide>(y, 0) + std::max<Wide>(z, 0);
   }
   bool is_primitive() const { return std::gcd(std::gcd(magnitude(x), magnitude(y)), magnitude(z)) == 1; }
-  auto operator<=>(const HalfSpace&) const = default;
+  auto operator<=>(const IntegerHalfSpace&) const = default;
 };
 
 // When every product is below 2^60, 64 bits hold all sums of voxel_excess.
-bool fits_64_bits(std::span<const HalfSpace> planes, std::span<const Position> positions) {
+bool fits_64_bits(std::span<const IntegerHalfSpace> planes, std::span<const Position> positions) {
   std::uint64_t normal = 0, offset = 0, position = 1;
-  for (const HalfSpace& h : planes) {
+  for (const IntegerHalfSpace& h : planes) {
     normal = std::max({normal, magnitude(h.x), magnitude(h.y), magnitude(h.z)});
     offset = std::max(offset, magnitude(h.offset));
   }
@@ -123,7 +123,7 @@ class HullCheck {
     std::array<bool, 6> is_found{};
     for (std::size_t p = 0; p < plane_.size(); ++p) {
       stop_.check();
-      const HalfSpace& plane = plane_[p];
+      const IntegerHalfSpace& plane = plane_[p];
       const std::int64_t at = first_plane_ + static_cast<std::int64_t>(p);
       std::size_t farthest = 0;
       for (std::size_t v = 1; v < vertex_.size(); ++v)
@@ -134,7 +134,7 @@ class HullCheck {
       if (excess < 0) report(Fault::kLoosePlane, at, vertex);
       const std::array<std::int64_t, 3> n{plane.x, plane.y, plane.z};
       const std::array<std::uint64_t, 3> length{magnitude(n[0]), magnitude(n[1]), magnitude(n[2])};
-      if (*std::max_element(length.begin(), length.end()) > kLongest) report(Fault::kLongNormal, at);
+      if (*std::max_element(length.begin(), length.end()) > kLongestNormal) report(Fault::kLongNormal, at);
       for (std::size_t i = 0; i < 3; ++i)
         if (length[i] == 1 && length[(i + 1) % 3] == 0 && length[(i + 2) % 3] == 0)
           is_found[n[i] > 0 ? i : i + 3] = true;
@@ -178,7 +178,7 @@ class HullCheck {
 
   // The extreme points, in cyclic order, of vertices in a common plane: their convex hull after
   // dropping the axis along which the normal is longest, which keeps the plane one to one.
-  std::vector<std::size_t> polygon(const HalfSpace& plane, std::vector<std::size_t> on) const {
+  std::vector<std::size_t> polygon(const IntegerHalfSpace& plane, std::vector<std::size_t> on) const {
     const std::array<std::uint64_t, 3> length{magnitude(plane.x), magnitude(plane.y), magnitude(plane.z)};
     const std::size_t drop =
         static_cast<std::size_t>(std::max_element(length.begin(), length.end()) - length.begin());
@@ -224,7 +224,7 @@ class HullCheck {
     std::size_t p = 0;
     if (is_narrow) {
       for (; p < plane_.size(); ++p) {
-        const HalfSpace& h = plane_[p];
+        const IntegerHalfSpace& h = plane_[p];
         const std::int64_t far = h.x * (v[0] + std::int64_t{h.x > 0}) + h.y * (v[1] + std::int64_t{h.y > 0}) +
                                  h.z * (v[2] + std::int64_t{h.z > 0});
         if (far > h.offset) break;
@@ -299,7 +299,7 @@ class HullCheck {
   PairBudget& budget_;
   const Stop& stop_;
   std::vector<Position> vertex_, member_;
-  std::vector<HalfSpace> plane_;
+  std::vector<IntegerHalfSpace> plane_;
 };
 
 void require_partition(std::span<const std::int64_t> start, std::size_t hulls, std::size_t rows) {

@@ -22,7 +22,7 @@ namespace {
 constexpr std::size_t kAhead = 8;        // maximum number of volumes measured at once, per thread
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
 
-constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+constexpr double kUnmeasured = std::numeric_limits<double>::quiet_NaN();
 
 struct Link {
   std::uint32_t other;
@@ -48,7 +48,7 @@ struct Element {
 
 struct Candidate {
   double key;
-  double weight;                                  // W of the union, kUnknown when it was not measured yet
+  double weight;                                  // W of the union, kUnmeasured when it was not measured yet
   std::uint32_t left, right;                      // left < right
   bool evaluated;                                 // `key` is computed from `weight`
   bool is_nearest;                                // paired because `left` or `right` touches nothing
@@ -282,7 +282,7 @@ class Merger {
       const Link best = waiting.back();
       waiting.pop_back();
       if (!element_[best.other].alive) continue;
-      queue_.push({best.key, kUnknown, best.other, right, false, false});
+      queue_.push({best.key, kUnmeasured, best.other, right, false, false});
       return;
     }
   }
@@ -319,7 +319,7 @@ class Merger {
     } else if (!is_linked(i, near.item)) {
       const double key = expected_key(i, near.item, tree_.box(i), tree_.box(near.item));
       link(i, near.item, key);
-      queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
+      queue_.push({key, kUnmeasured, std::min(i, near.item), std::max(i, near.item), false, true});
     }
   }
 
@@ -356,7 +356,7 @@ class Merger {
         continue;
       }
       const auto [left, right] = std::minmax(gap.item, gap.nearest);
-      Candidate pair{0, kUnknown, left, right, false, false};
+      Candidate pair{0, kUnmeasured, left, right, false, false};
       evaluate(pair);
       return pair;
     }

@@ -3,15 +3,14 @@
 #include <algorithm>
 #include <cfloat>
 #include <cmath>
-#include <limits>
 #include <utility>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/require.hpp"
 
 namespace alula {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kPiece = 2e-3;       // length of the pieces of a segment [m], of which there are
 constexpr double kMostPieces = 4096;  // at most so many
 constexpr int kMostBalls = 256;       // that a sweep is covered by

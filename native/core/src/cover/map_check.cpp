@@ -11,15 +11,15 @@ namespace alula {
 
 namespace {
 
-using Triple = std::array<std::int64_t, 3>;
+using Cell = std::array<std::int64_t, 3>;
 
 constexpr std::int64_t kMostNormal = std::int64_t{1} << 15, kMostOffset = std::int64_t{1} << 50;
 
-Triple triple(std::span<const std::int32_t> rows, std::size_t i) {
+Cell triple(std::span<const std::int32_t> rows, std::size_t i) {
   return {rows[3 * i], rows[3 * i + 1], rows[3 * i + 2]};
 }
 
-std::int64_t floor_div(std::int64_t a, std::int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
+std::int64_t floored_quotient(std::int64_t a, std::int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
 bool is_partition(std::span<const std::int64_t> start, std::size_t rows) {
   return !start.empty() && start.front() == 0 && start.back() == static_cast<std::int64_t>(rows) &&
@@ -47,8 +47,8 @@ Run run_inside(const MapView& map, std::size_t h, std::int64_t x, std::int64_t y
   for (std::size_t l = static_cast<std::size_t>(map.plane_start[h]); l < end && run.low <= run.high; ++l) {
     const auto [nx, ny, nz] = triple(map.normal, l);
     const std::int64_t rest = map.offset[l] - nx * (x + (nx > 0)) - ny * (y + (ny > 0));
-    if (nz > 0) run.high = std::min(run.high, floor_div(rest, nz) - 1);  // nz (z + 1) <= rest
-    if (nz < 0) run.low = std::max(run.low, -floor_div(rest, -nz));      // -nz z >= -rest
+    if (nz > 0) run.high = std::min(run.high, floored_quotient(rest, nz) - 1);  // nz (z + 1) <= rest
+    if (nz < 0) run.low = std::max(run.low, -floored_quotient(rest, -nz));      // -nz z >= -rest
     if (nz == 0 && rest < 0) run.high = run.low - 1;
   }
   return run;
@@ -112,7 +112,7 @@ std::vector<std::int64_t> polytopes_outside(const MapView& map, std::span<const 
                                             std::span<const std::int64_t> vertex_start) {
   require_sound(map);
   if (!is_partition(vertex_start, vertex.size() / 3)) throw std::invalid_argument("starts do not partition the rows");
-  std::map<std::array<Triple, 2>, std::vector<std::size_t>> by_box;
+  std::map<std::array<Cell, 2>, std::vector<std::size_t>> by_box;
   for (std::size_t h = 0; h + 1 < map.plane_start.size(); ++h)
     by_box[{triple(map.lower, h), triple(map.upper, h)}].push_back(h);
 
@@ -120,7 +120,7 @@ std::vector<std::int64_t> polytopes_outside(const MapView& map, std::span<const 
   for (std::size_t p = 0; p + 1 < vertex_start.size(); ++p) {
     const std::size_t first = static_cast<std::size_t>(vertex_start[p]);
     const std::size_t end = static_cast<std::size_t>(vertex_start[p + 1]);
-    std::array<Triple, 2> box{Triple{INT32_MAX, INT32_MAX, INT32_MAX}, Triple{INT32_MIN, INT32_MIN, INT32_MIN}};
+    std::array<Cell, 2> box{Cell{INT32_MAX, INT32_MAX, INT32_MAX}, Cell{INT32_MIN, INT32_MIN, INT32_MIN}};
     for (std::size_t v = first; v < end; ++v) {
       for (std::size_t i = 0; i < 3; ++i) {
         box[0][i] = std::min<std::int64_t>(box[0][i], vertex[3 * v + i]);

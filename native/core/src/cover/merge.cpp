@@ -31,14 +31,14 @@ std::uint64_t fingerprint_of(const Occupancy& occupancy, const VoxelSets& sets, 
                      fingerprint(bytes(sets.member), fingerprint(bytes(occupancy.voxels()), kind)));
 }
 
-using Tiles = std::vector<std::vector<std::uint32_t>>;
+using TileSets = std::vector<std::vector<std::uint32_t>>;
 
 // Divides the sets into boxes of space with about equally many sets, at most kTileSets each.
-Tiles tiles_of(const Occupancy& occupancy, const VoxelSets& sets) {
+TileSets tile_sets(const Occupancy& occupancy, const VoxelSets& sets) {
   std::vector<std::uint32_t> number(sets.size());
   std::iota(number.begin(), number.end(), 0u);
   const auto place = [&](std::uint32_t set) -> const Lattice& { return occupancy.voxels()[sets[set].front()]; };
-  Tiles tiles;
+  TileSets tiles;
   const auto divide = [&](auto& self, std::size_t begin, std::size_t end) -> void {
     if (end - begin <= kTileSets) {
       tiles.emplace_back(number.begin() + static_cast<std::ptrdiff_t>(begin),
@@ -101,7 +101,7 @@ void append(Cover& cover, const MergeStep& step, std::uint32_t left, std::uint32
 // are left.
 Cover merge_tiles(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, std::size_t rest,
                   unsigned jobs, Control& control, EvaluationLog* log) {
-  const Tiles tiles = tiles_of(occupancy, sets);
+  const TileSets tiles = tile_sets(occupancy, sets);
   std::vector<MergeSteps> found(tiles.size());
   std::atomic<std::size_t> polls{0};
   TilesControl all(control, polls, 2 * sets.size());  // about one for each set and one for each merge

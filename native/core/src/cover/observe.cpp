@@ -28,8 +28,8 @@ float rounded_up(double w) {
 
 // A set in the camera's frame: {centre + row u : |u| <= 1}.
 struct Body {
-  Vec3 centre;
-  std::array<Vec3, 3> row;
+  Triple centre;
+  std::array<Triple, 3> row;
   double depth;  // half-width along z
 };
 
@@ -38,11 +38,11 @@ class Projection {
  public:
   // Of a body in front of the camera, scaled to pixels: column = fx x / z + ox.
   Projection(const Body& body, double fx, double fy, double ox, double oy) {
-    const Vec3& c = body.centre;
-    const Vec3& az = body.row[2];
+    const Triple& c = body.centre;
+    const Triple& az = body.row[2];
     const double far = body.depth, inverse = 1 / ((c[2] - far) * (c[2] + far));
     const double x = c[0] / c[2], y = c[1] / c[2];
-    Vec3 ax, ay;
+    Triple ax, ay;
     for (std::size_t j = 0; j < 3; ++j) {
       ax[j] = fx * (body.row[0][j] - x * az[j]);
       ay[j] = fy * (body.row[1][j] - y * az[j]);
@@ -139,7 +139,7 @@ Body cut(const Body& body, double from, double to) {
     const double square = std::max(0.0, 1 - q * t1 * t2 + (1 + q) * middle * middle), around = std::sqrt(square);
     const double along = around / std::sqrt(1 + q);
     if (body.centre[2] + a * (middle - along) < from / 2 && q < 0x1p40) continue;
-    Vec3 d;
+    Triple d;
     for (std::size_t j = 0; j < 3; ++j) d[j] = body.row[2][j] / a;
     Body part{body.centre, body.row, a * along};
     for (std::size_t i = 0; i < 3; ++i) {
@@ -156,7 +156,7 @@ Body cut(const Body& body, double from, double to) {
 bool touches_origin(const Body& body, double radius) {
   double sum = 0;
   for (std::size_t j = 0; j < 3; ++j) {
-    const Vec3 axis{body.row[0][j], body.row[1][j], body.row[2][j]};
+    const Triple axis{body.row[0][j], body.row[1][j], body.row[2][j]};
     const double square = dot(axis, axis), along = dot(axis, body.centre);
     sum += along * along / square / (3 * square + 1.5 * radius * radius);  // Sum with p = 1/2, see ellipsoid.hpp
   }
@@ -179,19 +179,19 @@ class Painter {
     most_ = std::sqrt(1 + u * u), most_v_ = std::sqrt(1 + v * v), u_ = u, v_ = v;
   }
 
-  Vec3 to_camera(const Vec3& world) const {
-    const Vec3 r{world[0] - camera_.centre[0], world[1] - camera_.centre[1], world[2] - camera_.centre[2]};
+  Triple to_camera(const Triple& world) const {
+    const Triple r{world[0] - camera_.centre[0], world[1] - camera_.centre[1], world[2] - camera_.centre[2]};
     return {dot(camera_.rotation[0], r), dot(camera_.rotation[1], r), dot(camera_.rotation[2], r)};
   }
 
   // Whether a ball lies outside of the pyramid around the image, or behind the camera.
-  bool misses(const Vec3& c, double reach) const {
+  bool misses(const Triple& c, double reach) const {
     if (c[2] < -reach) return true;
     return std::abs(c[0]) - u_ * c[2] > reach * most_ * (1 + 1e-6) ||
            std::abs(c[1]) - v_ * c[2] > reach * most_v_ * (1 + 1e-6);
   }
 
-  Body body(const Vec3& c, const std::array<Vec3, 3>& row) const {
+  Body body(const Triple& c, const std::array<Triple, 3>& row) const {
     Body body{c, {}, 0};
     for (std::size_t i = 0; i < 3; ++i)
       for (std::size_t j = 0; j < 3; ++j)
@@ -314,7 +314,7 @@ Depth Occluders::depth(const Pinhole& camera, const SightLimits& limits) const {
   for (std::size_t i = 0; i < solid_.size(); ++i) {
     const Solid& first = solid_[i];
     const Solid* second = first.is_pair ? &solid_[++i] : nullptr;
-    const Vec3 c = painter.to_camera(first.centre);
+    const Triple c = painter.to_camera(first.centre);
     if (painter.misses(c, first.reach)) continue;
     const Body one = painter.body(c, first.row);
     if (second) {
@@ -347,7 +347,7 @@ class Sweep {
         oy_(-camera.top * fy_) {
     for (std::size_t k = 0; k < 8; ++k) {
       const double half = 0.5 * box.g;
-      const Vec3 corner{k & 1 ? half : -half, k & 2 ? half : -half, k & 4 ? half : -half};
+      const Triple corner{k & 1 ? half : -half, k & 2 ? half : -half, k & 4 ? half : -half};
       for (std::size_t i = 0; i < 3; ++i) corner_[k][i] = dot(camera.rotation[i], corner);
     }
     frame();
@@ -409,7 +409,7 @@ class Sweep {
   void frame() {
     const float least = *std::min_element(depth_.nearness.begin(), depth_.nearness.end());
     const double far = 1 / double(least);
-    Vec3 low = camera_.centre, high = camera_.centre;
+    Triple low = camera_.centre, high = camera_.centre;
     for (std::size_t k = 0; k < 4; ++k) {
       const double u = k & 1 ? camera_.right : camera_.left, v = k & 2 ? camera_.bottom : camera_.top;
       for (std::size_t i = 0; i < 3; ++i) {
@@ -428,8 +428,8 @@ class Sweep {
 
   // Whether a voxel is in the image and in front of every surface; e: from its centre to the camera [voxels].
   bool sees(double ex, double ey, double ez) const {
-    const Vec3 to{-ex * box_.g, -ey * box_.g, -ez * box_.g};
-    const Vec3 c{dot(camera_.rotation[0], to), dot(camera_.rotation[1], to), dot(camera_.rotation[2], to)};
+    const Triple to{-ex * box_.g, -ey * box_.g, -ez * box_.g};
+    const Triple c{dot(camera_.rotation[0], to), dot(camera_.rotation[1], to), dot(camera_.rotation[2], to)};
     if (c[2] < limits_.near) return false;
     View view;
     if (!project(c, 1, view)) return false;
@@ -503,10 +503,10 @@ class Sweep {
     Corners corner;                        // pixels
   };
   // False where the cube, its edge times a scale, is not wholly in the image and beyond the near limit.
-  bool project(const Vec3& c, double scale, View& view) const {
+  bool project(const Triple& c, double scale, View& view) const {
     double left = 1e300, right = -1e300, top = 1e300, bottom = -1e300, far = 0;
     for (std::size_t k = 0; k < 8; ++k) {
-      const Vec3& corner = corner_[k];
+      const Triple& corner = corner_[k];
       const double z = c[2] + scale * corner[2];
       if (!(z >= limits_.near)) return false;
       const double inverse = 1 / z;
@@ -527,9 +527,9 @@ class Sweep {
   const SightLimits& limits_;
   const DenseBox& box_;
   double margin_, fx_, fy_, ox_, oy_;
-  std::array<Vec3, 8> corner_{};
+  std::array<Triple, 8> corner_{};
   std::array<std::int64_t, 3> lower_{}, upper_{};
-  Vec3 at_{};
+  Triple at_{};
   std::vector<std::uint8_t> clear_;
 };
 

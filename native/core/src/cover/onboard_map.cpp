@@ -14,14 +14,14 @@ namespace alula {
 
 namespace {
 
-using Normal = std::array<std::int32_t, 3>;
+using ShortNormal = std::array<std::int32_t, 3>;
 
 constexpr std::size_t kMostPlanes = 255;  // a byte counts them
-constexpr std::uint32_t kMostDepth = 0xFFFF, kMostKdopDepth = 0x7FF;
+constexpr std::uint32_t kMostHullDepth = 0xFFFF, kMostKdopDepth = 0x7FF;
 constexpr double kLeastFacet = 1e-6;  // [voxel faces]; a plane with a smaller facet is not worth its bytes
 
 struct CutPlane {
-  Normal normal;
+  ShortNormal normal;
   std::int64_t depth;  // depth of the cut from the box corner that is farthest along the normal
 };
 
@@ -31,8 +31,8 @@ struct QuantisedHull {
 };
 
 // The normals of {-1, 0, 1}^3 with two or three components, in lexicographic order.
-std::vector<Normal> oblique_directions() {
-  std::vector<Normal> all;
+std::vector<ShortNormal> oblique_directions() {
+  std::vector<ShortNormal> all;
   for (std::int32_t x = -1; x <= 1; ++x)
     for (std::int32_t y = -1; y <= 1; ++y)
       for (std::int32_t z = -1; z <= 1; ++z)
@@ -40,16 +40,18 @@ std::vector<Normal> oblique_directions() {
   return all;
 }
 
-std::int32_t largest_component(const Normal& n) { return std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])}); }
+std::int32_t largest_component(const ShortNormal& n) {
+  return std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])});
+}
 
-bool is_oblique(const Normal& n) { return (n[0] != 0) + (n[1] != 0) + (n[2] != 0) >= 2; }
+bool is_oblique(const ShortNormal& n) { return (n[0] != 0) + (n[1] != 0) + (n[2] != 0) >= 2; }
 
 // The normal with |n_i| <= largest that is nearest to `exact` in angle; among equally near ones the shortest.
-Normal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
+ShortNormal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
   const std::array<double, 3> n{static_cast<double>(exact[0]), static_cast<double>(exact[1]),
                                 static_cast<double>(exact[2])};
   const double longest = std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])});
-  Normal best{};
+  ShortNormal best{};
   if (longest <= largest) {
     for (std::size_t i = 0; i < 3; ++i) best[i] = static_cast<std::int32_t>(exact[i]);
     return best;
@@ -75,7 +77,7 @@ Normal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
 }
 
 // n . (the farthest corner of the box) - max over the vertices of n . v; not negative.
-std::int64_t depth_of(const Normal& n, const QuantisedHull& hull, std::span<const std::int32_t> vertex) {
+std::int64_t depth_of(const ShortNormal& n, const QuantisedHull& hull, std::span<const std::int32_t> vertex) {
   std::int64_t support = INT64_MIN, corner = 0;
   for (std::size_t v = 0; v < vertex.size(); v += 3)
     support = std::max(support, std::int64_t{n[0]} * vertex[v] + std::int64_t{n[1]} * vertex[v + 1] +
@@ -117,13 +119,13 @@ void drop_idle_planes(QuantisedHull& hull) {
 }
 
 QuantisedHull quantise(std::span<const std::int32_t> vertex, std::span<const std::int64_t> normal,
-                       std::int32_t largest, const std::vector<Normal>& directions) {
+                       std::int32_t largest, const std::vector<ShortNormal>& directions) {
   const std::span<const Lattice> points(reinterpret_cast<const Lattice*>(vertex.data()), vertex.size() / 3);
   const LatticeBox box = bounds(points);
   QuantisedHull hull{box.lower, box.upper, {}};
   for (std::size_t i = 0; i < 3; ++i)
     if (points.empty() || hull.lower[i] >= hull.upper[i]) throw std::invalid_argument("a hull has no volume");
-  std::vector<Normal> candidate;
+  std::vector<ShortNormal> candidate;
   bool is_exact = true;
   for (std::size_t p = 0; p < normal.size(); p += 3) {
     for (std::size_t i = 0; i < 3; ++i) is_exact = is_exact && std::llabs(normal[p + i]) <= largest;
@@ -132,7 +134,7 @@ QuantisedHull quantise(std::span<const std::int32_t> vertex, std::span<const std
   if (!is_exact && largest == 1) candidate = directions;
   std::sort(candidate.begin(), candidate.end());
   candidate.erase(std::unique(candidate.begin(), candidate.end()), candidate.end());
-  for (const Normal& n : candidate) {
+  for (const ShortNormal& n : candidate) {
     if (!is_oblique(n)) continue;
     const std::int64_t depth = depth_of(n, hull, vertex);
     if (depth > 0) hull.plane.push_back({n, depth});
@@ -156,19 +158,19 @@ void put16(std::vector<std::uint8_t>& bytes, std::uint32_t value) {
 
 class RecordWriter {
  public:
-  RecordWriter(const Lattice& origin, bool is_kdop, std::int32_t largest, const std::vector<Normal>& directions)
+  RecordWriter(const Lattice& origin, bool is_kdop, std::int32_t largest, const std::vector<ShortNormal>& directions)
       : origin_(origin), is_kdop_(is_kdop), largest_(largest), directions_(directions) {}
 
   // Writes the record of a hull and counts it in `records`.
   std::vector<std::uint8_t> operator()(QuantisedHull& hull, MapRecords& records) const {
-    int shift = shift_of(hull, is_kdop_ ? kMostKdopDepth : kMostDepth);
+    int shift = shift_of(hull, is_kdop_ ? kMostKdopDepth : kMostHullDepth);
     if (shift > 0 && !is_kdop_) {  // with longer normals the unit 2^shift is a smaller distance
       for (CutPlane& p : hull.plane) {
         const std::int32_t factor = largest_ / largest_component(p.normal);
         for (std::int32_t& n : p.normal) n *= factor;
         p.depth *= factor;
       }
-      shift = shift_of(hull, kMostDepth);
+      shift = shift_of(hull, kMostHullDepth);
     }
     std::erase_if(hull.plane, [&](const CutPlane& p) { return p.depth >> shift == 0; });
     std::vector<std::uint8_t> bytes;
@@ -202,7 +204,7 @@ class RecordWriter {
   Lattice origin_;
   bool is_kdop_;
   std::int32_t largest_;
-  const std::vector<Normal>& directions_;
+  const std::vector<ShortNormal>& directions_;
 };
 
 // The bits of the centre's coordinates, x first, interleaved from the highest.
@@ -234,7 +236,7 @@ void check(const HullView& hulls, int largest_normal) {
 MapRecords encode_map_records(const HullView& hulls, const Lattice& origin, int largest_normal, unsigned jobs,
                               Control& control) {
   check(hulls, largest_normal);
-  const std::vector<Normal> directions = oblique_directions();
+  const std::vector<ShortNormal> directions = oblique_directions();
   const std::size_t count = hulls.vertex_start.size() - 1;
   std::vector<QuantisedHull> quantised(count);
   parallel_chunks(count, 16, jobs, control, [&](std::size_t begin, std::size_t end) {

@@ -15,11 +15,11 @@ namespace {
 __extension__ using Wide = __int128;
 using Normal = std::array<std::int64_t, 3>;
 
-Normal cross(const Normal& a, const Normal& b) {
+Normal cross_product(const Normal& a, const Normal& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
-std::int64_t dot(const Normal& a, const Normal& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+std::int64_t dot_product(const Normal& a, const Normal& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 Wide magnitude(Wide a) { return a < 0 ? -a : a; }
 
@@ -87,7 +87,7 @@ class Enumerator {
       if (upper[i] <= lower_[i] || upper[i] - lower_[i] > kLatticeLimit)
         throw std::invalid_argument("planes bound no volume");
     for (const LatticePlane& plane : planes) {
-      const Wide offset = Wide{plane.offset} - dot(plane.normal, lower_);
+      const Wide offset = Wide{plane.offset} - dot_product(plane.normal, lower_);
       if (magnitude(offset) >= Wide{1} << 37) {
         if (offset > 0) continue;  // beyond the box
         throw std::invalid_argument("planes bound no volume");
@@ -99,7 +99,7 @@ class Enumerator {
   // The intersection of three planes with linearly independent normals.
   Corner meet(std::size_t p, std::size_t q, std::size_t r) const {
     const Normal &a = plane_[p].normal, &b = plane_[q].normal, &c = plane_[r].normal;
-    const Normal bc = cross(b, c), ca = cross(c, a), ab = cross(a, b);
+    const Normal bc = cross_product(b, c), ca = cross_product(c, a), ab = cross_product(a, b);
     Corner result;
     result.d = Wide{a[0]} * bc[0] + Wide{a[1]} * bc[1] + Wide{a[2]} * bc[2];
     for (std::size_t i = 0; i < 3; ++i)
@@ -126,20 +126,20 @@ class Enumerator {
 
   // Adds the segment that the other planes leave of the line of planes p and q.
   void add_edge(std::size_t p, std::size_t q) {
-    const Normal along = cross(plane_[p].normal, plane_[q].normal);
+    const Normal along = cross_product(plane_[p].normal, plane_[q].normal);
     if (along == Normal{0, 0, 0}) return;
     constexpr std::size_t kNone = SIZE_MAX;
     std::size_t ahead = kNone, behind = kNone;
     Corner front{}, back{};
     for (std::size_t r = 0; r < plane_.size(); ++r) {
-      const std::int64_t slope = dot(plane_[r].normal, along);
+      const std::int64_t slope = dot_product(plane_[r].normal, along);
       if (slope > 0 && (ahead == kNone || side(front, r) > 0)) ahead = r, front = meet(p, q, r);
       if (slope < 0 && (behind == kNone || side(back, r) > 0)) behind = r, back = meet(p, q, r);
     }
     if (ahead == kNone || behind == kNone) throw std::invalid_argument("planes bound no volume");
     if (side(front, behind) >= 0) return;  // nothing, or a point
     for (std::size_t r = 0; r < plane_.size(); ++r)
-      if (r != p && r != q && dot(plane_[r].normal, along) == 0 && side(front, r) > 0) return;
+      if (r != p && r != q && dot_product(plane_[r].normal, along) == 0 && side(front, r) > 0) return;
     const Corner *from = known(back), *to = known(front);
     edge_[p].push_back({from, to});
     edge_[q].push_back({to, from});

@@ -17,31 +17,31 @@ namespace alula {
 namespace {
 
 constexpr double kUnit = kEps / 2;
-constexpr double kDemanded = 64 * kUnit;
+constexpr double kSeparationDemanded = 64 * kUnit;
 constexpr double kGrown = 256 * kUnit;
-constexpr double kNegligible = 0x1p-60;
+constexpr double kShortAxis = 0x1p-60;
 
-double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-double norm(const Vec3& a) { return std::sqrt(dot(a, a)); }
+double scalar_product(const Triple& a, const Triple& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+double norm(const Triple& a) { return std::sqrt(scalar_product(a, a)); }
 
 // R times a unit vector: ((w^2 - v.v) e + 2 v (v.e) + 2 w v x e) / |q|^2 for q = (w, v).
-Vec3 rotated_axis(const float* q, std::size_t axis) {
+Triple rotated_axis(const float* q, std::size_t axis) {
   const double w = q[0];
-  const Vec3 v{q[1], q[2], q[3]};
-  Vec3 e{};
+  const Triple v{q[1], q[2], q[3]};
+  Triple e{};
   e[axis] = 1;
-  const Vec3 cross{v[1] * e[2] - v[2] * e[1], v[2] * e[0] - v[0] * e[2], v[0] * e[1] - v[1] * e[0]};
-  const double vv = dot(v, v);
-  Vec3 out;
+  const Triple cross{v[1] * e[2] - v[2] * e[1], v[2] * e[0] - v[0] * e[2], v[0] * e[1] - v[1] * e[0]};
+  const double vv = scalar_product(v, v);
+  Triple out;
   for (std::size_t a = 0; a < 3; ++a)
     out[a] = ((w * w - vv) * e[a] + 2 * v[a] * v[axis] + 2 * w * cross[a]) / (w * w + vv);
   return out;
 }
 
 // The rigorous part: the result relies only on the proofs of this class.
-class Prover {
+class SeparationProver {
  public:
-  Prover(const Splats& splats, std::size_t i, const Level& all, double g) : g_(g) {
+  SeparationProver(const Splats& splats, std::size_t i, const Level& all, double g) : g_(g) {
     const Level level = level_of(splats, i, all);
     r_ = level.inflation;
     double reach = r_, far = 0;
@@ -52,21 +52,21 @@ class Prover {
       reach += semi_axis_[j];
       far = std::max(far, std::abs(centre_[j]));
     }
-    demanded_ = kDemanded * (far + reach + g);
+    demanded_ = kSeparationDemanded * (far + reach + g);
   }
 
   // Outward bounds of the set: no voxel beyond them is touched.
-  Vec3 lower() const { return bound(-1); }
-  Vec3 upper() const { return bound(1); }
+  Triple lower() const { return bound(-1); }
+  Triple upper() const { return bound(1); }
 
   // True if n separates the set from the block; n may have any length.
-  bool separates(Vec3 n, const Block& block) const {
+  bool separates(Triple n, const Block& block) const {
     const double largest = std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])});
     if (!(largest > 0) || !std::isfinite(largest)) return false;
     double nearest = 0, length = 0;
     for (std::size_t a = 0; a < 3; ++a) {
       n[a] /= largest;
-      if (std::abs(n[a]) < kNegligible) n[a] = 0;
+      if (std::abs(n[a]) < kShortAxis) n[a] = 0;
       length += std::abs(n[a]);
       const double corner = n[a] > 0 ? double(block.lower[a]) : double(block.upper[a]) + 1;
       nearest += n[a] * (corner * g_ - centre_[a]);
@@ -76,16 +76,16 @@ class Prover {
 
  private:
   // max of n.(x - c) over the set.
-  double support(const Vec3& n) const {
-    const Vec3 u{semi_axis_[0] * dot(axis_[0], n), semi_axis_[1] * dot(axis_[1], n),
-                 semi_axis_[2] * dot(axis_[2], n)};
+  double support(const Triple& n) const {
+    const Triple u{semi_axis_[0] * scalar_product(axis_[0], n), semi_axis_[1] * scalar_product(axis_[1], n),
+                   semi_axis_[2] * scalar_product(axis_[2], n)};
     return norm(u) + (r_ > 0 ? r_ * norm(n) : 0);
   }
 
-  Vec3 bound(double sign) const {
-    Vec3 out;
+  Triple bound(double sign) const {
+    Triple out;
     for (std::size_t a = 0; a < 3; ++a) {
-      Vec3 n{};
+      Triple n{};
       n[a] = 1;
       out[a] = centre_[a] + sign * (support(n) + demanded_);
     }
@@ -93,26 +93,26 @@ class Prover {
   }
 
   double g_, r_, demanded_;
-  Vec3 centre_, semi_axis_;
-  std::array<Vec3, 3> axis_;  // columns of R
+  Triple centre_, semi_axis_;
+  std::array<Triple, 3> axis_;  // columns of R
 };
 
 // The heuristic part: candidate directions, from one ellipsoid around the set.
 class Directions {
  public:
-  Directions(const Prover& prover, const Ellipsoid& outer, double g)
+  Directions(const SeparationProver& prover, const Ellipsoid& outer, double g)
       : prover_(prover), outer_(outer), grown_(kGrown * outer.extent(g)) {
     // The metric |inv(A) x|^2; column j of A has the length of semi-axis j.
     for (std::size_t j = 0; j < 3; ++j) {
-      const Vec3 column{outer_.row[0][j], outer_.row[1][j], outer_.row[2][j]};
-      const double square = dot(column, column);
+      const Triple column{outer_.row[0][j], outer_.row[1][j], outer_.row[2][j]};
+      const double square = scalar_product(column, column);
       for (std::size_t a = 0; a < 3; ++a)
         for (std::size_t b = 0; b < 3; ++b) metric_[a][b] += (column[a] / square) * (column[b] / square);
     }
   }
 
   // True if the set is proven clear of the block, which is lower ... upper relative to the centre.
-  bool separate(const Block& block, const Vec3& lower, const Vec3& upper, bool single) {
+  bool separate(const Block& block, const Triple& lower, const Triple& upper, bool single) {
     const Verdict verdict = descend(block, lower, upper);
     if (verdict != Verdict::kUnknown || !single) return verdict == Verdict::kSeparated;
     return by_features(block, lower, upper);
@@ -122,31 +122,31 @@ class Directions {
   enum class Verdict { kSeparated, kTouching, kUnknown };
 
   // Coordinate descent to the point of the block that is nearest in the metric.
-  Verdict descend(const Block& block, const Vec3& lower, const Vec3& upper) const {
-    Vec3 x;
+  Verdict descend(const Block& block, const Triple& lower, const Triple& upper) const {
+    Triple x;
     for (std::size_t a = 0; a < 3; ++a) x[a] = std::clamp(0.0, lower[a], upper[a]);
     for (int sweep = 0; sweep < 3; ++sweep) {
-      Vec3 n;
+      Triple n;
       double scale = 0;  // sum of the magnitudes of the terms of n.x, for its rounding error
-      for (std::size_t a = 0; a < 3; ++a) n[a] = dot(metric_[a], x), scale += metric_[a][a] * x[a] * x[a];
-      if (dot(n, x) + 16 * kEps * scale <= 1) return Verdict::kTouching;
-      Vec3 pushed = n;
+      for (std::size_t a = 0; a < 3; ++a) n[a] = scalar_product(metric_[a], x), scale += metric_[a][a] * x[a] * x[a];
+      if (scalar_product(n, x) + 16 * kEps * scale <= 1) return Verdict::kTouching;
+      Triple pushed = n;
       for (std::size_t a = 0; a < 3; ++a)
         if ((n[a] > 0 && x[a] > lower[a]) || (n[a] < 0 && x[a] < upper[a])) pushed[a] = 0;
       if (prover_.separates(pushed, block)) return Verdict::kSeparated;
       for (std::size_t a = 0; a < 3; ++a)
-        x[a] = std::clamp(x[a] - dot(metric_[a], x) / metric_[a][a], lower[a], upper[a]);
+        x[a] = std::clamp(x[a] - scalar_product(metric_[a], x) / metric_[a][a], lower[a], upper[a]);
     }
     return Verdict::kUnknown;
   }
 
   // Normals at all vertices, edges and faces of the grown voxel.
-  bool by_features(const Block& block, Vec3 lower, Vec3 upper) {
+  bool by_features(const Block& block, Triple lower, Triple upper) {
     if (!factored_) factor();
     for (std::size_t a = 0; a < 3; ++a) lower[a] -= grown_, upper[a] += grown_;
     for (unsigned corner = 0; corner < 8; ++corner) {
-      const Vec3 d{corner & 1 ? upper[0] : lower[0], corner & 2 ? upper[1] : lower[1],
-                   corner & 4 ? upper[2] : lower[2]};
+      const Triple d{corner & 1 ? upper[0] : lower[0], corner & 2 ? upper[1] : lower[1],
+                     corner & 4 ? upper[2] : lower[2]};
       const Factor& f = whole_;
       const double u1 = d[0] / f.l11, u2 = (d[1] - f.l21 * u1) / f.l22;
       const double u3 = (d[2] - f.l31 * u1 - f.l32 * u2) / f.l33;
@@ -160,7 +160,7 @@ class Directions {
       for (unsigned corner = 0; corner < 4; ++corner) {
         const double u1 = (corner & 1 ? upper[i] : lower[i]) / f.l11;
         const double u2 = ((corner & 2 ? upper[j] : lower[j]) - f.l21 * u1) / f.l22;
-        Vec3 n{};
+        Triple n{};
         n[j] = u2 / f.l22;
         n[i] = (u1 - f.l21 * n[j]) / f.l11;
         if (prover_.separates(n, block)) return true;
@@ -168,7 +168,7 @@ class Directions {
     }
     for (std::size_t a = 0; a < 3; ++a)
       for (const double sign : {1.0, -1.0}) {
-        Vec3 n{};
+        Triple n{};
         n[a] = sign;
         if (prover_.separates(n, block)) return true;
       }
@@ -183,10 +183,10 @@ class Directions {
     factored_ = true;
   }
 
-  const Prover& prover_;
+  const SeparationProver& prover_;
   const Ellipsoid& outer_;
   double grown_;
-  std::array<Vec3, 3> metric_{};
+  std::array<Triple, 3> metric_{};
   bool factored_ = false;
   Factor whole_{};
   std::array<Factor, 3> pair_{};
@@ -204,13 +204,13 @@ class Search {
 
   // The voxels of a range that may be touched; none beyond them is.
   Block bounds(const CropRange& range) const {
-    Vec3 lower = prover_.lower(), upper = prover_.upper();
+    Triple lower = prover_.lower(), upper = prover_.upper();
     for (std::size_t a = 0; a < 3; ++a) lower[a] = std::floor(lower[a] / g_), upper[a] = std::floor(upper[a] / g_);
     return clipped_block(lower, upper, range);
   }
 
   bool separated(const Block& block, bool single) {
-    Vec3 lower, upper;
+    Triple lower, upper;
     bool around = true;
     for (std::size_t a = 0; a < 3; ++a) {
       lower[a] = double(block.lower[a]) * g_ - set_.first.centre[a];
@@ -223,7 +223,7 @@ class Search {
   }
 
  private:
-  Prover prover_;
+  SeparationProver prover_;
   Bounds set_;
   Directions first_;
   std::optional<Directions> second_;
@@ -351,7 +351,7 @@ constexpr std::size_t kSearchedShare = 980;  // of the progress; few voxels rema
 std::vector<std::int64_t> first_touching(const Splats& splats, const Level& level, double g,
                                          std::span<const std::int32_t> voxel, unsigned jobs, Control& control) {
   std::vector<std::atomic<std::int64_t>> first(voxel.size() / 3);
-  const Vec3 one{double(voxel[0]), double(voxel[1]), double(voxel[2])};
+  const Triple one{double(voxel[0]), double(voxel[1]), double(voxel[2])};
   CropRange listed{one, one};
   for (std::size_t v = 0; v < first.size(); ++v) {
     first[v] = static_cast<std::int64_t>(splats.size());

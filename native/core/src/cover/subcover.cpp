@@ -82,11 +82,11 @@ std::vector<double> cluster_weights(const Occupancy& occupancy, int block, unsig
   return weight;
 }
 
-struct Candidate {
+struct CandidateCluster {
   double price;                    // weight per newly covered voxel
   std::uint32_t uncovered, voxel;  // number of newly covered voxels; centre of the cluster
   // The best candidate is the top of a heap.
-  bool operator<(const Candidate& other) const {
+  bool operator<(const CandidateCluster& other) const {
     if (price != other.price) return price > other.price;
     if (uncovered != other.uncovered) return uncovered < other.uncovered;
     return voxel > other.voxel;
@@ -154,15 +154,15 @@ VoxelSets chosen(const Occupancy& occupancy, int block, std::span<const double> 
     each(static_cast<std::uint32_t>(v), [&](std::uint32_t) { ++uncovered[v - begin]; });
   const auto candidate = [&](std::uint32_t v) {
     const std::uint32_t left = uncovered[v - begin];
-    return Candidate{left == 0 ? 0 : weight[v] / left, left, v};
+    return CandidateCluster{left == 0 ? 0 : weight[v] / left, left, v};
   };
-  std::vector<Candidate> all(end - begin);
+  std::vector<CandidateCluster> all(end - begin);
   for (std::size_t v = begin; v < end; ++v) all[v - begin] = candidate(static_cast<std::uint32_t>(v));
-  std::priority_queue<Candidate> queue(std::less<Candidate>{}, std::move(all));
+  std::priority_queue<CandidateCluster> queue(std::less<CandidateCluster>{}, std::move(all));
   VoxelSets result;
   std::size_t left = end - begin;
   while (left > 0) {
-    const Candidate now = candidate(queue.top().voxel);
+    const CandidateCluster now = candidate(queue.top().voxel);
     queue.pop();
     if (now.uncovered == 0) continue;
     if (!queue.empty() && now < queue.top()) {

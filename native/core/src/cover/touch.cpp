@@ -21,11 +21,11 @@ namespace {
 
 using geometry::Vec3;
 
-constexpr double kDemanded = 512 * std::numeric_limits<double>::epsilon() / 2;
-constexpr double kNegligible = 1e-120;  // the square of a shorter direction could underflow
-constexpr std::size_t kChunk = 256;
+constexpr double kTouchDemanded = 512 * std::numeric_limits<double>::epsilon() / 2;
+constexpr double kShortSquare = 1e-120;  // the square of a shorter direction could underflow
+constexpr std::size_t kTriangles = 256;
 
-Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
+Vec3 cross_vectors(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 double taxicab(Vec3 a) { return std::abs(a.x) + std::abs(a.y) + std::abs(a.z); }
 
 // Closest point of a triangle to p. Source: Ericson 2005, Real-Time Collision Detection, sec. 5.1.5.
@@ -59,14 +59,14 @@ class Triangle {
       corner_[k] = geometry::from_rows(&corners[3 * k]);
       for (int a = 0; a < 3; ++a) far = std::max(far, std::abs(corner_[k][a]));
     }
-    pad_ = kDemanded * (far + radius + 2 * g);
+    pad_ = kTouchDemanded * (far + radius + 2 * g);
     const std::array<Vec3, 3> edge{corner_[1] - corner_[0], corner_[2] - corner_[1], corner_[0] - corner_[2]};
     for (int a = 0; a < 3; ++a) {
       Vec3 axis;
       axis[a] = 1;
       add(axis);
     }
-    add(cross(edge[0], edge[1]));
+    add(cross_vectors(edge[0], edge[1]));
     for (const Vec3 e : edge) add({0, -e.z, e.y}), add({e.z, 0, -e.x}), add({-e.y, e.x, 0});
   }
 
@@ -123,13 +123,13 @@ class Triangle {
 
   Axis axis_of(Vec3 n) const {
     const double a = dot(n, corner_[0]), b = dot(n, corner_[1]), c = dot(n, corner_[2]), length = taxicab(n);
-    const bool usable = length > kNegligible && std::isfinite(length);
+    const bool usable = length > kShortSquare && std::isfinite(length);
     return {n, std::min({a, b, c}), std::max({a, b, c}),
             usable ? radius_ * norm(n) + pad_ * length : std::numeric_limits<double>::infinity()};
   }
 
   void add(Vec3 n) {
-    if (taxicab(n) > kNegligible) axis_[axes_++] = axis_of(n);
+    if (taxicab(n) > kShortSquare) axis_[axes_++] = axis_of(n);
   }
 
   static bool separates(const Axis& axis, Vec3 lower, Vec3 upper) {
@@ -177,7 +177,7 @@ void mark(const Triangle& triangle, const Block& block, OverlapGrid::Writer& wri
 // Marks the voxels that a ball around a point touches.
 void mark(const double* point, double radius, double g, const CropRange& range, OverlapGrid::Writer& writer) {
   const Vec3 p = geometry::from_rows(point);
-  const double pad = kDemanded * (std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) + radius + 2 * g);
+  const double pad = kTouchDemanded * (std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) + radius + 2 * g);
   const double reach = radius + pad;
   const auto first = [&](double x, double r) { return std::floor((x - r - pad) / g); };
   const auto last = [&](double x, double r) { return std::floor((x + r + pad) / g); };
@@ -203,13 +203,13 @@ void check(std::span<const double> values, std::size_t width, double radius, dou
           "coordinates must be finite");
 }
 
-constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole
+constexpr std::size_t kMarking = 800;  // of the time, in Share::kWhole
 
 template <class Mark>
 VoxelCounts collected(std::size_t count, std::uint32_t min_count, unsigned jobs, Control& control, Mark&& mark_one) {
-  Share marking(control, 0, kMarkedShare), collecting(control, kMarkedShare, Share::kWhole);
+  Share marking(control, 0, kMarking), collecting(control, kMarking, Share::kWhole);
   OverlapGrid grid;
-  parallel_chunks(count, kChunk, jobs, marking, [&](std::size_t begin, std::size_t end, const Stop& stop) {
+  parallel_chunks(count, kTriangles, jobs, marking, [&](std::size_t begin, std::size_t end, const Stop& stop) {
     OverlapGrid::Writer writer(grid);
     for (std::size_t i = begin; i < end; ++i) {
       stop.check();
@@ -261,7 +261,7 @@ VoxelCounts voxels_of_blocks(std::span<const std::int32_t> lower, std::span<cons
 namespace {
 
 // Voxels first ... last of a column between touched ones; those below and above all touched ones are no gaps.
-struct Gap {
+struct ColumnGap {
   std::int32_t x, y, first, last;
   bool is_open = false;  // shares a face with a voxel that lies outside of every column's touched voxels
 };
@@ -291,7 +291,7 @@ struct Column {
 };
 
 struct Gaps {
-  std::vector<Gap> gap;
+  std::vector<ColumnGap> gap;
   std::vector<Column> column;
 };
 
@@ -323,7 +323,7 @@ void join_neighbours(Gaps& gaps, Groups& groups) {
       const auto found = std::lower_bound(columns.begin(), columns.end(), place, before);
       const bool is_empty = found == columns.end() || found->x != place[0] || found->y != place[1];
       for (std::size_t i = mine.gap, j = is_empty ? 0 : found->gap; i < mine.gap_end; ++i) {
-        Gap& gap = gaps.gap[i];
+        ColumnGap& gap = gaps.gap[i];
         if (is_empty || gap.first < found->lowest || gap.last > found->highest) gap.is_open = true;
         if (is_empty) continue;
         while (j < found->gap_end && gaps.gap[j].last < gap.first) ++j;
@@ -343,7 +343,7 @@ double winding(std::span<const double> corners, Vec3 p, const Stop& stop) {
     const Vec3 a = geometry::from_rows(row) - p, b = geometry::from_rows(row + 3) - p,
                c = geometry::from_rows(row + 6) - p;
     const double la = norm(a), lb = norm(b), lc = norm(c);
-    sum += std::atan2(dot(a, cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb);
+    sum += std::atan2(dot(a, cross_vectors(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb);
   }
   return sum / (2 * std::numbers::pi);
 }
@@ -365,7 +365,7 @@ VoxelCounts with_inside(const VoxelCounts& touched, std::span<const double> corn
     if (groups.of(i) == i && !is_open[i]) enclosed.push_back(i);
   std::vector<char> is_inside(gaps.gap.size(), 0);
   parallel_chunks(enclosed.size(), 1, jobs, control, [&](std::size_t begin, std::size_t, const Stop& stop) {
-    const Gap& gap = gaps.gap[enclosed[begin]];
+    const ColumnGap& gap = gaps.gap[enclosed[begin]];
     const double g = voxel_size;
     const double found = winding(corners, {(gap.x + 0.5) * g, (gap.y + 0.5) * g, (gap.first + 0.5) * g}, stop);
     require(std::abs(found - std::round(found)) < 1e-6, "the surface is not closed");
@@ -389,7 +389,7 @@ VoxelCounts with_inside(const VoxelCounts& touched, std::span<const double> corn
   for (std::size_t i = 0; i < touched.count.size(); ++i) {
     const std::int32_t x = touched.index[3 * i], y = touched.index[3 * i + 1], z = touched.index[3 * i + 2];
     if (next < gaps.gap.size() && gaps.gap[next].x == x && gaps.gap[next].y == y && gaps.gap[next].last + 1 == z) {
-      const Gap& gap = gaps.gap[next];
+      const ColumnGap& gap = gaps.gap[next];
       if (is_inside[groups.of(next++)])
         for (std::int32_t inner = gap.first; inner <= gap.last; ++inner) add(x, y, inner, 0);
     }

@@ -19,8 +19,7 @@ namespace alula {
 
 namespace {
 
-using Point = std::array<double, 3>;
-using Piece = std::array<Point, 3>;
+using Piece = std::array<Triple, 3>;
 
 constexpr double kRounding = std::numeric_limits<double>::epsilon() / 2;
 constexpr double kGap = 64 * kRounding;
@@ -28,15 +27,15 @@ constexpr int kHalvings = 48;
 constexpr double kSpan = 4;  // voxels that the box of a piece spans
 constexpr std::size_t kMostMissing = std::size_t{1} << 25;
 
-Point difference(const Point& a, const Point& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
-double product(const Point& a, const Point& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-Point normal_of(const Point& a, const Point& b) {
+Triple difference(const Triple& a, const Triple& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
+double product(const Triple& a, const Triple& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+Triple normal_of(const Triple& a, const Triple& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
 // Point of the segment from a to b that is nearest to p.
-Point nearest_on_edge(const Point& a, const Point& b, const Point& p) {
-  const Point along = difference(b, a);
+Triple nearest_on_edge(const Triple& a, const Triple& b, const Triple& p) {
+  const Triple along = difference(b, a);
   const double square = product(along, along);
   const double t = square > 0 ? std::clamp(product(difference(p, a), along) / square, 0.0, 1.0) : 0.0;
   return {a[0] + t * along[0], a[1] + t * along[1], a[2] + t * along[2]};
@@ -48,9 +47,9 @@ bool contains(const VoxelSet& set, const Index3& v) {
 }
 
 // Proofs about one triangle and its ball.
-class Prover {
+class TouchProver {
  public:
-  Prover(const double* corners, double radius, double g) : radius_(radius), g_(g) {
+  TouchProver(const double* corners, double radius, double g) : radius_(radius), g_(g) {
     double far = 0;
     for (std::size_t i = 0; i < 9; ++i) {
       whole_[i / 3][i % 3] = corners[i];
@@ -71,8 +70,8 @@ class Prover {
   void visit_piece(const Piece& piece, int depth, const CropRange& range, const VoxelSet& set, const Stop& stop,
                    Missing&& missing) const {
     stop.check();
-    Point low = piece[0], high = piece[0];
-    for (const Point& corner : piece)
+    Triple low = piece[0], high = piece[0];
+    for (const Triple& corner : piece)
       for (std::size_t a = 0; a < 3; ++a)
         low[a] = std::min(low[a], corner[a]), high[a] = std::max(high[a], corner[a]);
     double span = 0;
@@ -86,10 +85,10 @@ class Prover {
       std::size_t longest = 0;
       double most = -1;
       for (std::size_t k = 0; k < 3; ++k) {
-        const Point edge = difference(piece[(k + 1) % 3], piece[k]);
+        const Triple edge = difference(piece[(k + 1) % 3], piece[k]);
         if (const double square = product(edge, edge); square > most) most = square, longest = k;
       }
-      Point middle;
+      Triple middle;
       for (std::size_t a = 0; a < 3; ++a) middle[a] = std::midpoint(piece[longest][a], piece[(longest + 1) % 3][a]);
       Piece first = piece, second = piece;
       first[(longest + 1) % 3] = middle, second[longest] = middle;
@@ -107,26 +106,26 @@ class Prover {
   }
 
   bool proves(const Piece& piece, const Index3& v) const {
-    Point low, high;
+    Triple low, high;
     for (std::size_t a = 0; a < 3; ++a) low[a] = v[a] * g_, high[a] = (v[a] + 1.0) * g_;
-    const std::array<Point, 3> edge{difference(piece[1], piece[0]), difference(piece[2], piece[1]),
-                                    difference(piece[0], piece[2])};
+    const std::array<Triple, 3> edge{difference(piece[1], piece[0]), difference(piece[2], piece[1]),
+                                     difference(piece[0], piece[2])};
     if (parts(normal_of(edge[0], edge[1]), piece, low, high)) return true;
     for (std::size_t a = 0; a < 3; ++a) {
-      Point axis{};
+      Triple axis{};
       axis[a] = 1;
       if (parts(axis, piece, low, high)) return true;
-      for (const Point& e : edge)
+      for (const Triple& e : edge)
         if (parts(normal_of(axis, e), piece, low, high)) return true;
     }
     if (radius_ == 0) return false;
-    for (const Point& corner : piece) {
-      Point inside;
+    for (const Triple& corner : piece) {
+      Triple inside;
       for (std::size_t a = 0; a < 3; ++a) inside[a] = std::clamp(corner[a], low[a], high[a]);
       if (parts(difference(inside, corner), piece, low, high)) return true;
     }
     for (unsigned c = 0; c < 8; ++c) {
-      const Point at{c & 1 ? high[0] : low[0], c & 2 ? high[1] : low[1], c & 4 ? high[2] : low[2]};
+      const Triple at{c & 1 ? high[0] : low[0], c & 2 ? high[1] : low[1], c & 4 ? high[2] : low[2]};
       for (std::size_t k = 0; k < 3; ++k)
         if (parts(difference(at, nearest_on_edge(piece[k], piece[(k + 1) % 3], at)), piece, low, high)) return true;
     }
@@ -134,7 +133,7 @@ class Prover {
   }
 
   // True if planes with the normal n part the piece and its ball from the box; n may have any length and sign.
-  bool parts(Point n, const Piece& piece, const Point& low, const Point& high) const {
+  bool parts(Triple n, const Piece& piece, const Triple& low, const Triple& high) const {
     const double largest = std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])});
     if (!(largest > 0) || !std::isfinite(largest)) return false;
     double length = 0;
@@ -190,7 +189,7 @@ Unproven unproven_triangles(std::span<const double> corners, double radius, doub
     std::vector<Index3> mine;
     for (std::size_t i = begin; i < end; ++i) {
       mine.clear();
-      Prover(&corners[9 * i], radius, voxel_size).visit(range, set, stop, [&](const Index3& v) {
+      TouchProver(&corners[9 * i], radius, voxel_size).visit(range, set, stop, [&](const Index3& v) {
         mine.push_back(v);
         if (mine.size() > 4 * kMostMissing) throw std::overflow_error("a triangle touches too many missing voxels");
       });
@@ -206,12 +205,12 @@ Unproven unproven_triangles(std::span<const double> corners, double radius, doub
   Control quiet;
   Unproven out = listed(grid.collect(std::max(min_count, 1u), jobs, quiet));
   for (std::size_t v = 0; v < out.ellipsoid.size(); ++v) {
-    Point at;
+    Triple at;
     for (std::size_t a = 0; a < 3; ++a) at[a] = out.voxel[3 * v + a];
     const VoxelSet none(std::span<const std::int32_t>{});
     std::atomic<bool> never{false};
     for (std::size_t i = 0; i < corners.size() / 9 && out.ellipsoid[v] < 0; ++i)
-      Prover(&corners[9 * i], radius, voxel_size).visit({at, at}, none, Stop(never), [&](const Index3&) {
+      TouchProver(&corners[9 * i], radius, voxel_size).visit({at, at}, none, Stop(never), [&](const Index3&) {
         out.ellipsoid[v] = static_cast<std::int64_t>(i);
       });
   }
@@ -227,15 +226,15 @@ Sign sign_of(double value, double error) {
 }
 
 // Sign of the area of the triangle of p, a, b seen along x: differences have one rounding, products two more.
-Sign side(const Point& a, const Point& b, double y, double z) {
+Sign side(const Triple& a, const Triple& b, double y, double z) {
   const double ay = a[1] - y, az = a[2] - z, by = b[1] - y, bz = b[2] - z;
   const double left = ay * bz, right = az * by;
   return sign_of(left - right, 8 * kRounding * (std::abs(left) + std::abs(right)));
 }
 
 // Crossing of the ray from p in the direction of x with a triangle: 0, 1 or -1; unknown is 2.
-int crossing(const double* row, const Point& p) {
-  std::array<Point, 3> t;
+int crossing(const double* row, const Triple& p) {
+  std::array<Triple, 3> t;
   double most = -std::numeric_limits<double>::infinity(), least = -most, far = 0;
   bool left = true, right = true, below = true, above = true;
   for (std::size_t k = 0; k < 3; ++k) {
@@ -253,7 +252,7 @@ int crossing(const double* row, const Point& p) {
   const int turn = sign[0] == Sign::kPositive ? 1 : -1;
   if (least > p[0]) return turn;
   // The volume of p and the triangle, whose sign tells on which side of its plane p lies.
-  const Point a = difference(t[0], p), b = difference(t[1], p), c = difference(t[2], p);
+  const Triple a = difference(t[0], p), b = difference(t[1], p), c = difference(t[2], p);
   const double volume = product(a, normal_of(b, c));
   const Sign where = sign_of(volume, 64 * kRounding * far * far * far);
   if (where == Sign::kUnknown) return 2;
@@ -322,7 +321,7 @@ Unproven unproven_outside(std::span<const double> corners, double voxel_size, co
     const std::size_t row = rows.at(v[1], v[2]);
     constexpr std::array<double, 6> kPlace{0.5, 0.381966, 0.6442177, 0.29289, 0.7320508, 0.4567};
     for (std::size_t k = 0; k < kPlace.size(); ++k) {
-      const Point p{(v[0] + 0.5) * g, (v[1] + kPlace[k]) * g, (v[2] + kPlace[(k + 2) % kPlace.size()]) * g};
+      const Triple p{(v[0] + 0.5) * g, (v[1] + kPlace[k]) * g, (v[2] + kPlace[(k + 2) % kPlace.size()]) * g};
       int sum = 0;
       bool is_known = true;
       for (std::size_t i = rows.start[row]; is_known && i < rows.start[row + 1]; ++i) {

@@ -15,19 +15,19 @@ using geometry::HalfSpace;
 using geometry::Solid;
 using geometry::Vec3;
 
-constexpr double kUnit = 0x1p-53;
+constexpr double kRoundoff = 0x1p-53;
 constexpr std::size_t kParts = 512;   // target number of boxes that threads process
 constexpr std::size_t kLookups = 64;  // looks at a plane of a box that take about as long as a cut
 
 // A polytope that reaches into a box, with the planes that cut the box: plane[begin .. end).
-struct Reach {
+struct ReachedSet {
   std::uint32_t set, begin, end;
   std::uint32_t size() const { return end - begin; }
 };
 
 struct Part {
   Box box;
-  std::vector<Reach> reach;
+  std::vector<ReachedSet> reach;
   std::vector<std::uint32_t> plane;
 };
 
@@ -49,14 +49,14 @@ double volume(const Box& box) {
 class Measurer {
  public:
   Measurer(const ConvexSets& sets, const Occupancy* voxels, const MeasureOptions& options, double extent)
-      : sets_(sets), voxels_(voxels), options_(options), extent_(extent), tolerance_(16 * kUnit * extent) {}
+      : sets_(sets), voxels_(voxels), options_(options), extent_(extent), tolerance_(16 * kRoundoff * extent) {}
 
   enum class Kind { kEmpty, kFull, kMixed };
 
   // Shrinks a box to its content, drops the polytopes and planes that do not matter there, and returns what remains.
   Kind reduce(Part& part) {
     Box hull;
-    for (const Reach& reach : part.reach) {
+    for (const ReachedSet& reach : part.reach) {
       const Box& box = sets_.box[reach.set];
       Box common;
       bool is_apart = false;
@@ -71,7 +71,7 @@ class Measurer {
     part.box = hull;
     const Vec3 centre = 0.5 * (hull.lower + hull.upper), half = 0.5 * (hull.upper - hull.lower);
     std::size_t reaches = 0, planes = 0;
-    for (const Reach reach : part.reach) {
+    for (const ReachedSet reach : part.reach) {
       const std::size_t begin = planes;
       bool is_apart = false;
       const Box& box = sets_.box[reach.set];
@@ -164,7 +164,7 @@ class Measurer {
   }
 
   // Rounding error of the sums in a part; no summand exceeds the volume of its box.
-  double summation_error(const Box& box) const { return terms_ * kUnit * volume(box); }
+  double summation_error(const Box& box) const { return terms_ * kRoundoff * volume(box); }
 
   UnionMeasure result;
 
@@ -230,7 +230,7 @@ class Measurer {
   }
 
   // Cuts solid_[s] by the planes of a polytope; returns the number of the remaining solid, or s when none remains.
-  std::size_t cut(std::size_t s, const Reach& reach) {
+  std::size_t cut(std::size_t s, const ReachedSet& reach) {
     while (solid_.size() < s + 3) solid_.emplace_back();
     std::size_t from = s, to = s + 1;
     for (std::uint32_t at = reach.begin; at < reach.end; ++at) {
@@ -251,7 +251,7 @@ class Measurer {
 
   double add_solid(const Solid& solid) {
     terms_ += 2;  // one in united() and one in the total
-    result.error += (48 + 8.0 * solid.cuts()) * kUnit * extent_ * box_area_;
+    result.error += (48 + 8.0 * solid.cuts()) * kRoundoff * extent_ * box_area_;
     result.is_complete = result.is_complete && result.cuts <= options_.cuts_per_part;
     return solid.volume();
   }
@@ -264,7 +264,7 @@ class Measurer {
   std::size_t lookups_ = 0;
   std::deque<Part> part_;
   std::deque<Solid> solid_;
-  std::vector<Reach> reach_;
+  std::vector<ReachedSet> reach_;
   std::vector<std::uint32_t> plane_;
   Lattice voxel_{INT32_MIN, INT32_MIN, INT32_MIN};
   double filled_ = 0;
@@ -329,7 +329,7 @@ UnionMeasure union_measure(const ConvexSets& sets, const Occupancy* voxels, cons
     result.cuts += part.cuts;
     result.is_complete = result.is_complete && part.is_complete;
   }
-  result.error += static_cast<double>(parts.size()) * kUnit * result.volume;
+  result.error += static_cast<double>(parts.size()) * kRoundoff * result.volume;
   return result;
 }
 

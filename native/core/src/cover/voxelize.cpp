@@ -26,10 +26,10 @@ constexpr double kNear = 1e9;    // an index well within 32 bits
 struct Boxed {
   const Bounds& set;
   double pad;
-  Vec3 lower, upper;
+  Triple lower, upper;
 
   Boxed(const Bounds& bounds, double g, double inverse_g) : set(bounds), pad(kPad * set.first.extent(g)) {
-    const Vec3& centre = set.first.centre;
+    const Triple& centre = set.first.centre;
     for (std::size_t a = 0; a < 3; ++a) {
       lower[a] = std::floor((centre[a] - set.half[a] - pad) * inverse_g);
       upper[a] = std::floor((centre[a] + set.half[a] + pad) * inverse_g);
@@ -100,7 +100,7 @@ class Marker {
     const Shadow shadow(first_set, boxed.pad, i, j, k);
     std::optional<Shadow> second;
     if (const Ellipsoid* e = worthwhile(boxed.set)) second.emplace(*e, kPad * e->extent(g_), i, j, k);
-    const Vec3& centre = first_set.centre;
+    const Triple& centre = first_set.centre;
     chords_.clear();
     for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v) {
       const Span across = span(v, centre[j]);
@@ -281,8 +281,9 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
 
 namespace {
 
-constexpr double kShortest = 1e-6, kLongest = 1e4;  // semi-axes [cells]; longer ones reach across the box anyway
-constexpr double kFarthest = 1e6;                   // cells; centres beyond cannot reach the box
+constexpr double kShortestAxis = 1e-6,
+                 kLongestAxis = 1e4;  // semi-axes [cells]; longer ones reach across the box anyway
+constexpr double kFarthest = 1e6;     // cells; centres beyond cannot reach the box
 
 // Raises the cells of a box to the rank of the present ellipsoid; many threads write to the same cells.
 struct RankWriter {
@@ -303,7 +304,7 @@ struct RankWriter {
 }  // namespace
 
 OpacityTally tally_opacity(const Splats& splats, std::span<const float> opacity, std::span<const float> limit,
-                           const Vec3& origin, double edge, const Index3& size, unsigned jobs, Control& control) {
+                           const Triple& origin, double edge, const Index3& size, unsigned jobs, Control& control) {
   const std::size_t n = splats.size(), ranks = limit.size() + 1;
   if (splats.mean.size() != 3 * n || splats.scale.size() != 3 * n || splats.quat_wxyz.size() != 4 * n ||
       opacity.size() != n)
@@ -331,7 +332,7 @@ OpacityTally tally_opacity(const Splats& splats, std::span<const float> opacity,
         is_finite &= std::isfinite(centre) && std::isfinite(s);
         is_far |= std::abs(centre) >= kFarthest;
         place[a] = static_cast<float>(centre);
-        semi[a] = static_cast<float>(std::clamp(s / edge, kShortest, kLongest));
+        semi[a] = static_cast<float>(std::clamp(s / edge, kShortestAxis, kLongestAxis));
       }
       for (std::size_t a = 0; a < 4; ++a) {
         const double q = splats.quat_wxyz[4 * i + a];

@@ -18,20 +18,11 @@ void check(const DisturbanceOptions& options, double gravity) {
     throw std::invalid_argument("the interval of a disturbance observer must be positive");
 }
 
-namespace {
-
-Vec3 limited(Vec3 d, double most) {
-  const double length = norm(d);
-  return length > most ? most / length * d : d;
-}
-
-}  // namespace
-
 void DisturbanceObserver::begin(Vec3 thrust_axis, double gravity) {
   reset();
   if (!is_on() || !geometry::is_finite(thrust_axis) || !(thrust_axis.z > 0.5)) return;
   const double lift = -gravity / thrust_axis.z;
-  d_ = limited({lift * thrust_axis.x, lift * thrust_axis.y, 0}, options_.max_m_s2);
+  d_ = geometry::limited({lift * thrust_axis.x, lift * thrust_axis.y, 0}, options_.max_m_s2);
 }
 
 void DisturbanceObserver::update(double time_s, Vec3 v, Vec3 modelled) {
@@ -48,7 +39,7 @@ void DisturbanceObserver::update(double time_s, Vec3 v, Vec3 modelled) {
   v_ = v_ + interval * (modelled + d_);
   const Vec3 error = v - v_;
   v_ = v_ + (1 - q * q) * error;
-  d_ = limited(d_ + (1 - q) * (1 - q) / interval * error, options_.max_m_s2);
+  d_ = geometry::limited(d_ + (1 - q) * (1 - q) / interval * error, options_.max_m_s2);
   bound_ =
       std::max(bound_ * std::exp(-interval / (2 * options_.time_s)), std::numbers::e * norm(error) / options_.time_s);
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/require.hpp"
 
 namespace alula::flight {
@@ -10,13 +11,7 @@ namespace {
 
 using geometry::multiply;
 
-constexpr double kSameTime = 1e-9;  // tolerance for two sums of the same steps [s]
-
 enum Channel : std::uint32_t { kPosition, kVelocity, kAttitude, kRate, kGust };
-
-using alula::is_size;
-bool is_size(Vec3 v) { return is_size(v.x) && is_size(v.y) && is_size(v.z); }
-bool is_zero(Vec3 v) { return v.x == 0 && v.y == 0 && v.z == 0; }
 
 }  // namespace
 

@@ -8,7 +8,7 @@ namespace alula::flight {
 
 namespace {
 
-constexpr std::uint32_t kGust = 0x10;  // one of the plant's channels
+constexpr std::uint32_t kRacerGust = 0x10;  // one of the plant's channels
 
 // The states that RK4 integrates.
 struct Motion {
@@ -28,8 +28,6 @@ Vec4 attitude_rate(const Vec4& q, Vec3 w) {
           0.5 * (q[0] * w.y - q[1] * w.z + q[3] * w.x), 0.5 * (q[0] * w.z + q[1] * w.y - q[2] * w.x)};
 }
 
-Vec3 times(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
-
 // Rotates between body and world, by q v q* and its inverse.
 Vec3 rotated(const Vec4& q, Vec3 a, double sign) {
   const Vec3 axis{sign * q[1], sign * q[2], sign * q[3]};
@@ -37,8 +35,6 @@ Vec3 rotated(const Vec4& q, Vec3 a, double sign) {
   return a + q[0] * t + geometry::cross(axis, t);
 }
 
-bool is_size(Vec3 v) { return geometry::is_finite(v) && v.x >= 0 && v.y >= 0 && v.z >= 0; }
-bool is_zero(Vec3 v) { return v.x == 0 && v.y == 0 && v.z == 0; }
 bool is_positive(double x) { return std::isfinite(x) && x > 0; }
 
 }  // namespace
@@ -95,7 +91,7 @@ void Racer::reset(const RacerState& x) {
   next_ = 0;
   sag_ = time_ = dt_ = 0;
   steps_ = 0;
-  gust_ = times(options_.gust_m_s, random_.normals(0, kGust));
+  gust_ = by_axis(options_.gust_m_s, random_.normals(0, kRacerGust));
 }
 
 Vec3 Racer::acceleration(const Vec3& v, const Vec4& q, double thrust) const {
@@ -103,7 +99,7 @@ Vec3 Racer::acceleration(const Vec3& v, const Vec4& q, double thrust) const {
   a.z -= model_.gravity;
   if (!has_air_) return a;
   const Vec3 air = rotated(q, v - (options_.wind_m_s + gust_), -1);
-  const Vec3 force = times(options_.linear_drag + geometry::norm(air) * options_.quadratic_drag, air);
+  const Vec3 force = by_axis(options_.linear_drag + geometry::norm(air) * options_.quadratic_drag, air);
   return a - 1 / (options_.mass * options_.mass_scale) * rotated(q, force, 1);
 }
 
@@ -143,7 +139,7 @@ void Racer::step(double dt, const RacerCommand& command) {
   time_ += dt;
   if (is_zero(options_.gust_m_s)) return;
   const double kept = std::exp(-dt / options_.gust_time_s);
-  gust_ = kept * gust_ + std::sqrt(1 - kept * kept) * times(options_.gust_m_s, random_.normals(steps_, kGust));
+  gust_ = kept * gust_ + std::sqrt(1 - kept * kept) * by_axis(options_.gust_m_s, random_.normals(steps_, kRacerGust));
 }
 
 }  // namespace alula::flight

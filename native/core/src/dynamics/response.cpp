@@ -23,11 +23,6 @@ void check(const ResponseOptions& o, double gravity) {
 
 namespace {
 
-Vec3 limited(Vec3 d, double most) {
-  const double length = norm(d);
-  return length > most ? most / length * d : d;
-}
-
 std::size_t ticks_of(double seconds, double dt) { return static_cast<std::size_t>(std::ceil(seconds / dt - 1e-9)); }
 
 }  // namespace

@@ -4,11 +4,12 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
+
 namespace alula::flight {
 namespace {
 
 constexpr double kStep = kRateLoopPeriod;  // of RK4 too [s]
-constexpr double kSameTime = 1e-9;         // [s]
 
 }  // namespace
 

@@ -2,16 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
+#include "alula/base/constants.hpp"
+
 namespace alula::flight {
-namespace {
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-}  // namespace
-
 AccelerationRow normalised(const AccelerationRow& row) {
   const double largest = std::max({std::abs(row.row.x), std::abs(row.row.y), std::abs(row.row.z)});
   if (largest == 0 && row.bound <= 0) return {{}, -kInfinity};

@@ -5,12 +5,12 @@
 #include <stdexcept>
 #include <utility>
 
+#include "alula/base/constants.hpp"
+
 namespace alula::flight {
 namespace {
 
 using geometry::dot;
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 int steps_of(const BackupPolicy& policy, const ConeBackupOptions& o) {
   if (o.steps > 0 || !(o.horizon_s > 0) || o.nodes < 1) return std::max(1, o.steps);

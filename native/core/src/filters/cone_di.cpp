@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/dynamics/disturbance.hpp"
 
 namespace alula::flight {
@@ -13,7 +14,6 @@ using geometry::dot;
 using geometry::is_finite;
 using geometry::norm;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kLead = 0.1;                              // h reaches 0 this long before contact [s]
 constexpr double kLeastContact = 0.05;                     // below this, alpha overshoots within a tick of 10 ms [s]
 constexpr double kSmallestPart = 0.125, kLeastNotice = 1;  // of a grown radius, and until it is met [s]

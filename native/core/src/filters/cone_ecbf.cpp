@@ -2,14 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 #include <utility>
+
+#include "alula/base/constants.hpp"
 
 namespace alula::flight {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSameThrust = 0.01;   // of hover: within this the extension counts as at the nominal thrust
 constexpr double kLeastThrust = 0.05;  // of hover: minimum for the smooth snap, torques need thrust to turn
 

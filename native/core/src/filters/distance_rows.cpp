@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "alula/base/constants.hpp"
 #include "alula/filters/acceleration_program.hpp"
 
 namespace alula::flight {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr std::size_t kRows = 8192;      // rows reserved in the constructor
 constexpr std::size_t kContacts = 1024;  // the same for the second map
 constexpr std::size_t kAll = std::numeric_limits<std::size_t>::max();

@@ -3,16 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <limits>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/filters/polytope_map.hpp"
 
 namespace alula::flight {
 
 namespace {
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 // u = 2^-24. For positions up to a kilometre, rounding the normal costs sqrt 3 u 1 km, n . p four times as much,
 // and the offset its own rounding.

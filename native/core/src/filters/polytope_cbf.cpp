@@ -14,7 +14,7 @@ namespace {
 
 constexpr float kRadiusRounding = 1e-6F;  // of a radius that leaves exactly the room there is
 
-std::array<float, 3> to_float(const Vec3& v) {
+std::array<float, 3> to_float(const Triple& v) {
   return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
 }
 
@@ -95,7 +95,7 @@ bool PolytopeCbf::has_tile(const std::array<float, 3>& x, const std::array<float
   return true;
 }
 
-FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom, double more_m) {
+FilterOutput PolytopeCbf::filter(const Triple& x, const Triple& u_nom, double more_m) {
   FilterOutput output;
   const auto position = to_float(x), nominal = to_float(u_nom);
   if (!has_tile(position, nominal)) {
@@ -117,11 +117,11 @@ FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom, double more_m
   if (most > radius && room < most - radius)
     with_radius(radius + std::max(0.0F, room - kRadiusRounding * (radius + room)));
   const float* u = output.detail.u;
-  output.u = output.status == ALULA_FILTER_OK ? u_nom : Vec3{u[0], u[1], u[2]};
+  output.u = output.status == ALULA_FILTER_OK ? u_nom : Triple{u[0], u[1], u[2]};
   return output;
 }
 
-alula_polytope_value PolytopeCbf::evaluate(const Vec3& x) {
+alula_polytope_value PolytopeCbf::evaluate(const Triple& x) {
   alula_polytope_value value;
   const auto position = to_float(x);
   value.nearest = ALULA_NO_HULL;

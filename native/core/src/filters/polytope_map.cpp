@@ -11,7 +11,7 @@ namespace alula {
 namespace {
 
 constexpr double kUnit = 0x1p-24;  // half a unit in the last place of a float in [1, 2)
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kBeyond = std::numeric_limits<float>::infinity();
 
 void check(const Polytopes& polytopes, double extent_m) {
   const std::size_t planes = polytopes.offset.size();
@@ -36,7 +36,7 @@ void check(const Polytopes& polytopes, double extent_m) {
 
 float round_up(double value) {
   const float nearest = static_cast<float>(value);
-  return static_cast<double>(nearest) < value ? std::nextafterf(nearest, kInfinity) : nearest;
+  return static_cast<double>(nearest) < value ? std::nextafterf(nearest, kBeyond) : nearest;
 }
 
 float round_down(double value) { return -round_up(-value); }

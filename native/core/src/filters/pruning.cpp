@@ -5,16 +5,13 @@
 #include <limits>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
+
 namespace alula::flight {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kBall = 0.3;           // radius of a local ball before it is grown [m]
-constexpr std::size_t kContacts = 256;  // reserved where the number of rows has no limit
-
-constexpr auto nearer = [](const Found& a, const Found& b) {
-  return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
-};
+constexpr double kBall = 0.3;              // radius of a local ball before it is grown [m]
+constexpr std::size_t kMapContacts = 256;  // reserved where the number of rows has no limit
 
 GrownEllipsoid ball_of(const Contact& contact, double radius) {
   const double grown = kBall + radius;
@@ -41,7 +38,7 @@ Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruni
   if (others_.map) {
     if (!at_least_zero(others_.radius_m)) throw std::invalid_argument("the radius of rows must be at least 0");
     memory_ = others_.map->memory();
-    const std::size_t contacts = pruning.count == 0 ? kContacts : std::size_t{pruning.count} + 1;
+    const std::size_t contacts = pruning.count == 0 ? kMapContacts : std::size_t{pruning.count} + 1;
     contact_.reserve(contacts), ball_.reserve(contacts), reserved += contacts;
   }
   found_.reserve(reserved);
@@ -87,7 +84,7 @@ void Pruner::add_others(Vec3 p, Vec3 v, bool approach, const FilterReport& repor
     if (!approach || !pruning_.approach || is_inside || dot(contact_[i].normal, v) <= 0)
       found_.push_back({first + i, contact_[i].distance});
   }
-  if (pruning_.gate) std::sort(found_.begin(), found_.end(), nearer);
+  if (pruning_.gate) std::sort(found_.begin(), found_.end(), nearer_found);
 }
 
 std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport& report) {
@@ -135,7 +132,7 @@ std::span<const Found> Pruner::near_by_scan(Vec3 p, Vec3 v, FilterReport& report
     kept_gate_m_ = kInfinity, is_kept_capped_ = false;
     return kept(report);
   }
-  std::sort(found_.begin(), found_.end(), nearer);
+  std::sort(found_.begin(), found_.end(), nearer_found);
   return capped(report);
 }
 

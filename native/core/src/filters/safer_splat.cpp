@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/dynamics/disturbance.hpp"
 
 namespace alula::flight {
@@ -12,7 +13,6 @@ namespace {
 using geometry::dot;
 using geometry::is_finite;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kViolated = 4e-15;  // of a row, relative to 1 + |a|: rounding error of its slack
 constexpr std::size_t kBatch = 16;   // rows added at once
 constexpr int kRounds = 256;         // far more than a tick needs

@@ -7,6 +7,7 @@
 #include <tuple>
 #include <utility>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/require.hpp"
 #include "alula/dynamics/actuators.hpp"
 
@@ -15,7 +16,6 @@ namespace {
 
 using geometry::norm;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSameSpeed = 0.05;  // contact speeds closer than this count as equal [m/s]
 constexpr double kNearer = 1e-9;     // smaller decreases in a tick do not count as an approach [m]
 

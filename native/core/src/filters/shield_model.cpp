@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 
+#include "alula/base/constants.hpp"
 #include "alula/dynamics/actuators.hpp"
 #include "alula/dynamics/tracking_controller.hpp"
 #include "alula/filters/shield.hpp"
@@ -16,7 +17,6 @@ using geometry::dot;
 using geometry::multiply;
 using geometry::norm;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kStep = 0.01;  // maximum RK4 step [s]
 constexpr double kTurn = 0.1;   // maximum turn in a step [rad]
 

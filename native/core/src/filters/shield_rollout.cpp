@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 
+#include "alula/base/constants.hpp"
 #include "alula/dynamics/actuators.hpp"
 #include "alula/filters/shield.hpp"
 
@@ -16,14 +17,13 @@ using geometry::e3;
 using geometry::multiply;
 using geometry::norm;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr int kSweeps = 8;           // chords tried before the path is checked tick by tick
+constexpr int kChords = 8;           // chords tried before the path is checked tick by tick
 constexpr double kTurnPerTick = 1;   // [rad]; beyond this, the model of an input held for a tick is invalid
 constexpr double kAlmost = 4;        // multiple of the rest thresholds of speed, rate and tilt
 constexpr double kRoom = 2;          // multiple of the excursion that must be free
 constexpr double kMostPassed = 1.5;  // maximum ratio of the flown distance to the excursion
 constexpr double kQuarter = 1.5707963267948966;  // quarter of a turn [rad]
-constexpr double kMost = 0.25;                   // maximum excursion that is considered [m]
+constexpr double kMostExcursion = 0.25;          // maximum excursion that is considered [m]
 
 // The matrix k S^T of a level: the true acceleration by that of the model.
 Mat3 true_acceleration(const Level& level) {
@@ -49,7 +49,7 @@ bool Shield::keeps_to_excursion() const {
     x.v = speed * Vec3{0.9 * std::cos(turn), 0.9 * std::sin(turn), climb};
     x.sigma = tilt * Vec3{std::cos(side), std::sin(side), 0};
     x.omega = spin * rate * Vec3{std::cos(side), std::sin(side), 0};
-    x = std::min(1.0, kMost / policy_.excursion(x)) * x;
+    x = std::min(1.0, kMostExcursion / policy_.excursion(x)) * x;
     const double most = kMostPassed * policy_.excursion(x);
     for (int tick = 0; tick < ticks && !resting(x); ++tick) {
       x = after(x, flown(x, {}, 0));
@@ -90,7 +90,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   path_.push_back({x.p, 0, 0});
   State now = x;
   Vec4 rotors = rotors_;
-  double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
+  double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMostExcursion;
   tail_ = options_.margin_m / 2, ended_early_ = false;
   const bool is_still = level_.is_still();
   const Mat3 turned = true_acceleration(level_);
@@ -160,7 +160,7 @@ bool Shield::is_clear(std::size_t from, std::size_t to, double distance) {
 std::size_t Shield::sweep(double distance) {
   const std::size_t last = path_.size() - 1;
   std::size_t from = 0, to = last;
-  for (int looks = 0; looks < kSweeps && from < last; ++looks) {
+  for (int looks = 0; looks < kChords && from < last; ++looks) {
     if (is_clear(from, to, distance)) {
       from = to, to = last;
       continue;

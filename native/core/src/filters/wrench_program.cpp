@@ -2,17 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
+
+#include "alula/base/constants.hpp"
 
 namespace alula::flight {
 namespace {
 
 using geometry::dot;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kHeadOn = 0.999;           // minimum cosine of the angle between r and v in the metric of A
-constexpr double kTolerance = 1e-9;         // of scaled rows, for the result of the exact solver
+constexpr double kAligned = 0.999;          // minimum cosine of the angle between r and v in the metric of A
+constexpr double kExactTolerance = 1e-9;    // of scaled rows, for the result of the exact solver
 constexpr double kBackendTolerance = 1e-6;  // the same for a backend's solution, which comes without a guarantee
 
 double dot4(const double* a, const Vec4& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]; }
@@ -132,7 +132,7 @@ bool WrenchProgram::solve(const Vec4& target, Vec4& u, FilterReport& report) {
   if (!impossible_) result = solver_.solve({n, {hessian.data(), n * n}, {gradient.data(), n}, rows, bound_});
   report.iterations = static_cast<std::uint32_t>(std::max(0, result.iterations));
   for (std::size_t j = 0; j < 4; ++j) u[j] = result.x[j] * range_[j];
-  if (result.status != QpStatus::optimal || !holds(u, solver_.has_backend() ? kBackendTolerance : kTolerance)) {
+  if (result.status != QpStatus::optimal || !holds(u, solver_.has_backend() ? kBackendTolerance : kExactTolerance)) {
     report.infeasible = true;
     return false;
   }
@@ -179,7 +179,7 @@ Vec3 side_of(Vec3 v) {
 }
 
 bool is_head_on(const Cone& cone) {
-  return cone.is_met() && cone.delta * cone.delta > kHeadOn * kHeadOn * cone.beta * (cone.gamma + 1);
+  return cone.is_met() && cone.delta * cone.delta > kAligned * kAligned * cone.beta * (cone.gamma + 1);
 }
 
 }  // namespace alula::flight

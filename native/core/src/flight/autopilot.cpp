@@ -10,11 +10,6 @@ namespace {
 
 constexpr double kFarthest = 2;  // error of the position that the motion keeps [m]
 
-Vec3 limited(Vec3 v, double most) {
-  const double length = geometry::norm(v);
-  return length > most ? most / length * v : v;
-}
-
 Vec3 level(Vec3 v) { return {v.x, v.y, 0}; }
 
 // Within the limit of the acceleration that removes an error of the velocity.

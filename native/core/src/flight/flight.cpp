@@ -16,11 +16,6 @@ constexpr double kRounding = 1 + 1e-12;  // a velocity that was scaled to the li
 
 bool is_same(Vec3 a, Vec3 b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
 
-Vec3 limited(Vec3 v, double most) {
-  const double length = norm(v);
-  return length > most ? most / length * v : v;
-}
-
 // Acceleration that, held for dt, brakes along the velocity to rest, without reversal.
 Vec3 braking(Vec3 v, double most, double dt) {
   const double speed = norm(v);

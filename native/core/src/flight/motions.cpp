@@ -2,6 +2,7 @@
 
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/dynamics/plant.hpp"
 #include "alula/flight/meeting.hpp"
 
@@ -10,8 +11,6 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSameTime = 1e-9;           // tolerance between two sums of the same steps [s]
-constexpr double kSamePlace = 1e-9;          // [m]
 constexpr double kLongestStep = 0.001;       // maximum step of the second quadrotor's controller [s]
 constexpr double kLongestBallistic = 0.005;  // maximum step of a ballistic obstacle [s]
 constexpr double kMostDrag = 20;             // maximum c of a throw: it then loses 95 % of its speed
@@ -115,20 +114,20 @@ class Curving final : public Starting {
 };
 
 // State of a ballistic obstacle, or its derivative.
-struct Flight {
+struct Throw {
   Vec3 p, v;
 };
-Flight operator+(const Flight& a, const Flight& b) { return {a.p + b.p, a.v + b.v}; }
-Flight operator*(double s, const Flight& a) { return {s * a.p, s * a.v}; }
+Throw operator+(const Throw& a, const Throw& b) { return {a.p + b.p, a.v + b.v}; }
+Throw operator*(double s, const Throw& a) { return {s * a.p, s * a.v}; }
 
 Vec3 fall(Vec3 v, double drag) { return -kFallGravity * e3 - drag * norm(v) * v; }
 
-Flight flown(const Flight& from, double dt, double drag) {
+Throw flown(const Throw& from, double dt, double drag) {
   if (drag == 0) return {from.p + dt * from.v - kFallGravity * dt * dt / 2 * e3, from.v - kFallGravity * dt * e3};
   const double steps = std::ceil(dt / kLongestBallistic);
-  Flight x = from;
+  Throw x = from;
   for (double i = 0; i < steps; ++i)
-    x = rk4_step(x, dt / steps, [&](double, const Flight& at) { return Flight{at.v, fall(at.v, drag)}; });
+    x = rk4_step(x, dt / steps, [&](double, const Throw& at) { return Throw{at.v, fall(at.v, drag)}; });
   return x;
 }
 
@@ -144,7 +143,7 @@ class Thrown final : public Starting {
     state_ = {now_.p, now_.v, fall(now_.v, drag_)};
   }
 
-  Flight now_;
+  Throw now_;
   double drag_;
 };
 

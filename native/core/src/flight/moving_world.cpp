@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/flight/encounter_watch.hpp"
 
 namespace alula::flight {
@@ -13,8 +14,7 @@ using geometry::dot;
 using geometry::norm;
 using geometry::Vec3;
 
-constexpr double kSameTime = 1e-9;  // tolerance between two multiples of a step [s]
-constexpr double kNear = 5;         // a track this near an obstacle may belong to it [m]
+constexpr double kNear = 5;  // a track this near an obstacle may belong to it [m]
 
 }  // namespace
 

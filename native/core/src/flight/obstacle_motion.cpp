@@ -13,7 +13,6 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSamePlace = 1e-9;                          // [m]
 constexpr double kShortestLeg = 1e-3;                        // [m]
 constexpr double kLongestWait = 1e4;                         // maximum time until a meeting [s]
 constexpr double kShortestThrow = 1e-3, kLongestThrow = 60;  // [s]
@@ -108,8 +107,6 @@ struct Draw {
   double turn = 0;
 };
 
-bool is_size(double value) { return value >= 0 && std::isfinite(value); }
-bool is_size(Vec3 v) { return is_size(v.x) && is_size(v.y) && is_size(v.z); }
 bool is_range(const Range& r) { return std::isfinite(r.from) && std::isfinite(r.to) && r.from <= r.to; }
 bool has_velocity(const ObstacleSpec& s) { return norm(s.velocity) > 0; }
 

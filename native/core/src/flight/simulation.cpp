@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/parallel.hpp"
 #include "alula/filters/adapters.hpp"
 
@@ -18,7 +19,6 @@ using geometry::norm;
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr std::uint32_t kLoss = 0x5000'0000;  // channel of random numbers
-constexpr double kSameTime = 1e-9;            // [s]
 constexpr double kFastest = 1e5;              // [m/s] a higher speed means that the integration diverges
 constexpr const char* kDiverges = "the simulated motion diverges: too much drag or wind for so few plant_steps";
 

@@ -12,9 +12,9 @@
 namespace alula {
 namespace {
 
-constexpr std::size_t kChunk = 16384;
+constexpr std::size_t kRows = 16384;
 
-std::size_t chunks_of(std::size_t count) { return (count + kChunk - 1) / kChunk; }
+std::size_t chunks_of(std::size_t count) { return (count + kRows - 1) / kRows; }
 
 void check_lengths(const SplatArrays& rows, std::size_t count) {
   if (rows.mean.size() != 3 * count || rows.scale.size() != 3 * count || rows.quat.size() != 4 * count ||
@@ -39,11 +39,11 @@ bool any_infinite(const float* v) {
 
 // Divides quaternions by their lengths, in double precision.
 ALULA_WIDE void normalise(float* quat, std::size_t count) {
-  constexpr std::size_t kBlock = 256;
-  std::array<double, kBlock> length;
-  for (std::size_t begin = 0; begin < count; begin += kBlock) {
+  constexpr std::size_t kTogether = 256;
+  std::array<double, kTogether> length;
+  for (std::size_t begin = 0; begin < count; begin += kTogether) {
     float* const rows = quat + 4 * begin;
-    const std::size_t size = std::min(kBlock, count - begin);
+    const std::size_t size = std::min(kTogether, count - begin);
     for (std::size_t i = 0; i < size; ++i) {
       const double w = rows[4 * i], x = rows[4 * i + 1], y = rows[4 * i + 2], z = rows[4 * i + 3];
       length[i] = std::sqrt(((w * w + x * x) + y * y) + z * z);
@@ -139,7 +139,7 @@ Screened screen_rows(const SplatArrays& rows, const RemovalRules& rules, std::sp
   const std::size_t count = removal.size();
   check_lengths(rows, count);
   std::vector<Screened> part(chunks_of(count));
-  parallel_chunks(count, kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(count, kRows, jobs, control, [&](std::size_t begin, std::size_t end) {
     Screened found;
     found.first_not_finite = count;
     for (std::size_t i = begin; i < end; ++i) {
@@ -150,7 +150,7 @@ Screened screen_rows(const SplatArrays& rows, const RemovalRules& rules, std::sp
       const bool finite = why == Removal::kNone || why >= Removal::kZeroRotation;
       if (!finite && found.first_not_finite == count) found.first_not_finite = i;
     }
-    part[begin / kChunk] = found;
+    part[begin / kRows] = found;
   });
   Screened whole;
   whole.first_not_finite = count;
@@ -169,7 +169,7 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
   if (color.size() != 3 * count) throw std::invalid_argument("arrays of different lengths");
   std::vector<std::size_t> start(chunks_of(count) + 1);  // of the kept rows of each chunk
   for (std::size_t c = 0; c + 1 < start.size(); ++c) {
-    const auto chunk = removal.subspan(c * kChunk, std::min(kChunk, count - c * kChunk));
+    const auto chunk = removal.subspan(c * kRows, std::min(kRows, count - c * kRows));
     start[c + 1] = start[c] + static_cast<std::size_t>(std::count(chunk.begin(), chunk.end(), std::uint8_t{0}));
   }
   const std::size_t kept = start.back();
@@ -185,11 +185,11 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
   const bool copies_opacity = !(out.opacity.empty() && kept == count);
   std::vector<Extremes> part(chunks_of(count));
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
-  parallel_chunks(count, kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(count, kRows, jobs, control, [&](std::size_t begin, std::size_t end) {
     Extremes found;
     found.lower.fill(kInfinity);
     found.upper.fill(-kInfinity);
-    std::size_t to = start[begin / kChunk];
+    std::size_t to = start[begin / kRows];
     for (std::size_t i = begin; i < end; ++i) {
       if (removal[i] != 0) continue;
       const float* mean = &rows.mean[3 * i];
@@ -214,8 +214,8 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
       found.floored += floored;
       ++to;
     }
-    if (!out.quat.empty()) normalise(out.quat.data() + 4 * start[begin / kChunk], to - start[begin / kChunk]);
-    part[begin / kChunk] = found;
+    if (!out.quat.empty()) normalise(out.quat.data() + 4 * start[begin / kRows], to - start[begin / kRows]);
+    part[begin / kRows] = found;
   });
 
   KeptFigures figures{};
@@ -260,7 +260,7 @@ MappedFigures map_rows(std::span<const float> mean, std::span<const float> scale
     unit[j] = is_exact && motion.scale == 1 && motion.translation[j] == 0 ? 0 : 0x1p-50;
   }
   std::vector<MappedFigures> part(chunks_of(count), {0, count, count});
-  parallel_chunks(count, kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(count, kRows, jobs, control, [&](std::size_t begin, std::size_t end) {
     MappedFigures found{0, count, count};
     const auto& [a, b, c, d] = motion.quat_wxyz;
     for (std::size_t i = begin; i < end; ++i) {
@@ -293,7 +293,7 @@ MappedFigures map_rows(std::span<const float> mean, std::span<const float> scale
       length = std::sqrt(length);
       for (std::size_t j = 0; j < 4; ++j) out.quat[4 * i + j] = static_cast<float>(turned[j] / length);
     }
-    part[begin / kChunk] = found;
+    part[begin / kRows] = found;
   });
   MappedFigures whole{0, count, count};
   for (const MappedFigures& one : part) {

@@ -3,10 +3,10 @@
 #include <array>
 #include <cstddef>
 
+#include "alula/base/constants.hpp"
+
 namespace alula::geometry {
 namespace {
-
-constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 
 // The point of smallest norm in the hull of up to four points, with the points that span it.
 class Simplex {

@@ -42,11 +42,11 @@ double Ellipsoid::extent(double g) const {
 
 double Ellipsoid::least_voxels(double g) const {
   const auto cross = [&](std::size_t a, std::size_t b) {
-    return Vec3{row[a][1] * row[b][2] - row[a][2] * row[b][1], row[a][2] * row[b][0] - row[a][0] * row[b][2],
-                row[a][0] * row[b][1] - row[a][1] * row[b][0]};
+    return Triple{row[a][1] * row[b][2] - row[a][2] * row[b][1], row[a][2] * row[b][0] - row[a][0] * row[b][2],
+                  row[a][0] * row[b][1] - row[a][1] * row[b][0]};
   };
-  const Vec3 xy = cross(0, 1), yz = cross(1, 2), zx = cross(2, 0);
-  const auto length = [](const Vec3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); };
+  const Triple xy = cross(0, 1), yz = cross(1, 2), zx = cross(2, 0);
+  const auto length = [](const Triple& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); };
   const double volume = std::abs(xy[0] * row[2][0] + xy[1] * row[2][1] + xy[2] * row[2][2]);
   const double area = std::max({length(xy), length(yz), length(zx)});
   return std::numbers::pi * std::max(4.0 / 3.0 * volume / (g * g * g), area / (g * g));
@@ -79,7 +79,7 @@ Level level_of(const Splats& splats, std::size_t i, const Level& level) {
 namespace {
 
 // The set with the same centre and rotation and other semi-axes.
-void shape(Ellipsoid& e, const Vec3& axis) {
+void shape(Ellipsoid& e, const Triple& axis) {
   const double floor = kEps * (axis[0] + axis[1] + axis[2]);
   for (std::size_t j = 0; j < 3; ++j) e.axis[j] = std::max(axis[j], floor);
   for (std::size_t a = 0; a < 3; ++a) {
@@ -95,7 +95,7 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
   const Level level = level_of(splats, i, all);
   Bounds bounds;
   Ellipsoid& e = bounds.first;
-  Vec3 axis;
+  Triple axis;
   for (std::size_t a = 0; a < 3; ++a) {
     e.centre[a] = splats.mean[3 * i + a];
     axis[a] = level.sigma * splats.scale[3 * i + a];
@@ -104,9 +104,9 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
   const double w = q[0], x = q[1], y = q[2], z = q[3];
   const double ww = w * w, xx = x * x, yy = y * y, zz = z * z;
   const double inverse = 1 / (ww + xx + yy + zz), twice = 2 * inverse;
-  e.rotation = {Vec3{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
-                Vec3{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
-                Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
+  e.rotation = {Triple{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
+                Triple{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
+                Triple{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
   shape(e, axis);
   bounds.half = e.half;
   bounds.inner = e.axis;
@@ -115,7 +115,7 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
 
   for (double& h : bounds.half) h += r;
   const Sum sum = outer_sum(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2], r);
-  Vec3 loose, tight;
+  Triple loose, tight;
   for (std::size_t j = 0; j < 3; ++j) {
     const double square = axis[j] * axis[j];
     bounds.inner[j] = axis[j] + r;
@@ -152,8 +152,8 @@ struct Rotation {
 
 }  // namespace
 
-Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, double floor) {
-  Vec3 p = first, q = second, r = third;
+Factor lower_factor(const Triple& first, const Triple& second, const Triple& third, double floor) {
+  Triple p = first, q = second, r = third;
   for (const std::size_t j : {1u, 2u}) {
     const Rotation turn(p[0], p[j]);
     turn(p[0], p[j]);

@@ -1,14 +1,9 @@
 #include "alula/geometry/ellipsoid_distance.hpp"
 
+#include "alula/base/constants.hpp"
 #include "alula/base/lanes.hpp"
 
 namespace alula::geometry {
-namespace {
-
-constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
-
-}  // namespace
-
 Ellipsoid gaussian_ellipsoid(const float* mean, const float* scale, const float* quat_wxyz, double k) {
   double w = quat_wxyz[0], x = quat_wxyz[1], y = quat_wxyz[2], z = quat_wxyz[3];
   const double length = std::sqrt(w * w + x * x + y * y + z * z);
@@ -136,8 +131,6 @@ Projection project(const Ellipsoid& ellipsoid, Vec3 point) {
 }
 
 namespace {
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 using std::abs, std::sqrt;
 

@@ -17,12 +17,8 @@ using geometry::Mat3;
 using geometry::norm;
 using Shape = geometry::EllipsoidTree::Shape;
 
-constexpr std::size_t kChunk = 4096;
+constexpr std::size_t kEllipsoids = 4096;
 constexpr std::size_t kTogether = 4;  // ellipsoids that are measured at once
-
-constexpr auto nearer = [](const Found& a, const Found& b) {
-  return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
-};
 
 // A = R diag(1 / a_j^2) R^T, symmetric to the bit and slightly smaller, so rounding leaves no point of the Minkowski
 // sum outside.
@@ -83,7 +79,7 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
   grown_.resize(n), slot_.resize(n), row_.resize(n);
   std::vector<Box> boxes(n);
   Control control;
-  parallel_chunks(n, kChunk, 0, control, [&](std::size_t first, std::size_t last) {
+  parallel_chunks(n, kEllipsoids, 0, control, [&](std::size_t first, std::size_t last) {
     for (std::size_t i = first; i < last; ++i) {
       const Level level = level_of(splats, i, all);
       boxes[i] = geometry::bounds(geometry::gaussian_ellipsoid(&splats.mean[3 * i], &splats.scale[3 * i],
@@ -102,7 +98,7 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
   item_ = halves_.order();
   std::vector<Shape> shape(n);
   std::vector<geometry::EllipsoidTree::Ball> ball(n);
-  parallel_chunks(n, kChunk, 0, control, [&](std::size_t first, std::size_t last) {
+  parallel_chunks(n, kEllipsoids, 0, control, [&](std::size_t first, std::size_t last) {
     for (std::size_t slot = first; slot < last; ++slot) {
       const std::size_t i = item_[slot];
       slot_[i] = static_cast<std::uint32_t>(slot);
@@ -159,15 +155,15 @@ QueryCost EllipsoidIndex::search(const geometry::EllipsoidTree::Sight& sight, st
     }
     const std::uint32_t item = item_[slot];
     const bool is_full = found.size() == count;
-    if (!(distance < reach) || (is_full && !nearer({item, distance}, found.front()))) return;
+    if (!(distance < reach) || (is_full && !nearer_found({item, distance}, found.front()))) return;
     if (is_full) {
-      std::pop_heap(found.begin(), found.end(), nearer);
+      std::pop_heap(found.begin(), found.end(), nearer_found);
       found.back() = {item, distance};
-      std::push_heap(found.begin(), found.end(), nearer);
+      std::push_heap(found.begin(), found.end(), nearer_found);
     } else {
       found.push_back({item, distance});
       if (found.size() < count) return;
-      std::make_heap(found.begin(), found.end(), nearer);
+      std::make_heap(found.begin(), found.end(), nearer_found);
     }
     within = is_point ? found.front().distance : std::max(0.0, found.front().distance);
   };
@@ -194,7 +190,7 @@ QueryCost EllipsoidIndex::search(const geometry::EllipsoidTree::Sight& sight, st
   });
   if (waits > 0) measure();
   cost.nodes = seen.nodes, cost.items = seen.items;
-  std::sort(found.begin(), found.end(), nearer);
+  std::sort(found.begin(), found.end(), nearer_found);
   if (!is_point)
     for (Found& f : found) f.distance = std::max(0.0, f.distance);
   return cost;

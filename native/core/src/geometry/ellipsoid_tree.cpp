@@ -6,11 +6,11 @@
 namespace alula::geometry {
 namespace {
 
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kBeyond = std::numeric_limits<float>::infinity();
 
 float above(double x) {
   const auto f = static_cast<float>(x);
-  return f >= x ? f : std::nextafter(f, kInfinity);
+  return f >= x ? f : std::nextafter(f, kBeyond);
 }
 float below(double x) { return -above(-x); }
 

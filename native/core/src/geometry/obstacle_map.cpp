@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <tuple>
 #include <utility>
 
+#include "alula/base/constants.hpp"
 #include "alula/base/least.hpp"
 #include "alula/base/require.hpp"
 
@@ -16,7 +16,6 @@ using geometry::dot;
 using geometry::from_rows;
 using geometry::norm;
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kRounding = 1e-14;  // bound on the error of a distance, as a fraction of the coordinates
 
 // The distance that an obstacle must have to be clear of a ball of radius d, for coordinates up to `extent`.

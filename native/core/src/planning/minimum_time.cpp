@@ -17,7 +17,7 @@ using geometry::Vec3;
 constexpr std::size_t kPoints = 8;  // of a piece, de Boor's and Bernstein's
 constexpr std::size_t kSpans = 5;   // durations that a piece depends on
 constexpr std::size_t kOrders = 5;  // position to snap
-constexpr int kNone = -1;
+constexpr int kFixed = -1;
 constexpr double kLeastGain = 1e-3;  // of a step of Newton's method, in units of the number of constraints
 
 template <class S>
@@ -184,8 +184,8 @@ class Program {
       : problem_(problem), pieces_(problem.cell.size()), factor_(snap_factor()) {
     check();
     const std::size_t count = 3 * pieces_ + 5;
-    control_variable_.assign(count, kNone);
-    duration_variable_.assign(pieces_, kNone);
+    control_variable_.assign(count, kFixed);
+    duration_variable_.assign(pieces_, kFixed);
     number_variables(true);
   }
 
@@ -242,10 +242,10 @@ class Program {
         control_variable_[i] = next;
         next += 3;
       } else {
-        control_variable_[i] = kNone;
+        control_variable_[i] = kFixed;
       }
       if (i >= 3 && (i - 3) % 3 == 0 && (i - 3) / 3 < pieces_) {
-        duration_variable_[(i - 3) / 3] = timed ? next++ : kNone;
+        duration_variable_[(i - 3) / 3] = timed ? next++ : kFixed;
       }
     }
     variables_ = static_cast<std::size_t>(next);
@@ -326,7 +326,7 @@ class Program {
   Iterate moved(const Iterate& x, const std::vector<double>& direction, double step) const {
     Iterate y = x;
     for (std::size_t i = 0; i < y.control.size(); ++i) {
-      if (control_variable_[i] == kNone) continue;
+      if (control_variable_[i] == kFixed) continue;
       const Vec3 way = geometry::from_rows(&direction[static_cast<std::size_t>(control_variable_[i])]);
       if (!is_via_point(i)) {
         y.control[i] = y.control[i] + step * way;
@@ -337,7 +337,7 @@ class Program {
       knot = knot + step * (way - geometry::dot(n, way) * n);
     }
     for (std::size_t k = 0; k < pieces_; ++k) {
-      if (duration_variable_[k] == kNone) continue;
+      if (duration_variable_[k] == kFixed) continue;
       y.log_duration[k] += step * direction[static_cast<std::size_t>(duration_variable_[k])];
     }
     settle(y);
@@ -347,7 +347,7 @@ class Program {
   double longest_log_step(const std::vector<double>& direction) const {
     double most = 0;
     for (const int v : duration_variable_) {
-      if (v != kNone) most = std::max(most, std::abs(direction[static_cast<std::size_t>(v)]));
+      if (v != kFixed) most = std::max(most, std::abs(direction[static_cast<std::size_t>(v)]));
     }
     return most;
   }
@@ -463,16 +463,16 @@ class Program {
   template <class F>
   void each_variable(std::size_t k, F&& f) const {
     for (std::size_t j = 0; j < kPoints; ++j) {
-      if (const int v = control_variable_[3 * k + j]; v != kNone) f(v, 3);
+      if (const int v = control_variable_[3 * k + j]; v != kFixed) f(v, 3);
     }
     for (std::size_t m = 0; m < kSpans; ++m) {
-      if (const int v = duration_of(k, m); v != kNone) f(v, 1);
+      if (const int v = duration_of(k, m); v != kFixed) f(v, 1);
     }
   }
 
   int duration_of(std::size_t k, std::size_t m) const {
     const std::size_t i = k + m;
-    return i < 2 || i - 2 >= pieces_ ? kNone : duration_variable_[i - 2];
+    return i < 2 || i - 2 >= pieces_ ? kFixed : duration_variable_[i - 2];
   }
 
   template <class S>
@@ -678,12 +678,12 @@ class Program {
     Local(const Iterate& x, const Program& program, std::size_t k) {
       for (std::size_t j = 0; j < kPoints; ++j) {
         const int v = program.control_variable_[3 * k + j];
-        for (int a = 0; a < 3; ++a) variable[3 * j + std::size_t(a)] = v == kNone ? kNone : v + a;
+        for (int a = 0; a < 3; ++a) variable[3 * j + std::size_t(a)] = v == kFixed ? kFixed : v + a;
       }
       for (std::size_t s = 0; s < kSpans; ++s) {
         variable[24 + s] = program.duration_of(k, s);
         const std::size_t i = k + s;
-        duration[s] = variable[24 + s] == kNone ? 0.0 : std::exp(x.log_duration[i - 2]);
+        duration[s] = variable[24 + s] == kFixed ? 0.0 : std::exp(x.log_duration[i - 2]);
       }
     }
 
@@ -741,11 +741,11 @@ class Program {
 
     void scatter(std::vector<double>& full_gradient, Band& full) const {
       for (std::size_t i = 0; i < kSize; ++i) {
-        if (variable[i] == kNone) continue;
+        if (variable[i] == kFixed) continue;
         const auto row = static_cast<std::size_t>(variable[i]);
         full_gradient[row] += gradient[i];
         for (std::size_t j = 0; j <= i; ++j) {
-          if (variable[j] == kNone) continue;
+          if (variable[j] == kFixed) continue;
           const auto column = static_cast<std::size_t>(variable[j]);
           full.at(std::max(row, column), std::min(row, column)) += hessian[i][j];
         }

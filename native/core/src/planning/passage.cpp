@@ -18,7 +18,7 @@ constexpr std::uint32_t kNone = 0xffffffffu;
 constexpr double kRounding = 1e-12;  // of a distance, as a fraction of the coordinates
 constexpr std::size_t kRoots = 32768;
 constexpr std::uint32_t kDeepest = 20;  // levels of cells
-constexpr int kBisections = 24;
+constexpr int kPassageBisections = 24;
 constexpr double kAvoid = 20;         // of doubtful cells, in lengths
 constexpr double kClosed = 0.1;       // of `enough`: points that only less may join count as not connected
 constexpr int kPatience = 12;         // ways that turned out to be none before cells become finer
@@ -273,7 +273,7 @@ class Flood {
     if (!(least > result_.lower)) return;
     result_.lower = least;
     Vec3 a = path[narrow], b = path[narrow + 1];
-    for (int k = 0; k < kBisections; ++k) {
+    for (int k = 0; k < kPassageBisections; ++k) {
       const Vec3 middle = 0.5 * (a + b);
       const double upto = 2 * options_.enough, before = map_.segment_distance(a, middle, upto, cells_.memory());
       (before <= map_.segment_distance(middle, b, upto, cells_.memory()) ? b : a) = middle;

@@ -7,12 +7,12 @@
 #include <stdexcept>
 #include <utility>
 
+#include "alula/base/constants.hpp"
+
 namespace alula {
 namespace {
 
 using geometry::Vec3;
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 double travel_cost(double length, double clearance, double radius, double comfort) {
   const double lacking = comfort > 0 ? std::clamp(1 - (clearance - radius) / comfort, 0.0, 1.0) : 0.0;

@@ -9,6 +9,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "alula/base/constants.hpp"
 #include "proofs.hpp"
 
 // The solver, one algorithm from top to bottom: the scaled rows (`Columns`), the dual active-set method
@@ -639,8 +640,6 @@ class DualActiveSet {
   Real farthest_ = 0;  // greatest |z|^2 since z was computed: z carries its rounding
   Columns columns_;
 };
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 void check_sizes(const QpProblem& p) {
   const std::size_t m = p.bounds.size();

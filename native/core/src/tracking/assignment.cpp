@@ -1,15 +1,14 @@
 #include "alula/tracking/assignment.hpp"
 
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 
+#include "alula/base/constants.hpp"
 #include "alula/tracking/tracker.hpp"
 
 namespace alula::flight {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kLargest = 1e100;  // largest cost; sums of prices must stay finite
 
 bool is_cost(double c) { return std::abs(c) <= kLargest; }

@@ -16,21 +16,21 @@ namespace {
 constexpr std::size_t kUsualDetections = 64;  // in a scan; more enlarge the memory
 constexpr double kLongest = 1e6;              // longest time without a scan [s]; covariances must stay finite
 
-// A track with its history of hits and misses.
-struct Kept {
-  std::uint32_t id = 0;
-  bool is_confirmed = false;
-  std::uint64_t hits = 0;  // of the last 64 scans, the latest in bit 0
-  int misses = 0;          // in a row
-  double seen_s = 0;       // time of the last hit
-  Imm imm;
-};
-
 double trace3(const double (&m)[kMostStates][kMostStates]) { return m[0][0] + m[1][1] + m[2][2]; }
 
 }  // namespace
 
 struct Tracker::State {
+  // A track with its history of hits and misses.
+  struct Kept {
+    std::uint32_t id = 0;
+    bool is_confirmed = false;
+    std::uint64_t hits = 0;  // of the last 64 scans, the latest in bit 0
+    int misses = 0;          // in a row
+    double seen_s = 0;       // time of the last hit
+    Imm imm;
+  };
+
   State(const TrackerOptions& options, std::size_t room) : rules(options), most(room) {
     if (most == 0) throw std::invalid_argument("a tracker needs room for a track");
     tracks.reserve(most), mixtures.reserve(most), answer.reserve(most), rows.reserve(most);
@@ -159,7 +159,7 @@ void Tracker::update(double t, std::span<const Detection> detections, const Fiel
     throw std::invalid_argument("the time of a scan must be within 1e6 s after the last");
   s.gather(detections);
   s.mixtures.clear();
-  for (Kept& track : s.tracks) {
+  for (State::Kept& track : s.tracks) {
     track.imm.predict(s.rules, t - s.last);
     s.mixtures.push_back(track.imm.mixture());
   }
@@ -168,7 +168,7 @@ void Tracker::update(double t, std::span<const Detection> detections, const Fiel
   s.field = field;
   s.associate(true);  // before the others, which may become confirmed now
   s.associate(false);
-  std::erase_if(s.tracks, [&](const Kept& track) { return track.misses >= s.rules.options.delete_misses; });
+  std::erase_if(s.tracks, [&](const State::Kept& track) { return track.misses >= s.rules.options.delete_misses; });
   for (std::size_t j = 0; j < s.measured.size(); ++j)
     if (!s.is_taken[j]) s.start(s.measured[j]);
 }

@@ -35,8 +35,8 @@ namespace alula {
 // A pinhole camera: x_camera = rotation (x - centre), x right, y down, z forward. Its image is the rectangle left <=
 // x/z <= right, top <= y/z <= bottom, divided into columns x rows pixels.
 struct Pinhole {
-  std::array<Vec3, 3> rotation{};
-  Vec3 centre{};
+  std::array<Triple, 3> rotation{};
+  Triple centre{};
   double left = 0, top = 0, right = 0, bottom = 0;
   std::size_t columns = 0, rows = 0;
 };
@@ -62,8 +62,8 @@ class Occluders {
 
  private:
   struct Solid {
-    Vec3 centre;
-    std::array<Vec3, 3> row;
+    Triple centre;
+    std::array<Triple, 3> row;
     float reach;
     bool is_pair;  // with the next one: the set lies in both
   };

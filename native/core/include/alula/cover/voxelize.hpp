@@ -82,7 +82,7 @@ struct OpacityTally {
 // at most 1e4 cells. For judging limits only: cells are found in single precision. The same for every number of jobs.
 // Throws std::invalid_argument for malformed input.
 OpacityTally tally_opacity(const Splats& splats, std::span<const float> opacity, std::span<const float> limit,
-                           const Vec3& origin, double edge, const Index3& size, unsigned jobs, Control& control);
+                           const Triple& origin, double edge, const Index3& size, unsigned jobs, Control& control);
 
 // Ellipsoids that may touch each tile {edge t ... edge t + edge - 1}^3 of voxels, by their boxes
 // within the crop. Tiles that no ellipsoid may touch are left out.

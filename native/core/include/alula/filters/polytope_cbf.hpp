@@ -13,13 +13,13 @@
 
 namespace alula {
 
-using Vec3 = std::array<double, 3>;
+using Triple = std::array<double, 3>;
 
 // In single precision, the radius rounded up.
 alula_polytope_cbf_config to_onboard(const PolytopeCbfConfig& config);
 
 struct FilterOutput {
-  Vec3 u;  // equals the nominal input, bit by bit, when the status is OK
+  Triple u;  // equals the nominal input, bit by bit, when the status is OK
   alula_filter_status status;
   alula_polytope_result detail;
 };
@@ -37,11 +37,11 @@ class PolytopeCbf {
   // With `more_m` the radius is larger by up to that, as far as there is room: where s - r is less, x may not come
   // nearer. `detail.margin_m` and `hard_margin_m` are for the radius itself. The next tile is that in the direction
   // of the nominal input; without a resident tile the input is refused.
-  FilterOutput filter(const Vec3& x, const Vec3& u_nom, double more_m = 0);
+  FilterOutput filter(const Triple& x, const Triple& u_nom, double more_m = 0);
 
   // Hard and smooth psi and the gradient of the smooth one; hard is -FLT_MAX where x is refused. In tiles psi is that
   // of the resident tile.
-  alula_polytope_value evaluate(const Vec3& x);
+  alula_polytope_value evaluate(const Triple& x);
 
   const PolytopeCbfConfig& config() const { return config_; }
   const PolytopeMap* map() const { return map_.get(); }  // null if the filter uses an image

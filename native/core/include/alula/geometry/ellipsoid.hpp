@@ -19,7 +19,7 @@
 
 namespace alula {
 
-using Vec3 = std::array<double, 3>;
+using Triple = std::array<double, 3>;
 
 // The first of these ellipsoids: a^2 -> scale a^2 + add for semi-axes or a shape matrix Sigma, with the p for long
 // semi-axes.
@@ -67,11 +67,11 @@ Level level_of(const Splats& splats, std::size_t i, const Level& level);
 // and keeps the effect of u^2 on a thin ellipsoid below u. So the relative error of entries of `row` is at most
 // 13 u, and every point of the set is off by at most 17 u `reach`.
 struct Ellipsoid {
-  Vec3 centre{};
-  std::array<Vec3, 3> rotation{};  // rows of R
-  Vec3 axis{};                     // semi-axes
-  std::array<Vec3, 3> row{};
-  Vec3 half{};         // half-widths along the axes
+  Triple centre{};
+  std::array<Triple, 3> rotation{};  // rows of R
+  Triple axis{};                     // semi-axes
+  std::array<Triple, 3> row{};
+  Triple half{};       // half-widths along the axes
   double reach = 0.0;  // sum of the semi-axes; no point is farther from the centre
 
   // Upper bound on all coordinates of the set and of the voxels of edge g that it touches.
@@ -87,8 +87,8 @@ struct Ellipsoid {
 struct Bounds {
   Ellipsoid first;
   std::optional<Ellipsoid> second;
-  Vec3 half{};
-  Vec3 inner{};         // semi-axes k s_j + r of an ellipsoid within the sum, as |D n| + |r n| >= |(D + r) n|
+  Triple half{};
+  Triple inner{};       // semi-axes k s_j + r of an ellipsoid within the sum, as |D n| + |r n| >= |(D + r) n|
   double excess = 0.0;  // bound on the distance of any point of `first` from the sum
 
   // The bound for the ellipsoid within the sum.
@@ -105,7 +105,7 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& level);
 struct Factor {
   double l11, l21, l22, l31, l32, l33;
 };
-Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, double floor);
+Factor lower_factor(const Triple& first, const Triple& second, const Triple& third, double floor);
 
 inline constexpr double kEps = std::numeric_limits<double>::epsilon();  // 2 u
 

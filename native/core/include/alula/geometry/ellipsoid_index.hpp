@@ -28,6 +28,10 @@ struct Found {
   double distance;
 };
 
+inline constexpr auto nearer_found = [](const Found& a, const Found& b) {
+  return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
+};
+
 // Work of a query: what it visited.
 struct QueryCost {
   std::uint32_t nodes = 0, items = 0;

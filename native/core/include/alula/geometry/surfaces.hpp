@@ -13,7 +13,7 @@ inline constexpr double kPad = 256 * kEps;       // q / E
 inline constexpr double kRadius = 1 + 4 * kEps;  // of the ball: w is never rounded below the true one
 inline constexpr double kMiss = -std::numeric_limits<double>::infinity();
 
-inline double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+inline double dot(const Triple& a, const Triple& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 struct Span {
   double lower, upper;  // extent of voxels along an axis, relative to the centre
@@ -25,8 +25,8 @@ class Shadow {
  public:
   Shadow(const Ellipsoid& e, double pad, std::size_t i, std::size_t j, std::size_t k) : pad_(pad) {
     const double product = dot(e.row[i], e.row[j]);
-    const Vec3 c{e.rotation[k][0] * e.axis[1] * e.axis[2], e.rotation[k][1] * e.axis[0] * e.axis[2],
-                 e.rotation[k][2] * e.axis[0] * e.axis[1]};
+    const Triple c{e.rotation[k][0] * e.axis[1] * e.axis[2], e.rotation[k][1] * e.axis[0] * e.axis[2],
+                   e.rotation[k][2] * e.axis[0] * e.axis[1]};
     const double inverse_length = 1 / std::sqrt(dot(c, c));
     const auto side = [&](std::size_t a) {
       const double inverse = 1 / e.half[a];
@@ -142,9 +142,9 @@ class Surfaces {
   struct Shapes {
     Side::Shape x, y;
     explicit Shapes(const Ellipsoid& e) {
-      const Vec3 pair{e.axis[1] * e.axis[2], e.axis[0] * e.axis[2], e.axis[0] * e.axis[1]};
-      std::array<Vec3, 3> c;
-      Vec3 length;
+      const Triple pair{e.axis[1] * e.axis[2], e.axis[0] * e.axis[2], e.axis[0] * e.axis[1]};
+      std::array<Triple, 3> c;
+      Triple length;
       for (std::size_t a = 0; a < 3; ++a) {
         for (std::size_t j = 0; j < 3; ++j) c[a][j] = e.rotation[a][j] * pair[j];
         length[a] = std::sqrt(dot(c[a], c[a]));

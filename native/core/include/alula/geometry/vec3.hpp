@@ -5,6 +5,8 @@
 #include <cmath>
 #include <limits>
 
+#include "alula/base/require.hpp"
+
 namespace alula::geometry {
 
 struct Vec3 {
@@ -20,7 +22,15 @@ inline Vec3 operator*(double s, Vec3 a) { return {s * a.x, s * a.y, s * a.z}; }
 inline double dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline double norm(Vec3 a) { return std::sqrt(dot(a, a)); }
 inline Vec3 by_axis(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+inline bool is_zero(Vec3 a) { return a.x == 0 && a.y == 0 && a.z == 0; }
+inline bool is_size(Vec3 a) { return alula::is_size(a.x) && alula::is_size(a.y) && alula::is_size(a.z); }
 inline Vec3 from_rows(const double* row) { return {row[0], row[1], row[2]}; }
+
+// A vector scaled down to a length of at most `most`.
+inline Vec3 limited(Vec3 a, double most) {
+  const double length = norm(a);
+  return length > most ? most / length * a : a;
+}
 
 // A number for each axis; one number stands for three equal ones.
 struct PerAxis : Vec3 {
