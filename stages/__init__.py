@@ -1,1 +1,6 @@
-"""The stages: pure functions from artifacts to artifacts."""
+"""The stages: pure functions from artifacts to artifacts.
+
+Parameters of one name mean the same everywhere, and docstrings explain them where there is more to say:
+`jobs` is a number of threads, 0 for all processors, on which no result depends; `progress` is a `Progress`,
+called from time to time; `seed` is that of all randomness.
+"""

@@ -71,7 +71,6 @@ def kept_obstacles(scene: Artifact, sigma: float, trees: dict[float, EllipsoidSe
     """The search tree of `scene_obstacles`, made once for each level.
 
     Args:
-        scene: an `alula/scene`.
         sigma: level, in standard deviations.
         trees: those of this scene by level; the one that is made is added.
 
@@ -97,7 +96,6 @@ def path_clearance(
     Args:
         points: the path, shape (T, 3), in the frame and unit of the obstacles; T >= 1.
         obstacles: from `hull_obstacles` or `scene_obstacles`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
         cap_m: distances of at least this are returned as this; a small cap saves time.
 
     Returns:
@@ -128,7 +126,6 @@ def segment_clearance(
         start: first points, shape (S, 3), in the frame and unit of the obstacles.
         end: last points, shape (S, 3).
         obstacles: from `hull_obstacles` or `scene_obstacles`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
         cap_m: distances of at least this are returned as this.
 
     Returns:
@@ -156,7 +153,6 @@ def sphere_clearance(
         points: path of its centre, shape (T, 3), in the frame of the obstacles [m].
         obstacles: from `hull_obstacles` or `scene_obstacles`.
         radius_m: of the sphere [m].
-        jobs: threads, 0 for all processors; the result does not depend on it.
 
     Returns:
         The minimum of `path_clearance` less the radius [m]; None without obstacles.
@@ -179,7 +175,6 @@ def clearance_to_hulls(
     Args:
         points: shape (T, 3), world frame [m].
         hulls: world frame [m].
-        jobs: threads, 0 for all processors.
         cap_m: distances of at least this are returned as this.
     """
     return path_clearance(points, hull_obstacles(hulls), jobs=jobs, cap_m=cap_m)
@@ -192,9 +187,7 @@ def clearance_to_scene(
 
     Args:
         points: shape (T, 3), in the frame and unit of the scene.
-        scene: an `alula/scene`.
         sigma: level of its ellipsoids, in standard deviations.
-        jobs: threads, 0 for all processors.
         cap_m: distances of at least this are returned as this.
     """
     return path_clearance(points, scene_obstacles(scene, sigma), jobs=jobs, cap_m=cap_m)

@@ -45,7 +45,6 @@ def position_m(lattice: NDArray[Any], size_m: float) -> tuple[float, float, floa
 
     Args:
         lattice: shape (3,) [voxels].
-        size_m: edge of a voxel.
     """
     x, y, z = (float(c) * size_m for c in lattice)
     return x, y, z
@@ -55,10 +54,7 @@ def at_voxel(fault: str, voxel: NDArray[Any], size_m: float, *, gaussian: int | 
     """Offence at the centre of a voxel.
 
     Args:
-        fault: description of the failure.
         voxel: its lower corner, shape (3,) [voxels].
-        size_m: edge of a voxel.
-        gaussian: row of the scene.
     """
     x, y, z = voxel.tolist()
     place = position_m(voxel + 0.5, size_m)

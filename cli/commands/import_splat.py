@@ -99,11 +99,6 @@ def local_copies(
 ) -> Iterator[tuple[Path, ...]]:
     """Context with the paths to read: files themselves, and temporary copies of all others.
 
-    Args:
-        splats: the arguments of the command.
-        limits: of downloads.
-        common: the shared options.
-
     Raises:
         UsageError: --depfile is given with a download, an address is named twice, or - with others.
         UsageError, InputError: as `Limits.for_each`, `read_stdin` and `downloaded`.
@@ -134,10 +129,6 @@ def local_copies(
 @contextmanager
 def read_stdin(path: Path, common: Common) -> Iterator[Path]:
     """Context with the path to read: the file itself, or for - a temporary copy of standard input.
-
-    Args:
-        path: the argument of the command.
-        common: the shared options.
 
     Raises:
         UsageError: standard input is a terminal, or --depfile is given with it.

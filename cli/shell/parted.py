@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 
 
 def is_parted(output: Path, kind: Kind) -> bool:
-    """Test whether an output is to be a folder of parts, by its name.
-
-    Args:
-        output: the path that the user gave.
-        kind: of the output.
-    """
+    """Test whether an output is to be a folder of parts, by its name."""
     return output.suffix == kind.folder_suffix
 
 
@@ -42,12 +37,9 @@ def run_parts(
     """Run a stage whose output is a folder of parts, unless the output is already current.
 
     Args:
-        common: the shared options.
-        kind: kind of the output.
         parameters: all parameters that the output depends on, as plain JSON values.
         inputs: role to path of all files that the output depends on.
         build: function that hands all parts to the writer and returns the manifest of the whole.
-        seed: the seed, when the output depends on one.
         names: role to name of inputs that are recorded by another name than the file's own.
 
     Raises:

@@ -110,7 +110,6 @@ class Files:
         """The configuration of an alignment by these files.
 
         Args:
-            fields: of the configuration, those that are given.
             distances: two points of the scene and their distance, each.
 
         Raises:
@@ -142,8 +141,6 @@ class Files:
         """The alignment of a scene.
 
         Args:
-            scene: to align.
-            config: of `config_of`.
             seed: of all randomness.
             report: called with what was found, before it is checked.
             jobs: threads, each with one part, where the output is a folder.
@@ -232,7 +229,6 @@ def evidence_of(config: ScaleAlignConfig, files: Files) -> Evidence | None:
     """Read the evidence for the alignment.
 
     Args:
-        config: of the alignment.
         files: with the evidence.
 
     Raises:

@@ -25,7 +25,6 @@ class FolderStore:
 
     Args:
         folder: that exists.
-        inputs: of the parts.
     """
 
     def __init__(self, folder: Path, inputs: Sequence[InputRef]) -> None:
@@ -75,7 +74,6 @@ def covers_kept_in(folder: Path | None, inputs: Sequence[InputRef]) -> Iterator[
 
     Args:
         folder: None for a dry run.
-        inputs: of the parts.
 
     Raises:
         OutputError: the folder cannot be made.

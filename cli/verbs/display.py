@@ -11,7 +11,6 @@ def table(title: str, facts: Mapping[str, str], notes: Sequence[str] = ()) -> st
 
     Args:
         title: of the table.
-        facts: rows.
         notes: sentences below it.
     """
     style = "style='text-align:left'"

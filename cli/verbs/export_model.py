@@ -19,10 +19,7 @@ def export_model(source: Path, name: str, parameters: dict[str, Any], common: Co
     """Write a cover as a folder: a model, and the mesh of each hull.
 
     Args:
-        source: an `alula/cover`.
         name: `urdf` or `gazebo`.
-        parameters: of the output.
-        common: common options of commands.
 
     Raises:
         UsageError: the output is a folder of other files.

@@ -19,10 +19,7 @@ def export_tiles(path: Path, config: ExportConfig, key_path: Path | None, common
     """Write the folder of a map in tiles.
 
     Args:
-        path: of the cover.
-        config: with `tiles_m`.
         key_path: file of the key that signs the index; None for no signature.
-        common: common options of commands.
 
     Raises:
         UsageError: the output is a folder of other files.

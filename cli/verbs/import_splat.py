@@ -50,8 +50,6 @@ class Splats:
 
     Args:
         paths: files, or the output folder of a trainer.
-        format: of the files.
-        lod: level of detail of a streamed splat.
         known_as: names of files that users know by another name, such as an address.
 
     Raises:
@@ -95,10 +93,6 @@ class Splats:
     def screened(self, config: ImportSplatConfig, progress: Progress) -> Screened:
         """What a configuration keeps of the files.
 
-        Args:
-            config: see `ImportSplatConfig`.
-            progress: called with (done, total).
-
         Raises:
             InputError: a file cannot be read, or the configuration keeps nothing of it.
         """
@@ -112,11 +106,7 @@ class Splats:
             raise error.reworded(f"{self._first}{more}: {error}") from error
 
     def scene(self, screened: Screened) -> Scene:
-        """The scene of what is kept.
-
-        Args:
-            screened: of these files.
-        """
+        """The scene of what is kept."""
         from alula.stages.reconstruction.import_splat import scene_of
 
         return Scene(scene_of(screened), self._inputs)
@@ -127,7 +117,6 @@ class Splats:
         """A scene of the files.
 
         Args:
-            config: see `ImportSplatConfig`.
             part_gaussians: maximum number of Gaussians of a part, where the output is a folder.
             jobs: threads, which share the pieces of the files, where the output is a folder.
         """
@@ -164,11 +153,7 @@ class Splats:
 
 
 def inputs_of(found: Sequence[SplatFile]) -> list[dict[str, Path]]:
-    """Files to read by role, for each splat.
-
-    Args:
-        found: the splats.
-    """
+    """Files to read by role, for each splat."""
     return [
         {
             role if k == 0 else f"splat {k + 1}{role.removeprefix('splat')}": path
@@ -184,9 +169,7 @@ def names_of(
     """Names to record in place of those of the files, by role.
 
     Args:
-        found: the splats.
         roles: files by role, for each splat; the splat itself is the first one.
-        shown: names of splats by their paths.
     """
     pairs = zip(found, roles, strict=True)
     return {next(iter(files)): shown[one.path] for one, files in pairs if one.path in shown}

@@ -67,11 +67,7 @@ class Merging:
     jobs: int
 
     def make(self, progress: Progress) -> Cover:
-        """The cover in memory.
-
-        Args:
-            progress: called with (done, total).
-        """
+        """The cover in memory."""
         return Cover(self.cover(progress), {"source": self.source})
 
     def cover(
@@ -85,7 +81,6 @@ class Merging:
         """One cover.
 
         Args:
-            progress: called with (done, total).
             kept: function from the progress to a journal that the merge continues, and a progress.
             stored: function to a context with the covers of blocks that the merge continues.
             output: file of the cover, for messages.

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 def map_role(path: Path) -> str:
     """Role of a map: `cover` or `scene`.
 
-    Args:
-        path: of the map.
-
     Raises:
         WrongKindError: it is another artifact.
     """
@@ -49,7 +46,6 @@ def source_files(source: Path, map_path: Path | None, scene: Path | None) -> dic
     Args:
         source: plan, cover or scene, or the folder of a map in tiles.
         map_path: cover, scene or tiles of --map.
-        scene: of --scene.
 
     Raises:
         WrongKindError: a file is of another kind.

@@ -32,11 +32,7 @@ class Makes(Protocol[T_co]):
     """What a verb has checked, and can do."""
 
     def make(self, progress: Progress, /) -> T_co:
-        """Do it.
-
-        Args:
-            progress: called with (done, total).
-        """
+        """Do it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +59,7 @@ class Step(Generic[R]):
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def make(self, progress: Progress) -> R:
-        """The result.
-
-        Args:
-            progress: called with (done, total).
-        """
+        """The result."""
         return self.result(self.build(progress), self.inputs, seed=self.seed)
 
 
@@ -107,12 +99,7 @@ def verb(
 
 
 def made_by(name: str, step: Makes[T]) -> T:
-    """What a step makes, with a bar in a notebook and on a terminal.
-
-    Args:
-        name: of the verb.
-        step: its step.
-    """
+    """What a step makes, with a bar in a notebook and on a terminal."""
     with shown(name) as progress:
         return step.make(progress)
 
@@ -121,8 +108,6 @@ def run_step(common: Common, step: Step[Any], *, names: Mapping[str, str] | None
     """Run a step of a verb whose inputs are files, unless its output, a file or a folder, is already current.
 
     Args:
-        common: the shared options.
-        step: of the verb.
         names: role to name of inputs that are recorded by another name than the file's own.
 
     Raises:

@@ -148,9 +148,6 @@ class Proving:
     def make(self, progress: Progress) -> Proof:
         """The proof, if it holds.
 
-        Args:
-            progress: called with (done, total).
-
         Raises:
             CheckError: something is not proven.
         """
@@ -167,9 +164,6 @@ class Proving:
     def require(self, certificate: Certificate) -> None:
         """Refuse a proof that does not hold.
 
-        Args:
-            certificate: as of `prove`.
-
         Raises:
             CheckError: a check fails; the message names the first failure.
         """
@@ -183,9 +177,6 @@ class Proving:
 
     def check_map(self, provenance: Provenance) -> None:
         """Refuse a map that a plan was not made in.
-
-        Args:
-            provenance: of the certificate.
 
         Raises:
             InputError: it is another map, and this is not allowed.
@@ -210,7 +201,6 @@ class Proving:
         """The certificate, whether the proof holds or not.
 
         Args:
-            progress: called with (done, total).
             refs: the inputs; those that the proven file does not record become notes.
 
         Raises:
@@ -313,10 +303,6 @@ class Proof:
     def save(self, path: str | Path, *, force: bool = False) -> Proof:
         """Write the certificate that `alula verify` would write.
 
-        Args:
-            path: the file (.json).
-            force: replace a file of other provenance.
-
         Raises:
             UsageError: another file is there.
             OutputError: the file cannot be written.
@@ -344,9 +330,6 @@ class Proof:
 
 def check_name(output: Path) -> None:
     """Refuse a name that is not that of a certificate.
-
-    Args:
-        output: the file to write.
 
     Raises:
         UsageError: the name does not end in .json.

@@ -75,7 +75,6 @@ def array_hashes(arrays: Arrays, meanwhile: Callable[[], None] = lambda: None) -
     """Hash all arrays, large ones in threads.
 
     Args:
-        arrays: by name.
         meanwhile: called beside the threads; its exceptions propagate.
 
     Returns:
@@ -116,10 +115,8 @@ def describe_arrays(
     """Describe arrays for a manifest.
 
     Args:
-        kind: kind of the artifact.
         frame: name of the frame.
         unit: unit of lengths; it replaces the unit "frame" of the kind's rules.
-        arrays: by name.
         hashes: `array_hashes` of the arrays, when known.
     """
     hashes = array_hashes(arrays) if hashes is None else hashes
@@ -140,7 +137,6 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
     """Build and check an artifact.
 
     Args:
-        kind: kind of the artifact.
         arrays: by name; they are converted to the kind's types.
         **fields: fields of the kind's manifest. `producer` defaults to this program and `inputs` to an empty
             list, which the command line fills in.
@@ -176,7 +172,6 @@ def write_artifact(path: Path, artifact: Artifact, *, is_final: bool = True) -> 
 
     Args:
         path: the file; it is replaced when it exists.
-        artifact: manifest and arrays.
         is_final: as for `atomic_output`.
 
     Raises:
@@ -292,7 +287,6 @@ def read_artifact(path: Path, kind: Kind | None = None, *, is_checked: bool = Fa
     in use, the operating system ends this one (SIGBUS).
 
     Args:
-        path: the file.
         kind: the required kind; None for any.
         is_checked: this process has checked the file before; hashes and values are not checked again.
 
@@ -344,11 +338,7 @@ def read_artifact(path: Path, kind: Kind | None = None, *, is_checked: bool = Fa
 
 
 def in_memory(artifact: Artifact) -> Artifact:
-    """The same artifact, none of whose arrays is mapped from a file.
-
-    Args:
-        artifact: as read.
-    """
+    """The same artifact, none of whose arrays is mapped from a file."""
     return Artifact(artifact.manifest, {name: owned(array) for name, array in artifact.arrays.items()})
 
 

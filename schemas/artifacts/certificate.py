@@ -141,12 +141,7 @@ class CertificateFile(Certificate, frozen=True, kw_only=True):
 
 
 def certificate_text(certificate: Certificate, provenance: Provenance) -> str:
-    """Text of the file of a certificate.
-
-    Args:
-        certificate: to be written.
-        provenance: to be recorded in it.
-    """
+    """Text of the file of a certificate."""
     record = {"schema": CERTIFICATE_SCHEMA, "version": CERTIFICATE_VERSION, "provenance": provenance}
     record |= msgspec.structs.asdict(certificate)
     return msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
@@ -154,9 +149,6 @@ def certificate_text(certificate: Certificate, provenance: Provenance) -> str:
 
 def decode_certificate(raw: bytes) -> dict[str, Any]:
     """Decode and check a certificate.
-
-    Args:
-        raw: contents of the file.
 
     Returns:
         Kind, version and the values of a `Certificate`, by key.

@@ -16,12 +16,7 @@ _UNIT_NORM_TOLERANCE = 1e-3  # f32 quaternions normalised once are within 2e-7
 
 
 def present(kind: Kind, names: Container[str]) -> list[ArrayRule]:
-    """Rules of a kind's arrays, without the optional arrays that are missing.
-
-    Args:
-        kind: kind of the artifact.
-        names: names of the arrays that are there.
-    """
+    """Rules of a kind's arrays, without the optional arrays that are missing."""
     return [rule for rule in kind.arrays if not rule.optional or rule.name in names]
 
 
@@ -51,7 +46,6 @@ def check_arrays(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Check the values of all arrays of a kind.
 
     Args:
-        kind: kind of the artifact.
         arrays: by name, with the shapes of the kind.
 
     Raises:

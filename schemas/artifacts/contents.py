@@ -165,7 +165,6 @@ def check(table: dict[str, Any] | None, kind: type[msgspec.Struct], name: str) -
 
     Args:
         table: the table; None passes.
-        kind: its type.
         name: of the table, for the message.
 
     Raises:

@@ -42,11 +42,6 @@ MAGIC = MERGE.magic
 def pack(provenance: Provenance, measured: bytes, kind: JournalKind = MERGE) -> bytes:
     """Encode a journal.
 
-    Args:
-        provenance: of the output that was being made.
-        measured: results so far, as bytes.
-        kind: of the journal.
-
     Returns:
         Contents of the file.
     """
@@ -57,10 +52,6 @@ def pack(provenance: Provenance, measured: bytes, kind: JournalKind = MERGE) -> 
 
 def unpack(raw: bytes, kind: JournalKind = MERGE) -> tuple[Provenance, bytes]:
     """Decode a journal.
-
-    Args:
-        raw: contents of the file.
-        kind: expected kind of the journal.
 
     Returns:
         Provenance and results, as given to `pack`.
@@ -92,10 +83,6 @@ def mismatches(recorded: Provenance, expected: Provenance) -> list[str]:
     """Reasons why a journal does not belong to an output, a few words each; empty if it does.
 
     Unlike an output, a journal can be used only by the commit of the program that wrote it.
-
-    Args:
-        recorded: provenance in the journal.
-        expected: provenance of the output.
     """
     found = differences(recorded, expected)
     if not found and recorded.producer != expected.producer:

@@ -255,11 +255,7 @@ LEVEL = tuple(
 
 
 def level_fields(manifest: LevelManifest) -> dict[str, Any]:
-    """Fields that define an obstacle, where it comes from, and what a reader must know of it, for a cover.
-
-    Args:
-        manifest: of voxels or a cover.
-    """
+    """Fields that define an obstacle, where it comes from, and what a reader must know of it, for a cover."""
     requires = [need for need in manifest.requires if need == IMPORTED_MAP]
     origin = manifest.made_from if isinstance(manifest, CoverManifest) else manifest.inputs
     further = {"requires": requires, "made_from": origin, "floor_m": manifest.floor_m}

@@ -143,7 +143,6 @@ class Parts:
         """An artifact as one part.
 
         Args:
-            artifact: of any kind.
             path: of its file, for messages.
         """
         return cls(path, artifact.kind, artifact.manifest, (), artifact)
@@ -218,7 +217,6 @@ class Parts:
 
         Args:
             lower: corner of the box, frame and unit of the whole.
-            upper: opposite corner.
             sigma: level k of the ellipsoids of a scene.
             inflation: radius of the ball that is added to each.
         """
@@ -297,7 +295,6 @@ def whole_arrays(kind: Kind, manifests: Sequence[Manifest]) -> dict[str, ArraySp
     """Arrays of the whole, from the manifests of its parts; see `PartsIndex.whole`.
 
     Args:
-        kind: of the parts.
         manifests: of all parts, in their order.
     """
     whole = {}
@@ -324,8 +321,6 @@ def encode_index(of: Kind, whole: Manifest, parts: Sequence[PartRef], requires: 
     """Text of `index.json`, with its own hash.
 
     Args:
-        of: kind of the whole.
-        whole: its manifest.
         parts: in their order.
         requires: features that a reader must support.
     """
@@ -348,7 +343,6 @@ def open_parts(path: Path, kind: Kind | None = None) -> Parts:
     """Open an artifact of any number of parts; see `Parts`.
 
     Args:
-        path: the folder or the file.
         kind: the required kind; None for any.
 
     Raises:
@@ -364,9 +358,6 @@ def open_parts(path: Path, kind: Kind | None = None) -> Parts:
 
 def manifest_of(path: Path) -> Manifest:
     """Manifest of an artifact, of the whole where it is in parts; neither arrays nor parts are read.
-
-    Args:
-        path: the folder or the file.
 
     Raises:
         ArtifactError, InputError: as `open_parts`.

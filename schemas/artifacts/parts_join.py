@@ -25,7 +25,6 @@ def read_whole(path: Path, kind: Kind | None = None) -> Artifact:
     """Read an artifact, in parts or a single file, into one artifact.
 
     Args:
-        path: the folder or the file.
         kind: the required kind; None for any.
 
     Raises:
@@ -82,7 +81,6 @@ def write_joined_cover(parts: Parts, file: BinaryIO) -> None:
     """Write the parts of a cover as the one file that `joined` would make, with one part in memory at a time.
 
     Args:
-        parts: of a cover, of any number of hulls.
         file: empty; it is also read.
 
     Raises:

@@ -44,7 +44,6 @@ def part_name(kind: Kind, *numbers: int) -> str:
     """Name of a part, such as `part-00003-001.scene.npz`.
 
     Args:
-        kind: of the part.
         numbers: not negative; they tell it from the other parts.
     """
     first, *others = numbers
@@ -58,9 +57,7 @@ def write_part(
 
     Args:
         folder: `PartsWriter.folder`; None writes nothing.
-        name: see `part_name`.
         artifact: a scene, voxels or a cover that is not empty, with its inputs.
-        domain: see `PartRef`.
 
     Raises:
         OutputError: the file cannot be written.
@@ -75,9 +72,6 @@ def kept_part(folder: Path | None, name: str, kind: Kind, domain: Domain | None 
 
     Args:
         folder: `PartsWriter.folder`.
-        name: see `part_name`.
-        kind: of the part.
-        domain: see `PartRef`.
     """
     if folder is None or not (folder / name).is_file():
         return None
@@ -134,7 +128,6 @@ class PartsWriter:
         """Manifest of the whole.
 
         Args:
-            provenance: of the whole.
             **fields: fields of the kind's manifest that neither the parts nor the provenance determine.
         """
         return self.kind.manifest(
@@ -188,9 +181,7 @@ def parts_output(
 
     Args:
         path: the folder to write; an earlier one is replaced.
-        kind: of the whole.
         provenance: of the whole; parts of an interrupted run with the same are used again.
-        dry_run: write nothing.
 
     Raises:
         OutputError: the folder cannot be created, written or renamed.
@@ -219,7 +210,6 @@ def partial_folder(path: Path, provenance: Provenance) -> Path:
     """Folder of the finished parts of an interrupted run.
 
     Args:
-        path: the folder to write.
         provenance: of the whole; the names of inputs do not count.
     """
     unnamed = [msgspec.structs.replace(ref, name="") for ref in provenance.inputs]

@@ -67,10 +67,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         """Provenance of an output that this program makes now.
 
         Args:
-            schema: kind of the output.
-            version: version of that kind.
             parameters: all parameters that the output depends on, as plain JSON values.
-            seed: the seed, when the output depends on one.
             inputs: all files that the output depends on, in any order.
         """
         return cls(
@@ -105,11 +102,7 @@ def _utf16(mark: str) -> list[int]:
 
 
 def parameters_of(config: Any) -> dict[str, Any]:
-    """Convert a configuration dataclass to the plain JSON values that a manifest records.
-
-    Args:
-        config: an instance of the dataclass.
-    """
+    """Convert a configuration dataclass to the plain JSON values that a manifest records."""
     # A round trip through JSON turns tuples into lists, as they are when read back and compared.
     return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 
@@ -118,10 +111,6 @@ def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
     """Differences between two provenances, as short phrases; empty when the recorded output is current.
 
     The producer's version counts, its commit does not. Hashes of inputs count, file names do not.
-
-    Args:
-        recorded: provenance of the existing output.
-        wanted: provenance of the output to be made.
     """
     found = []
     if recorded.schema != wanted.schema:

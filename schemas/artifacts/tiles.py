@@ -129,11 +129,7 @@ class TilesIndex(msgspec.Struct, frozen=True, kw_only=True):
         return self.hysteresis * self.voxel_size_m
 
     def loaded(self, tile: Tile) -> tuple[list[int], list[int]]:
-        """Lower and upper ends along x and y of what the image of a tile has without walls: region and reach.
-
-        Args:
-            tile: of this index.
-        """
+        """Lower and upper ends along x and y of what a tile's image has without walls: region and reach."""
         beyond = self.hysteresis + self.reach
         low = [self.tile * number - beyond for number in (tile.i, tile.j)]
         return low, [start + self.tile + 2 * beyond for start in low]
@@ -199,7 +195,6 @@ def sign(binary: bytes, key: bytes) -> bytes:
     """Signature of an index: its HMAC-SHA-256.
 
     Args:
-        binary: contents of `tiles.bin`.
         key: shared by the exporting and the flying machine.
     """
     return hmac.digest(key, binary, "sha256")
@@ -212,9 +207,6 @@ def is_tiles(path: Path) -> bool:
 
 def read_tiles_index(folder: Path) -> TilesIndex:
     """Read `tiles.json`, and check that its numbers fit each other.
-
-    Args:
-        folder: of the tiles.
 
     Raises:
         InputError: it cannot be read.
@@ -276,7 +268,6 @@ def open_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
     """Read the index of a map in tiles, and check it; each image is read and checked when it is used.
 
     Args:
-        folder: of the tiles.
         key: that must have signed the index; None for any index.
 
     Raises:
@@ -290,7 +281,6 @@ def read_tiles(folder: Path, key: bytes | None = None) -> TileFiles:
     """Read a map in tiles, and check every byte of it against the index.
 
     Args:
-        folder: of the tiles.
         key: that must have signed the index; None for any index.
 
     Raises:

@@ -39,13 +39,7 @@ class PartsAligner:
     follows from the box of the scene, so it is that of the farthest corner.
 
     Args:
-        config: see `ScaleAlignConfig`.
-        scene: an `alula/scene`.
-        evidence: see `scale_align`.
-        seed: seed of the robust estimation.
         report: called with the record of the alignment before the gates are applied.
-        jobs: threads, each with one part.
-        progress: called with (done, total) parts while their boxes are read.
 
     Raises:
         InputError, CheckError, UsageError: see `scale_align`.
@@ -102,9 +96,6 @@ class PartsAligner:
     def part(self, number: int) -> Artifact:
         """Aligned part.
 
-        Args:
-            number: of the part.
-
         Raises:
             InputError: the part is damaged, or a value does not fit single precision.
         """
@@ -114,11 +105,7 @@ class PartsAligner:
         return aligned(self._config, self._alignment, part.manifest, arrays)
 
     def whole(self, parts: list[Manifest]) -> dict[str, Any]:
-        """Fields of the manifest of the whole.
-
-        Args:
-            parts: manifests of the aligned parts.
-        """
+        """Fields of the manifest of the whole."""
         lower = np.min([part.summary["lower_m"] for part in parts], axis=0).tolist()
         upper = np.max([part.summary["upper_m"] for part in parts], axis=0).tolist()
         summary = align_summary(self._alignment, self._scene.count, lower, upper)

@@ -278,7 +278,6 @@ def icp(points: FloatArray, fixed: FloatArray, tree: Any, start: Similarity, dis
     Args:
         points: shape (n, 3), any units.
         fixed: points of the other side, shape (m, 3) [target units].
-        tree: k-d tree of `fixed`.
         start: target from points, approximately.
         distance: maximum distance of a pair [target units].
 

@@ -18,8 +18,6 @@ def check_member(archive: zipfile.ZipFile, name: str, path: Path) -> None:
     """Refuse an array of an .npz that is larger than its bytes can hold, or compressed beyond belief.
 
     Args:
-        archive: the opened .npz.
-        name: name of the array.
         path: the file, for messages.
 
     Raises:
@@ -43,10 +41,6 @@ def check_member(archive: zipfile.ZipFile, name: str, path: Path) -> None:
 
 def check_growth(need: int, held: int) -> None:
     """Refuse compressed data that would grow beyond belief.
-
-    Args:
-        need: bytes after decompression.
-        held: bytes before.
 
     Raises:
         ArtifactError: more than `MAX_RATIO` times as many, and not few.

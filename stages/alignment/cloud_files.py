@@ -25,9 +25,6 @@ def read_cloud(path: Path) -> FloatArray:
     many in each line, are ignored. `#` begins a comment. The first line of a PTS file is the number of
     points. In an .npz the points are the array `points`, `xyz` or `positions`.
 
-    Args:
-        path: the file.
-
     Returns:
         Shape (n, 3), in the file's units.
 
@@ -63,7 +60,6 @@ def points_of(raw: bytes, suffix: str) -> FloatArray:
     """Points of a cloud that is no .npz, shape (n, 3).
 
     Args:
-        raw: the file.
         suffix: of its name, in lower case.
 
     Raises:

@@ -50,9 +50,6 @@ class _Header:
 def read_pcd(raw: bytes) -> FloatArray:
     """Points of a PCD file, shape (N, 3); the viewpoint of the sensor does not move them.
 
-    Args:
-        raw: the file.
-
     Raises:
         ArtifactError: it is damaged, or has more or less data than it states.
     """
@@ -160,10 +157,6 @@ def _whole(words: list[str]) -> list[int]:
 
 def _expanded(raw: bytes, size: int) -> bytes:
     """Decompress LZF: runs of literal bytes, and copies of earlier ones.
-
-    Args:
-        raw: the compressed bytes.
-        size: number of bytes after decompression.
 
     Raises:
         ArtifactError: they do not become as many bytes.

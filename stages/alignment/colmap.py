@@ -18,9 +18,6 @@ MODEL_PARTS = ("cameras", "frames", "images", "points3D", "rigs")
 def model_files(folder: Path) -> dict[str, Path]:
     """Find the files of a COLMAP model; where both formats are there, the binary ones, as COLMAP does.
 
-    Args:
-        folder: the model's folder.
-
     Returns:
         The files by their role: `cameras`, `images`, `points3D`, and `frames` and `rigs` where they exist.
 
@@ -40,9 +37,6 @@ def model_files(folder: Path) -> dict[str, Path]:
 
 def read_model(folder: Path) -> Positions:
     """Read the poses of the registered cameras of a COLMAP model, binary or text, sorted by image name.
-
-    Args:
-        folder: the model's folder.
 
     Returns:
         Positions and axes (x right, y down, z forward) in the model's frame and units, with its 3D points.
@@ -88,7 +82,6 @@ def image_names(folder: Path, model: Any) -> dict[int, str]:
     """Names of the images of a model by their numbers; COLMAP cuts names in text files at the first space.
 
     Args:
-        folder: the model's folder.
         model: pycolmap's `Reconstruction` of it.
 
     Raises:

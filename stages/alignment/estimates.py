@@ -69,11 +69,8 @@ def estimate(
     """Estimate the similarity from any kind of evidence.
 
     Args:
-        config: see `ScaleAlignConfig`.
         visible: function that returns the centres of Gaussians with an opacity of at least `VISIBLE`, shape
             (n, 3), scene units; called for a cloud.
-        evidence: see `scale_align`.
-        seed: seed of the robust estimation.
         box: smallest and largest coordinates of the scene, each of shape (3,), scene units.
 
     Raises:

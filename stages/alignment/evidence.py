@@ -206,9 +206,6 @@ def one_of_each_place(found: Correspondences) -> Correspondences:
     Their errors are the same, so that they are no independent evidence. Places are the same within a
     millionth of the extent on one side; the other side may then differ by a hundredth of its extent.
 
-    Args:
-        found: correspondences of cameras.
-
     Raises:
         InputError: cameras at one place on one side are far apart on the other; names both rows.
     """

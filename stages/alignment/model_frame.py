@@ -88,7 +88,6 @@ def model_frame(landmarks: Landmarks, visible: Callable[[], FloatArray], min_nea
     `fit_cloud`). A recipe that agrees with the ICP within its error is taken as it is.
 
     Args:
-        landmarks: of the model.
         visible: function that returns the centres of the visible Gaussians, shape (n, 3), splat frame.
         min_near: minimum fraction of the points that must be near a Gaussian.
 

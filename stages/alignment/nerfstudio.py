@@ -60,8 +60,6 @@ def parse_training_frame(text: str, name: str, data: str | None = None) -> Train
     """Parse `{"transform": 3x4 [A|b], "scale": s}`; A and b include `applied_transform` already.
 
     Args:
-        text: text of `dataparser_transforms.json`.
-        name: the file's name, for messages.
         data: text of the `transforms.json` in the same folder, where there is one.
 
     Raises:

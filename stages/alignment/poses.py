@@ -61,7 +61,6 @@ def fit_poses(
         R_target: axes of the same cameras as columns, shape (n, 3, 3), target frame.
         threshold: maximum distance of an inlier [m].
         angle: maximum angle of an inlier [rad].
-        seed: seed of the random pairs.
 
     Returns:
         The fit to the inliers, with the angles of all poses.

@@ -34,11 +34,7 @@ class Recipe(NamedTuple):
 
 
 def recipes(landmarks: Landmarks) -> Iterator[Recipe]:
-    """Frames of trainers, without the turns by right angles that exporters and importers add.
-
-    Args:
-        landmarks: of the model.
-    """
+    """Frames of trainers, without the turns by right angles that exporters and importers add."""
     as_it_is = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
     yield Recipe("turned axes", as_it_is)
     for name, by_focus in (

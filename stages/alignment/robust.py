@@ -81,7 +81,6 @@ def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, see
         source: points in the source frame, shape (n, 3), any units.
         target: the same points in the target frame, shape (n, 3) [m].
         threshold: maximum residual of an inlier [m].
-        seed: seed of the random triples.
 
     Returns:
         The fit to the inliers.

@@ -58,11 +58,8 @@ def scale_align(
     suggested inflations add up.
 
     Args:
-        config: see `ScaleAlignConfig`.
-        scene: an `alula/scene`.
         evidence: correspondences of points or poses; a cloud; distances, which fix the scale alone; or
             the similarity itself. None only levels a scene that is in metres.
-        seed: seed of the robust estimation.
         report: called with the record of the alignment before the gates are applied.
 
     Returns:
@@ -102,14 +99,9 @@ def solved(
     """Estimate the similarity and level its frame.
 
     Args:
-        config: see `ScaleAlignConfig`.
-        manifest: of the scene.
-        box: see `bounds`.
         means: function that returns centres, shape (n, 3), scene units; called for a floor.
         visible: the same of Gaussians with an opacity of at least `VISIBLE`; called for a cloud, or for the
             cameras of a model with 3D points.
-        evidence: see `scale_align`.
-        seed: seed of the robust estimation.
 
     Raises:
         InputError, CheckError, UsageError: see `scale_align`.
@@ -219,9 +211,6 @@ def alignment_of(
     """Record an estimate and check it against the gates.
 
     Args:
-        config: see `ScaleAlignConfig`.
-        manifest: of the scene.
-        found: see `solved`.
         rounding: bound of the shift of a centre by its rounding to single precision [m].
         report: called with the record before the gates are applied.
 
@@ -274,14 +263,7 @@ def alignment_of(
 def aligned(
     config: ScaleAlignConfig, alignment: Alignment, manifest: SceneManifest, arrays: dict[str, Any]
 ) -> Artifact:
-    """Aligned scene.
-
-    Args:
-        config: see `ScaleAlignConfig`.
-        alignment: see `alignment_of`.
-        manifest: of the scene that was aligned.
-        arrays: see `mapped`.
-    """
+    """Aligned scene."""
     columns = arrays["mean"].T  # several times as fast as extremes along an axis
     lower, upper = [float(column.min()) for column in columns], [float(column.max()) for column in columns]
     summary = align_summary(alignment, len(arrays["mean"]), lower, upper)
@@ -300,8 +282,6 @@ def align_summary(
     """Summary of an aligned scene.
 
     Args:
-        alignment: see `alignment_of`.
-        gaussians: their number.
         lower: lowest coordinates of centres [m].
         upper: highest ones [m].
     """
@@ -323,12 +303,7 @@ def align_summary(
 
 
 def aligned_fields(alignment: Alignment, manifest: SceneManifest) -> dict[str, Any]:
-    """Fields of the manifest of an aligned scene that follow from the alignment.
-
-    Args:
-        alignment: see `alignment_of`.
-        manifest: of the scene that was aligned.
-    """
+    """Fields of the manifest of an aligned scene that follow from the alignment."""
     return {
         "frame": "world",
         "unit": "m",
@@ -440,7 +415,6 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
     """Arrays in the new frame, and the largest shift of a mean by its rounding [m].
 
     Args:
-        scene: an `alula/scene`.
         similarity: new from old frame.
 
     Raises:

@@ -28,11 +28,6 @@ def parse_positions(text: str, name: str, *, orientations: bool = False) -> Posi
     The quaternion turns the camera's axes (x right, y down, z forward, as in OpenCV and COLMAP) into
     the frame of the positions.
 
-    Args:
-        text: text of the table.
-        name: the file's name, for messages.
-        orientations: read the quaternions too.
-
     Raises:
         InputError: a row is wrong; the message names it.
     """
@@ -53,10 +48,6 @@ def parse_pinholes(text: str, name: str) -> tuple[Positions, FloatArray]:
 
     The poses are those of `parse_positions`; the rest is in pixels, with the corner of the image at 0, 0.
 
-    Args:
-        text: text of the table.
-        name: the file's name, for messages.
-
     Returns:
         The poses, and left, top, right and bottom of each image as x/z and y/z, shape (n, 4).
 
@@ -76,8 +67,6 @@ def parse_reference(text: str, name: str, origin: Origin | None = None) -> Posit
     """Parse rows `image,x,y,z` [m], or `image,lat,lon,alt` [deg, m] which become east, north, up [m].
 
     Args:
-        text: text of the table.
-        name: the file's name, for messages.
         origin: latitude, longitude [deg] and height [m] that become 0; default: the first row.
 
     Raises:
@@ -98,10 +87,6 @@ def parse_reference(text: str, name: str, origin: Origin | None = None) -> Posit
 
 def parse_pairs(text: str, name: str) -> Correspondences:
     """Parse rows `sx,sy,sz,wx,wy,wz` with a header: a point in the scene and the same in the world [m].
-
-    Args:
-        text: text of the table.
-        name: the file's name, for messages.
 
     Raises:
         InputError: a row is wrong; the message names it.

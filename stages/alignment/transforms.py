@@ -18,10 +18,6 @@ _ORTHONORMAL = 1e-4
 def parse_transform(text: str, name: str) -> Similarity:
     """Parse a similarity from JSON: a 4x4 matrix, alone or as `matrix`, or scale, rotation, translation_m.
 
-    Args:
-        text: the JSON text.
-        name: the file's name, for messages.
-
     Raises:
         InputError: not JSON, of another shape, not finite, or not a proper similarity.
     """
@@ -54,7 +50,6 @@ def checked_similarity(linear: FloatArray, translation: FloatArray, name: str) -
     Args:
         linear: a rotation times a scale, up to rounding, shape (3, 3).
         translation: shape (3,) [target units].
-        name: the file's name, for messages.
 
     Raises:
         InputError: they are not a proper similarity, or the scale is not between 1e-9 and 1e9.

@@ -50,7 +50,6 @@ def to_begin(config: MergeConfig, fraction: float) -> MergeConfig:
     """Configuration of the merge of a block up to where its curve begins.
 
     Args:
-        config: of the whole.
         fraction: of the voxels that are in the block.
     """
     return _plain(config, fraction, _BEGIN, _FEW_HULLS)
@@ -60,9 +59,7 @@ def to_end(config: MergeConfig, fraction: float, finer: float) -> MergeConfig:
     """Configuration of the merge that shows the curve of a block or a cube.
 
     Args:
-        config: of the whole.
         fraction: of the voxels that it has.
-        finer: see `finer_than_last`.
     """
     return _plain(config, fraction, finer / _END, 1)
 
@@ -103,7 +100,6 @@ def merges_of(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: 
     cubes. Cubes have more hulls where their curves end before.
 
     Args:
-        config: of the whole.
         curves: of all cubes.
         voxels: number of all voxels.
         finer: see `finer_than_last`; 1 for the limits themselves.
@@ -132,11 +128,6 @@ def divided(config: MergeConfig, curves: Sequence[Curve], voxels: Sequence[int])
     """Configurations of the last merges of all regions, whose limits add up to those of the whole.
 
     Planes and bytes beyond those that all hulls have are divided like the hulls.
-
-    Args:
-        config: of the whole.
-        curves: of the regions.
-        voxels: numbers of voxels of the regions.
 
     Raises:
         InfeasibleError: there are more regions than hulls.

@@ -60,7 +60,6 @@ def edge_of(block_m: float, voxel_size_m: float) -> int:
 
     Args:
         block_m: wanted edge [m].
-        voxel_size_m: edge of a voxel [m].
     """
     return max(1, round(block_m / voxel_size_m))
 
@@ -69,7 +68,6 @@ def blocks_of(parts: Parts, edge: int) -> list[Block]:
     """Blocks that have voxels, by their place. Block b has the voxels v with floor(v / edge) = b.
 
     Args:
-        parts: the voxels.
         edge: of a block [voxels].
 
     Raises:
@@ -87,7 +85,6 @@ def chosen_edge(parts: Parts, most: int = BLOCK_VOXELS) -> int:
     """Largest power of two, at least 16, with which no block has more than `most` voxels.
 
     Args:
-        parts: the voxels.
         most: maximum number of voxels of a block.
     """
     cells, edge = {block.place: block.voxels for block in blocks_of(parts, _FINEST)}, _FINEST
@@ -152,7 +149,6 @@ def block_rows(
     """Sorted voxels of each wanted block, shape (M, 3), one layer of blocks in memory at a time.
 
     Args:
-        parts: the voxels.
         edge: of a block [voxels].
         wanted: places in ascending order, and their numbers of voxels.
 

@@ -52,14 +52,7 @@ class CellHulls:
 
     @classmethod
     def of(cls, part: Artifact, boxes: Index, domain: Index, cube: Index) -> CellHulls:
-        """Hulls of a part that touch a cell or count in it.
-
-        Args:
-            part: of a cover.
-            boxes: see `boxes_of`.
-            domain: cube of the part.
-            cube: the cell.
-        """
+        """Hulls of a part that touch a cell or count in it."""
         own = _own(boxes, domain, cube)
         touch = ((boxes[:, 0] <= cube[1] + 1) & (boxes[:, 1] >= cube[0])).all(axis=1)
         numbers = np.flatnonzero(own | touch)
@@ -90,7 +83,6 @@ def boxes_of(part: Artifact, domain: Index) -> Index:
     """Boxes of the vertices of all hulls, shape (n, 2, 3); of a hull without any an empty one in the domain.
 
     Args:
-        part: of a cover.
         domain: lowest and highest voxel of its cube.
     """
     start = np.asarray(part["vertex_start"])
@@ -104,14 +96,7 @@ def boxes_of(part: Artifact, domain: Index) -> Index:
 
 
 def members_of_own(part: Artifact, boxes: Index, domain: Index, cube: Index) -> int:
-    """Number of members of the hulls that count in a cell.
-
-    Args:
-        part: of a cover.
-        boxes: see `boxes_of`.
-        domain: cube of the part.
-        cube: the cell.
-    """
+    """Number of members of the hulls that count in a cell."""
     return int(np.diff(part["member_start"])[_own(boxes, domain, cube)].sum())
 
 
@@ -126,7 +111,6 @@ def hull_proof(task: CellHulls, voxels: NDArray[np.int32] | None) -> HullProof:
     """Check the hulls of a cell, exactly as `verify` does.
 
     Args:
-        task: the hulls.
         voxels: all voxels of the cell, if they were given.
     """
     cover, own = task.cover, task.is_own

@@ -45,10 +45,6 @@ def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
     the planes. All of them rely on this check. It does not prove that the hulls contain all voxels; `verify`
     does.
 
-    Args:
-        cover: an `alula/cover`.
-        jobs: threads, 0 for all processors.
-
     Raises:
         ArtifactError: a hull is wrong; the message names the first one and its fault.
     """
@@ -59,13 +55,7 @@ def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
 
 
 def files_agree(cover: Artifact, voxels: Artifact | Parts | None, scene: Artifact | Parts | None) -> Check:
-    """Check that lattice, level, frame and unit of the cover equal those of its claims and other files.
-
-    Args:
-        cover: an `alula/cover`.
-        voxels: the voxels, if given.
-        scene: the scene, if given.
-    """
+    """Check that lattice, level, frame and unit of the cover equal those of its claims and other files."""
     mine = cover.manifest
     assert isinstance(mine, CoverManifest)
     offences = unclaimed(mine, "cover")
@@ -106,11 +96,6 @@ def unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offen
 def hull_faults(cover: Artifact, jobs: int, progress: Progress | None) -> NDArray[np.int64]:
     """Rows (fault, hull, row, other) of the native checker, shape (K, 4).
 
-    Args:
-        cover: an `alula/cover`.
-        jobs: threads, 0 for all processors.
-        progress: called with (done, total).
-
     Raises:
         InputError: hulls have more half-planes and vertices than can be checked.
     """
@@ -129,21 +114,13 @@ def hull_faults(cover: Artifact, jobs: int, progress: Progress | None) -> NDArra
 
 
 def hull_words(cover: Artifact) -> tuple[str, str, str, str]:
-    """Names and details of the checks of hulls and of members.
-
-    Args:
-        cover: an `alula/cover`.
-    """
+    """Names and details of the checks of hulls and of members."""
     detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
     return "hulls are exact polytopes", detail, "members lie in their hulls", "integer containment"
 
 
 def occupied_words(*, is_given: bool) -> tuple[str, str]:
-    """Name and detail of the check of voxels.
-
-    Args:
-        is_given: whether there is a file of voxels.
-    """
+    """Name and detail of the check of voxels."""
     detail = "members are the voxels of the file" if is_given else "no voxels file: its own members"
     return "every voxel is a member", detail
 
@@ -175,9 +152,6 @@ def history_check(cover: Artifact) -> Check:
     """Check that each merge joins two elements that exist and were not joined before.
 
     Start elements are 0 .. N - 1 and merge k makes element N + k; N is `start_hulls` of the summary.
-
-    Args:
-        cover: an `alula/cover`.
     """
     history = np.asarray(cover["history"], np.float64)
     merges, hulls = len(history), len(cover["plane_start"]) - 1
@@ -205,8 +179,6 @@ def volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Check
 
     Args:
         cover: an `alula/cover` whose hulls are exact, with vertices of at most `LATTICE_LIMIT`.
-        jobs: threads, 0 for all processors.
-        progress: called with (done, total).
     """
     voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
     vertex, vertex_start, normal, offset, plane_start = (
@@ -220,9 +192,7 @@ def volume_of(manifest: Manifest, excess: float, voxels: int) -> Check:
     """Check the recorded conservativeness of hulls around some voxels against the measured excess.
 
     Args:
-        manifest: of the cover.
         excess: volume of the union of the hulls outside of the voxels [voxels].
-        voxels: their number.
     """
     found = 1.0 + excess / voxels
     recorded: float = manifest.conservativeness  # type: ignore[attr-defined]
@@ -248,11 +218,7 @@ def scene_check(
     """Check that ellipsoids touch no voxel that is not occupied.
 
     Args:
-        level: definition of an obstacle.
-        scene: an `alula/scene`.
         index: the occupied voxels, shape (M, 3).
-        jobs: threads, 0 for all processors.
-        progress: called with (done, total).
         crop: box whose voxels are looked at [m]; None for that of the level.
         rows: number of each Gaussian in the whole scene, shape (N,); None where `scene` is the whole.
         checked: number of ellipsoids that count; None for those of at least the minimum opacity.
@@ -291,12 +257,7 @@ def fault_check(
     """Check that there is none of some faults.
 
     Args:
-        cover: an `alula/cover`.
-        name: of the check.
-        checked: number of items.
         found: rows (fault, hull, row, other) of the native checker, shape (K, 4).
-        faults: numbers of the faults.
-        detail: method of the check, in a few words.
         occupied: voxels that a row may number, shape (M, 3).
     """
     mine = found[np.isin(found[:, 0], faults)]

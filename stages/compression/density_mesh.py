@@ -41,8 +41,6 @@ def density_mesh(scene: Artifact, voxels: Artifact, *, level: float = LEVEL) -> 
     points of that level set that its cameras see and reconstructs a surface from them.
 
     Args:
-        scene: an `alula/scene`.
-        voxels: the `alula/voxels` of the same scene.
         level: of the density.
 
     Returns:
@@ -127,7 +125,6 @@ def level_set(values: NDArray[np.float32], level: float) -> tuple[FloatArray, In
 
     Args:
         values: at the nodes of a grid with spacing 1, shape (X, Y, Z); below `level` on the grid's sides.
-        level: of the surface.
 
     Returns:
         Corners, shape (V, 3), and triangles as rows of the corners, counter-clockwise from the side where

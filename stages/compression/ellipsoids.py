@@ -37,7 +37,6 @@ def retained(scene: Artifact, min_opacity: float) -> NDArray[np.intp]:
     """Rows of the Gaussians with at least this opacity, in ascending order.
 
     Args:
-        scene: an `alula/scene`.
         min_opacity: minimum opacity, compared in single precision.
     """
     return np.flatnonzero(scene["opacity"] >= np.float32(min_opacity))
@@ -64,9 +63,7 @@ def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = Fals
     """Select rows of a scene; no copy is made when all rows are selected.
 
     Args:
-        scene: an `alula/scene`.
         rows: in ascending order, shape (K,).
-        ignore_loss: leave `loss` out.
     """
     arrays: dict[str, Any] = {name: scene[name] for name in ("mean", "scale", "quat_wxyz")}
     arrays["loss"] = None if ignore_loss else scene.arrays.get("loss")
@@ -76,22 +73,14 @@ def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = Fals
 
 
 def lacks_of(scene: SceneManifest) -> list[str]:
-    """Phrases that name what a scene lacks of its capture: files of its level of detail, unknown properties.
-
-    Args:
-        scene: manifest of an `alula/scene`.
-    """
+    """Phrases that name what a scene lacks of its capture: files of its level of detail, properties."""
     lacks, unknown = scene.source.get("lacks") or [], scene.source.get("unknown_properties") or []
     words = [f"{what}, not imported" for what in lacks]
     return [*words, f"what {unknown_words(unknown)}, may do to its Gaussians"] if unknown else words
 
 
 def removed_from(scene: SceneManifest) -> list[str]:
-    """Phrases that name what of its splat a scene does not have: what it lacks, and the rows removed.
-
-    Args:
-        scene: manifest of an `alula/scene`.
-    """
+    """Phrases that name what of its splat a scene does not have: what it lacks, and the rows removed."""
     removed = scene.source.get("removed")
     rows = sorted(removed.items()) if isinstance(removed, dict) else []
     return lacks_of(scene) + [f"{count} Gaussians removed by {reason}" for reason, count in rows if count]
@@ -112,7 +101,6 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
     """Phrases that name the errors of a scene's ellipsoids that neither `loss` nor the inflation covers.
 
     Args:
-        scene: manifest of an `alula/scene`.
         inflation_m: radius of the ball added to each ellipsoid [m].
         ignore_loss: the scene's `loss` is not used.
     """
@@ -177,8 +165,6 @@ def unproven_voxels(
         min_overlap: voxels touched by fewer ellipsoids may be missing.
         min_opacity: ellipsoids of Gaussians below it do not count.
         ignore_loss: do not grow the ellipsoids by the scene's `loss`.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) ellipsoids.
 
     Returns:
         The voxels without a proof.

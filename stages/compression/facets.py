@@ -45,9 +45,6 @@ def mesh(cover: Artifact) -> Mesh:
     A hull has its lattice vertices as corners and is triangulated by `triangles`. The corners of an outer
     polytope are computed exactly from its planes and then rounded.
 
-    Args:
-        cover: an `alula/cover`.
-
     Raises:
         ArtifactError: the planes of a hull bound no solid.
     """
@@ -75,9 +72,6 @@ def triangles(cover: Artifact) -> tuple[IntArray, IntArray]:
     normal's largest component they are sorted by angle around the lexicographically smallest of them. All
     comparisons are signs of 2x2 determinants of differences, exact in 64 bits for hulls up to 2^30 voxels
     wide.
-
-    Args:
-        cover: an `alula/cover`.
 
     Returns:
         Rows of `vertex`, counter-clockwise from outside, shape (T, 3), and the first triangle of

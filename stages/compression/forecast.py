@@ -41,11 +41,7 @@ class Dominant:
 
 
 def most_voxels(ellipsoids: Ellipsoids) -> float:
-    """Upper bound of the number of voxels: the sum of the voxels of the ellipsoids' cubes.
-
-    Args:
-        ellipsoids: the sets and the lattice.
-    """
+    """Upper bound of the number of voxels: the sum of the voxels of the ellipsoids' cubes."""
     total = 0.0
     for start in range(0, len(ellipsoids.mean), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -75,11 +71,6 @@ def may_exceed(ellipsoids: Ellipsoids, limit: int, jobs: int) -> bool:
     """Test cheaply whether there may be more than `limit` voxels; False is certain.
 
     The bounds are the cubes around the ellipsoids, and 4^3 times the number of voxels of four times the edge.
-
-    Args:
-        ellipsoids: the sets and the lattice.
-        limit: number of voxels.
-        jobs: threads.
     """
     if most_voxels(ellipsoids) <= limit:
         return False
@@ -99,9 +90,6 @@ def estimated_voxels(ellipsoids: Ellipsoids) -> float:
     that this would take long. The estimate is exact when these are all; else its error is about a tenth, and
     about a third with fewer tiles. It does not depend on the number of threads. More than 2^20 tiles count as
     infinitely many voxels.
-
-    Args:
-        ellipsoids: the sets and the lattice.
     """
     edge = TILE
     try:
@@ -135,7 +123,6 @@ def fitting_size(ellipsoids: Ellipsoids, limit: int) -> tuple[float, float] | No
     Sizes that certainly suffice come first, so that no estimate takes longer than marking `limit` voxels.
 
     Args:
-        ellipsoids: the sets and the lattice.
         limit: maximum number of voxels.
 
     Returns:
@@ -169,7 +156,6 @@ def dominant(ellipsoids: Ellipsoids, voxels: float, limit: int) -> Dominant | No
     """Find a few of the largest Gaussians without which there are about `limit` voxels at most.
 
     Args:
-        ellipsoids: the sets and the lattice.
         voxels: estimated number of voxels with all Gaussians.
         limit: maximum number of voxels.
 
@@ -199,7 +185,6 @@ def largest_share(ellipsoids: Ellipsoids, voxels: int) -> tuple[int, float] | No
 
     Args:
         ellipsoids: the sets and the lattice; with a crop nothing is found, as it cuts the volume.
-        voxels: number of marked voxels.
     """
     if ellipsoids.crop is not None or voxels == 0:
         return None
@@ -208,11 +193,7 @@ def largest_share(ellipsoids: Ellipsoids, voxels: int) -> tuple[int, float] | No
 
 
 def largest_volume(ellipsoids: Ellipsoids) -> tuple[int, float]:
-    """Row of the largest ellipsoid and its volume [voxels].
-
-    Args:
-        ellipsoids: the sets and the lattice.
-    """
+    """Row of the largest ellipsoid and its volume [voxels]."""
     found = 0, -math.inf
     for start in range(0, len(ellipsoids.scale), _CHUNK):
         scale = ellipsoids.scale[start : start + _CHUNK].astype(np.float64)

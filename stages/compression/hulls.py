@@ -64,9 +64,6 @@ class Hulls:
     def from_cover(cls, cover: Artifact) -> Self:
         """Convert the polytopes of an `alula/cover`, hulls or outer ones, to metres.
 
-        Args:
-            cover: an `alula/cover`.
-
         Raises:
             ArtifactError: the planes of an outer polytope bound no solid.
         """
@@ -119,9 +116,6 @@ class Hulls:
 def image_hulls(image: MapImage) -> Hulls:
     """Polytopes of an onboard map in metres, each with its six box planes first.
 
-    Args:
-        image: the decoded map.
-
     Raises:
         ArtifactError: the planes of a hull bound no solid.
     """
@@ -156,10 +150,6 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     They are computed exactly in 128-bit integers and rounded at the end; see
     native/core/include/alula/cover/outer_solid.hpp.
 
-    Args:
-        cover: an `alula/cover`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-
     Returns:
         `point` (P, 3), `point_start` (n + 1,), `triangle` (T, 3), counter-clockwise from outside,
         `triangle_start` (n + 1,) and `is_lattice` (n,): no corner of that hull was rounded.
@@ -176,11 +166,7 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
 
 
 def is_outer(cover: Artifact) -> bool:
-    """Test whether a cover has outer polytopes, which contain the hulls of `vertex` but may be larger.
-
-    Args:
-        cover: an `alula/cover`.
-    """
+    """Test whether a cover has outer polytopes, which contain the hulls of `vertex` but may be larger."""
     return bool(cover.manifest.polytopes == "outer")  # type: ignore[attr-defined]
 
 
@@ -198,7 +184,6 @@ def some_hulls(
     """Arrays of some hulls alone.
 
     Args:
-        cover: an `alula/cover`.
         numbers: of the hulls, in ascending order.
         starts: which arrays, by those with their first rows, such as `vertex_start`.
 

@@ -70,10 +70,7 @@ def import_voxels(
     the file and the configuration state. Rounding is outward (see `touch.hpp`).
 
     Args:
-        config: see `ImportVoxelsConfig`.
         source: a mesh, a cloud or an octree.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         An `alula/voxels` in the frame "world". `overlap` is the number of triangles, points or cubes that
@@ -147,7 +144,6 @@ def imported_of(config: ImportVoxelsConfig, source: ImportedSource) -> ImportedM
     """Definition of the obstacles of a source.
 
     Args:
-        config: see `ImportVoxelsConfig`.
         source: a mesh, a cloud or an octree.
 
     Raises:

@@ -35,9 +35,6 @@ def read_imported(path: Path) -> ImportedSource:
 
     The number of triangles or points must be that of `element_counts`, which counts it without the readers.
 
-    Args:
-        path: the file.
-
     Raises:
         InputError: it cannot be read, has nothing in it, or has something that this program cannot mark.
         ArtifactError: it is damaged.
@@ -88,9 +85,6 @@ def _read(path: Path, raw: bytes, suffix: str) -> Mesh | Cloud:
 
 def octree_of(raw: bytes) -> Octree:
     """Header and nodes of an OctoMap file; the nodes are decoded, and counted, where they are used.
-
-    Args:
-        raw: the file.
 
     Raises:
         ArtifactError: it is damaged.

@@ -69,8 +69,6 @@ class Tally:
 
         Args:
             index: marked voxels, shape (M, 3).
-            overlap: of each.
-            below: touched voxels left out because of `min_overlap`.
         """
         self.below += below
         if len(index):
@@ -87,7 +85,6 @@ def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> Box:
     It ends a quarter of a voxel inside of the block, as closed voxels touch the faces of their neighbours.
 
     Args:
-        block: the block.
         size: edge of a voxel [m].
         crop: box that a marked voxel must touch [m]; None for all of space.
     """

@@ -50,7 +50,6 @@ def imported_words(imported: ImportedMap, margin_m: float) -> str:
     """Name an obstacle of a map without Gaussians, after "every voxel that" or "contain".
 
     Args:
-        imported: definition of the obstacles.
         margin_m: radius of the ball around each triangle or point [m].
     """
     grown = f", thickened by {exact(margin_m)} m," if margin_m else ""
@@ -67,11 +66,7 @@ def imported_words(imported: ImportedMap, margin_m: float) -> str:
 
 
 def obstacles_words(level: LevelManifest) -> str:
-    """Name all obstacles of voxels or a cover: "every ellipsoid of the scene at 1 sigma ...".
-
-    Args:
-        level: definition of an obstacle.
-    """
+    """Name all obstacles of voxels or a cover: "every ellipsoid of the scene at 1 sigma ..."."""
     if level.imported is not None:
         words = imported_words(level.imported, level.inflation_m).rstrip(",")
         return re.sub(r"^a ", "every ", words).replace(" or the inside of", " and the inside of")
@@ -82,9 +77,6 @@ def obstacles_words(level: LevelManifest) -> str:
 
 def require_sigma(level: LevelManifest) -> float:
     """Level of the ellipsoids that the obstacles are.
-
-    Args:
-        level: definition of an obstacle.
 
     Raises:
         UsageError: they are no ellipsoids of a scene.
@@ -99,21 +91,13 @@ def require_sigma(level: LevelManifest) -> float:
 
 
 def obstacle_of(level: LevelManifest) -> str:
-    """Noun for one obstacle: ellipsoid, triangle, point or leaf.
-
-    Args:
-        level: definition of an obstacle.
-    """
+    """Noun for one obstacle: ellipsoid, triangle, point or leaf."""
     kind = "" if level.imported is None else level.imported.kind
     return {"": "ellipsoid", "mesh": "triangle", "cloud": "point", "octree": "leaf"}[kind]
 
 
 def outside_words(level: LevelManifest) -> str:
-    """State what the obstacles themselves leave out.
-
-    Args:
-        level: definition of an obstacle.
-    """
+    """State what the obstacles themselves leave out."""
     if level.imported is None:
         assert level.sigma is not None
         return beyond_words(level.sigma)
@@ -127,11 +111,7 @@ def outside_words(level: LevelManifest) -> str:
 
 
 def recorded_level(level: LevelManifest) -> dict[str, Any]:
-    """Definition of an obstacle for a certificate, with the fraction of a Gaussian's mass inside.
-
-    Args:
-        level: definition of an obstacle.
-    """
+    """Definition of an obstacle for a certificate, with the fraction of a Gaussian's mass inside."""
     found: dict[str, Any] = msgspec.to_builtins({name: getattr(level, name) for name in LEVEL})
     return found if level.sigma is None else found | {"mass_fraction": mass_within(level.sigma)}
 
@@ -140,7 +120,6 @@ def omissions(level: LevelManifest, *, below: int | None = None, is_cropped: boo
     """What a level leaves out of its scene or map, in words; none where it counts every obstacle in full.
 
     Args:
-        level: definition of an obstacle.
         below: number of Gaussians below the minimum opacity, where it is known.
         is_cropped: whether the claim reaches beyond the crop.
     """
@@ -160,20 +139,12 @@ def _several(level: LevelManifest) -> str:
 
 
 def without(omitted: list[str]) -> str:
-    """End of a verdict that names what it does not include; empty where it includes everything.
-
-    Args:
-        omitted: in words.
-    """
+    """End of a verdict that names what it does not include; empty where it includes everything."""
     return f"; not included: {', '.join(omitted)}" if omitted else ""
 
 
 def level_of(artifact: Artifact) -> LevelManifest:
-    """Definition of an obstacle in voxels, seen space or a cover.
-
-    Args:
-        artifact: of one of these kinds.
-    """
+    """Definition of an obstacle in voxels, seen space or a cover."""
     assert isinstance(artifact.manifest, LevelManifest)
     return artifact.manifest
 
@@ -188,11 +159,7 @@ def scene_level(sigma: float) -> dict[str, Any]:
 
 
 def hull_words(level: LevelManifest) -> str:
-    """Name a hull by what it was made for, after "every".
-
-    Args:
-        level: definition of an obstacle.
-    """
+    """Name a hull by what it was made for, after "every"."""
     return f"hull of the cover, made for {obstacles_words(level)}"
 
 
@@ -200,8 +167,6 @@ def map_words(cover: Artifact | None, scene: Artifact | None, sigma: float, *, i
     """Name what a flight is judged against: the obstacles with their level, and what this leaves out.
 
     Args:
-        cover: an `alula/cover`, if there is one.
-        scene: an `alula/scene`, if there is one.
         sigma: level of its ellipsoids, in standard deviations.
         is_within: whether unseen space counts, too.
     """

@@ -76,12 +76,8 @@ def merge(
     measured union.
 
     Args:
-        config: see `MergeConfig`.
         source: an `alula/voxels`, or an `alula/cover` whose hulls are merged further; V+ then is the
             union of its members.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time; done / total is roughly the fraction of the
-            time and never decreases.
         journal: records the measured volumes. With the journal of an interrupted run, or with a copy made
             from its `snapshot()` in `progress`, the same run gives the same result in a fraction of the time.
 
@@ -162,9 +158,6 @@ def merge(
 def require_possible(config: MergeConfig) -> None:
     """Refuse limits that no cover keeps.
 
-    Args:
-        config: see `MergeConfig`.
-
     Raises:
         InfeasibleError: one hull needs more planes or bytes.
     """
@@ -182,9 +175,7 @@ def merge_sets(config: MergeConfig, source: Artifact, *, jobs: int = 0) -> dict[
     They are tightened but not changed otherwise, and limits may contradict each other.
 
     Args:
-        config: see `MergeConfig`.
         source: an `alula/voxels`, or an `alula/cover`, of which only the members are used.
-        jobs: threads, 0 for all processors.
 
     Returns:
         The arrays of a cover, and its full `curve`; see `_core.merge_cover`.

@@ -108,11 +108,7 @@ class BlockPlan:
         return sum(region.voxels for region in self.regions)
 
     def domain(self, number: int) -> list[list[int]]:
-        """Lowest and highest voxel of a region's cube.
-
-        Args:
-            number: of the region.
-        """
+        """Lowest and highest voxel of a region's cube."""
         region = self.regions[number]
         edge = self.edge * 2**region.level
         low = [(a + p * 2**region.level) * self.edge for a, p in zip(self.lowest, region.place, strict=True)]
@@ -135,7 +131,6 @@ def plan_blocks(config: MergeConfig, parts: Parts) -> BlockPlan | None:
     Args:
         config: see `MergeConfig`; without `block_m`, only more than `MERGE_VOXELS` voxels are divided, into
             blocks whose edge depends on the voxels alone.
-        parts: the voxels.
 
     Raises:
         InputError: there is no voxel, one lies too far from the origin, or a block has too many.
@@ -179,12 +174,10 @@ def merge_blocks(
     the whole.
 
     Args:
-        config: see `MergeConfig`.
         plan: see `plan_blocks`; the result depends on the voxels and on its edge alone.
         jobs: processes, 0 for all processors; a single cover is merged with this number of threads.
         scheduler: address of a `dask.distributed` scheduler, instead of processes of this machine.
         store: of finished covers, those of an interrupted run of the same merge among them.
-        progress: called with (done, total) from time to time.
 
     Raises:
         InputError: two parts of the voxels have the same voxel.
@@ -211,8 +204,6 @@ def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]
     """Fields of the manifest of a cover in parts.
 
     Args:
-        config: of the whole.
-        plan: the division.
         parts: manifests of the covers of all regions, in their order.
     """
     manifests = [each for each in parts if isinstance(each, CoverManifest)]
@@ -315,11 +306,7 @@ class _Work:
                 )
 
     def last(self, numbers: Sequence[int]) -> Iterator[BlockTask]:
-        """Last merges of regions.
-
-        Args:
-            numbers: of the regions.
-        """
+        """Last merges of regions."""
         regions = self._plan.regions
         if self._last == 0 or self._config.per_block:
             wanted = _places(self._plan, [regions[number] for number in numbers])

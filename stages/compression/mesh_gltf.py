@@ -39,9 +39,6 @@ def read_glb(source: Source) -> Mesh:
     turns its triangles, as the standard says. All numbers are read as their accessors define them: sparse,
     normalised, and of any type that KHR_mesh_quantization allows.
 
-    Args:
-        source: the file.
-
     Raises:
         ArtifactError: the file is damaged.
         InputError: the file has shapes or extensions that are not triangles at nodes.

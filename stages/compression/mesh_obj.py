@@ -35,9 +35,6 @@ def read_obj(raw: bytes) -> Mesh:
     Indices count from 1 in the whole file, or backwards from the last vertex before the face. A backslash
     joins the next line to a vertex or a face. Colours behind a vertex are ignored, a weight must be 1.
 
-    Args:
-        raw: the file.
-
     Raises:
         ArtifactError: a line is malformed.
         InputError: a statement is unknown, or stands for a shape that is no polygon.

@@ -20,9 +20,6 @@ _SPLAT = ("scale_0", "scale_1", "rot_0", "rot_1")
 def read_ply(raw: bytes) -> Mesh | Cloud:
     """Read the polygons of a PLY file, or its points where it has none; see `polygons.mesh_of`.
 
-    Args:
-        raw: the file.
-
     Raises:
         ArtifactError: the file is damaged.
         InputError: it has elements whose meaning is not known, or is a Gaussian splat.

@@ -28,9 +28,6 @@ def read_stl(raw: bytes) -> FloatArray:
     It is binary when its length is that of the number of triangles at byte 80, which no text fits. The two
     bytes behind a triangle, often a colour, and the normals are ignored.
 
-    Args:
-        raw: the file.
-
     Raises:
         ArtifactError: it is neither binary nor text to the last byte.
     """

@@ -93,12 +93,7 @@ def fan(index: NDArray[np.integer]) -> IntArray:
 
 
 def loose_points(corner: IntArray, count: int) -> int:
-    """Number of points that are no corner.
-
-    Args:
-        corner: indices of points.
-        count: number of points.
-    """
+    """Number of points that are no corner."""
     is_loose = np.ones(count, np.bool_)
     is_loose[corner] = False
     return int(is_loose.sum())
@@ -109,7 +104,6 @@ def check_indices(corner: IntArray, count: int) -> None:
 
     Args:
         corner: indices, from 0.
-        count: number of points.
 
     Raises:
         InputError: an index is negative or too large.

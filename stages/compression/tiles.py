@@ -104,11 +104,6 @@ class _Chunk:
 def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked:
     """Mark all voxels in one pass.
 
-    Args:
-        ellipsoids: the sets and the lattice.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total).
-
     Raises:
         OverflowError: there are too many voxels or bricks.
     """
@@ -127,7 +122,6 @@ def mark_tiles(
     the result equals that of `mark` to the bit, for every edge and number of workers.
 
     Args:
-        ellipsoids: the sets and the lattice.
         edge: edge of a tile [voxels]; tiles begin at multiples of it.
         jobs: threads; each holds the counters of one tile at a time.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
@@ -203,11 +197,7 @@ def _mark_chunk(chunk: _Chunk) -> Marked:
 def joined_tiles(
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]],
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """Join disjoint sorted lists of voxels into one sorted list, and empty the given one.
-
-    Args:
-        parts: voxels and overlaps of each list.
-    """
+    """Join disjoint sorted lists of voxels into one sorted list, and empty the given one."""
     if len(parts) == 1:
         return parts[0]
     start = np.cumsum([0, *(len(overlap) for _, overlap in parts)], dtype=np.int64)

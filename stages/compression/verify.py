@@ -81,14 +81,10 @@ def verify(
     that the voxels were imported from see `imported_checks`.
 
     Args:
-        cover: an `alula/cover`.
         voxels: the `alula/voxels` that the cover must contain; without it, the union of its members.
-        scene: the `alula/scene` that the voxels must contain.
         source: the mesh, cloud or octree that the voxels must contain, instead of a scene.
         sha256: hashes of the files "voxels" and "scene"; a difference from the inputs that the manifests
             record becomes a note.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The certificate; `covered` when every check holds.
@@ -141,11 +137,7 @@ def verify_voxels(
     """Check voxels against the mesh, cloud or octree that they were imported from.
 
     Args:
-        voxels: an `alula/voxels`.
         source: what they must contain.
-        sha256: see `verify`.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Raises:
         UsageError: there is no source, or the voxels are those of a scene.
@@ -174,11 +166,9 @@ def certificate_of(
     """Certificate with a verdict that names the level, the files and what they do not suffice for.
 
     Args:
-        level: definition of an obstacle.
         files: by role; None where a file was not given.
         checks: all results.
         proven: what holds without a scene, in words.
-        notes: see `Certificate`.
         below: number of Gaussians below the minimum opacity; None to count those of `scene`, of which else
             only the manifest is used.
     """
@@ -268,14 +258,7 @@ def notes_of(
     scene: Artifact | Parts | None,
     sha256: Mapping[str, str],
 ) -> list[str]:
-    """Notes about files that are not the inputs that the manifests record, and what changed the ellipsoids.
-
-    Args:
-        cover: an `alula/cover`.
-        voxels: the voxels, if given.
-        scene: the scene, if given.
-        sha256: hashes of the files "voxels" and "scene".
-    """
+    """Notes about files that are not the recorded inputs, and about what changed the ellipsoids."""
     notes, named = [], []
     for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
         if maker is not None and given is not None and role in sha256:

@@ -84,7 +84,6 @@ def cells_of(sources: Sources, domain: Index, part: Artifact | None) -> Iterator
     ellipsoids is halved along its longest edge. The division depends on the files alone.
 
     Args:
-        sources: what the cover is proven against.
         domain: lowest and highest voxel of the cube, shape (2, 3).
         part: of the cover, whose hulls are in the cube; None for space without a part.
 
@@ -147,9 +146,6 @@ def _task(
 
 def proof_of(task: CellTask) -> CellProof:
     """Proof of a cell; runs in a worker.
-
-    Args:
-        task: see `cells_of`.
 
     Raises:
         InputError: see `verify`.
@@ -247,7 +243,6 @@ def boxes(level: LevelManifest, scene: Artifact) -> tuple[NDArray[np.float64], N
 
     Args:
         level: sigma, inflation and whether the loss counts.
-        scene: an `alula/scene`.
 
     Returns:
         Each of shape (N, 3) [m].
@@ -297,9 +292,7 @@ def outside_cells(level: LevelManifest, domains: Sequence[Index], scene: Parts) 
     """Cells that do not lie in one of the cubes, and that the box of an ellipsoid touches.
 
     Args:
-        level: definition of an obstacle.
         domains: cubes of all parts, each of shape (2, 3): lowest and highest voxel.
-        scene: in parts.
     """
     # Cells that fit into the cubes; others are sound too, but would be checked although a cube has them.
     corners = np.concatenate([np.stack([domain[0], domain[1] + 1]) for domain in domains])
@@ -332,11 +325,7 @@ def scene_proof(
     """Check cell by cell that voxels contain all ellipsoids of a scene.
 
     Args:
-        level: definition of an obstacle.
         occupied: voxels, or a cover whose members they are.
-        scene: the scene.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total).
 
     Returns:
         The check, whose number is that of the Gaussians of at least the minimum opacity, and the number of

@@ -47,11 +47,8 @@ def imported_checks(
     voxels in rational numbers, and each voxel must be in the set.
 
     Args:
-        level: definition of an obstacle.
         source: the map, as read from its file.
         index: the voxels, shape (M, 3), in any order; repetitions are allowed.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Raises:
         UsageError: the voxels are those of a scene.

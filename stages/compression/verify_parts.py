@@ -67,11 +67,8 @@ def verify_parts(
     Args:
         cover: an `alula/cover` in parts that have domains, as `merge --block` makes it.
         voxels: the `alula/voxels` that the cover must contain; without it, the members of the hulls.
-        scene: the `alula/scene` that the voxels must contain.
-        sha256: see `verify`.
         jobs: processes, 0 for all processors; the result does not depend on it.
         scheduler: address of a `dask.distributed` scheduler, instead of processes of this machine.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The certificate with the list of the proofs of all parts.
@@ -113,8 +110,6 @@ def prove_part(
     """Prove one part again, and compare the proof with the list of a certificate.
 
     Args:
-        whole: the certificate of the cover in parts.
-        part: of the cover.
         sha256: of its file.
         voxels: the whole voxels, if the certificate was made with them.
         scene: the whole scene, if the certificate was made with it.
@@ -191,11 +186,6 @@ class _Cells:
 def part_proof(sources: Sources, part: Artifact, cells: Sequence[CellProof]) -> tuple[Certificate, int]:
     """Join the proofs of all cells of a part to its certificate, as `verify` would make it for the part.
 
-    Args:
-        sources: what the cover is proven against.
-        part: of the cover.
-        cells: proofs of its cells.
-
     Returns:
         The certificate, and the number of voxels in the cube, or of different members without voxels.
     """
@@ -236,9 +226,6 @@ def leaf_of(proof: Certificate) -> str:
 
 def domains_of(cover: Parts) -> list[Index]:
     """Cubes of all parts, each of shape (2, 3): lowest and highest voxel.
-
-    Args:
-        cover: in parts.
 
     Raises:
         InputError: a part has none.

@@ -85,8 +85,6 @@ def voxelize(
         tile_m: mark the voxels tile by tile of this edge, rounded to whole voxels; the result does not
             depend on it.
         scheduler: address of a `dask.distributed` scheduler whose workers process the tiles.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) from time to time; done / total is roughly the fraction of time.
 
     Returns:
         An `alula/voxels` in the frame of the scene.
@@ -139,10 +137,6 @@ def voxelize(
 def level_for(config: VoxelizeConfig, scene: SceneManifest) -> tuple[float, float]:
     """Level k and radius r [m] of the obstacles.
 
-    Args:
-        config: see `VoxelizeConfig`.
-        scene: manifest of the scene.
-
     Raises:
         InputError: the scene is not metric.
     """
@@ -160,10 +154,8 @@ def ellipsoids_of(
     """Ellipsoids of some Gaussians and the lattice of their voxels.
 
     Args:
-        config: see `VoxelizeConfig`.
         scene: an `alula/scene` in metres.
         rows: of the Gaussians, in ascending order.
-        sigma: level k.
         inflation: radius r of the ball added to each [m].
     """
     found = rows_of(scene, rows, ignore_loss=config.ignore_loss)
@@ -184,8 +176,6 @@ def check_some(config: VoxelizeConfig, voxels: int, below: int, max_overlap: int
     """Check that there is a voxel.
 
     Args:
-        config: see `VoxelizeConfig`.
-        voxels: number of voxels.
         below: number of touched voxels left out because of `min_overlap`.
         max_overlap: maximum overlap of all touched voxels.
 
@@ -205,7 +195,6 @@ def voxels_fields(config: VoxelizeConfig, scene: SceneManifest, left_out: dict[s
 
     Args:
         config: see `VoxelizeConfig`; its crop is that of the voxels.
-        scene: manifest of the scene.
         left_out: numbers of Gaussians and voxels that are left out, by reason.
     """
     sigma, inflation = level_for(config, scene)
@@ -256,10 +245,8 @@ def too_many(size_m: float, about: float, limit: int, remedies: list[str]) -> st
     """Message with the number of voxels, and with what would fit.
 
     Args:
-        size_m: edge of a voxel [m].
         about: their number, roughly; infinite for one that is not known.
         limit: their maximum number.
-        remedies: phrases, besides the crop.
     """
     number = "far more than" if math.isinf(about) else f"about {rounded(about)}, more than"
     words = f"voxels of {size_m:g} m: {number} the {limit:,} of --max-voxels"
@@ -305,7 +292,6 @@ def tile_edge(tile_m: float, size: float) -> int:
     """Edge of a tile, rounded to whole voxels.
 
     Args:
-        tile_m: edge of a tile [m].
         size: edge of a voxel [m].
 
     Raises:

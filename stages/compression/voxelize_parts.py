@@ -96,9 +96,6 @@ class BlockVoxelizer:
     def blocks(self, progress: Progress | None = None) -> list[Block]:
         """Assign the ellipsoids of all parts to blocks.
 
-        Args:
-            progress: called with (done, total).
-
         Returns:
             Blocks that an ellipsoid may touch, in lexicographic order of their lowest voxels.
 
@@ -214,10 +211,7 @@ class BlockVoxelizer:
         """Mark the voxels of blocks, in an order in which neighbours follow one another.
 
         Args:
-            blocks: some of `blocks`.
-            jobs: threads; the result does not depend on it.
             scheduler: address of a `dask.distributed` scheduler whose workers mark the blocks.
-            progress: called with (done, total).
 
         Yields:
             Block, voxels (sorted, shape (M, 3)), their overlaps, and the number of touched voxels that are
@@ -309,9 +303,6 @@ class BlockVoxelizer:
         """Voxels of a block as an artifact of their own, whose crop is the block.
 
         Args:
-            block: one of `blocks`.
-            index: its voxels.
-            overlap: their overlaps.
             below: number of touched voxels left out because of `min_overlap`.
         """
         crop = crop_of(block, self.config.size_m, self.config.crop)
@@ -350,9 +341,6 @@ class BlockVoxelizer:
     def whole(self, parts: int) -> dict[str, Any]:
         """Fields of the manifest of all voxels, after all blocks are counted in `tally`.
 
-        Args:
-            parts: number of blocks with voxels.
-
         Raises:
             InfeasibleError: there is no voxel.
         """
@@ -387,12 +375,6 @@ def voxelize_whole(
     voxelizer: BlockVoxelizer, jobs: int = 0, scheduler: str | None = None, progress: Progress | None = None
 ) -> Artifact:
     """Voxels of a scene in parts as one artifact, equal to those of `voxelize` for the whole scene.
-
-    Args:
-        voxelizer: of the scene.
-        jobs: threads; the result does not depend on it.
-        scheduler: see `BlockVoxelizer.marked`.
-        progress: called with (done, total).
 
     Raises:
         InputError: there are more voxels than `max_voxels`; for the rest see `BlockVoxelizer`.

@@ -42,10 +42,6 @@ def demo_cameras(count: int, seed: int) -> DemoCameras:
     """Generate cameras along a lap of the room that look inward.
 
     The estimated centres have a noise of 1 mm per coordinate, the measured ones of 2 mm and two outliers.
-
-    Args:
-        count: number of cameras.
-        seed: seed of the noise.
     """
     rng = np.random.default_rng([seed, 1])
     angle = 2 * np.pi * np.arange(count) / count
@@ -77,7 +73,6 @@ def positions_csv(names: Sequence[str], positions: FloatArray) -> str:
     """CSV text with rows `image,x,y,z`, rounded to 1e-8 units.
 
     Args:
-        names: names of the images.
         positions: shape (n, 3), any frame and units.
     """
     rows = [f"{name},{x:.8f},{y:.8f},{z:.8f}" for name, (x, y, z) in zip(names, positions, strict=True)]
@@ -91,9 +86,7 @@ def colmap_model(cameras: DemoCameras, splats: Splats, seed: int) -> dict[str, s
     ignored.
 
     Args:
-        cameras: the cameras.
         splats: the Gaussians, scene frame and units.
-        seed: seed of the choice of points.
 
     Returns:
         File name to content.

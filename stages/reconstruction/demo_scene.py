@@ -59,7 +59,6 @@ def demo_scene(config: DemoSceneConfig, seed: int) -> Splats:
     Quaternions are not normalised.
 
     Args:
-        config: see `DemoSceneConfig`.
         seed: seed of all randomness; equal seeds give equal bytes.
 
     Returns:

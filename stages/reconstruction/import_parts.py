@@ -49,10 +49,6 @@ class Nothing:
 def check_parted(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
     """Refuse what an import in parts cannot do, before any work is done.
 
-    Args:
-        config: see `ImportSplatConfig`.
-        levels: see `levels_of`.
-
     Raises:
         UsageError: a rule needs the neighbours of a Gaussian, which may be in another part.
         InputError: files of a level of detail are lacking.
@@ -72,7 +68,6 @@ def import_piece(
 
     Args:
         config: see `ImportSplatConfig`; without `drop_floaters`.
-        piece: of a file.
         levels: see `levels_of`: levels of detail of all files.
         most: maximum number of Gaussians of a part.
 
@@ -103,9 +98,6 @@ def whole_scene(
     """Fields of the manifest of a whole scene, from those of its parts.
 
     Args:
-        config: see `ImportSplatConfig`.
-        manifests: of the parts that `import_piece` made.
-        nothing: pieces of which nothing is left.
         levels: levels of detail of all files.
 
     Raises:

@@ -75,7 +75,6 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     of detail without the others are refused unless `part` is set; the guarantee names what is lacking.
 
     Args:
-        config: see `ImportSplatConfig`.
         splats: the Gaussians of a decoded file, file frame and units.
 
     Returns:
@@ -93,7 +92,6 @@ def screened(config: ImportSplatConfig, splats: Splats) -> Screened:
     """Find the Gaussians that a configuration keeps.
 
     Args:
-        config: see `ImportSplatConfig`.
         splats: the Gaussians of a decoded file, file frame and units.
 
     Raises:
@@ -141,11 +139,7 @@ def screened(config: ImportSplatConfig, splats: Splats) -> Screened:
 
 @np.errstate(invalid="ignore")
 def scene_of(screened: Screened) -> Artifact:
-    """Scene of the Gaussians that are kept; see `import_splat`.
-
-    Args:
-        screened: of `screened`.
-    """
+    """Scene of the Gaussians that are kept; see `import_splat`."""
     config, splats, volume = screened.config, screened.splats, screened.volume
     removal, removed, kept = screened.removal, screened.removed, screened.kept
     arrays, figures = _kept(_columns(splats), removal, kept)
@@ -216,10 +210,6 @@ def scene_of(screened: Screened) -> Artifact:
 
 def check_whole(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
     """Refuse some files of a level of detail without the others, unless `part` is set.
-
-    Args:
-        config: see `ImportSplatConfig`.
-        levels: levels of detail that the Gaussians come from.
 
     Raises:
         InputError: files are lacking.
@@ -417,11 +407,8 @@ def import_guarantee(
     """Guarantee of an imported scene.
 
     Args:
-        config: see `ImportSplatConfig`.
-        removed: number of rows that each rule removed.
         loss: the entry `loss` of the scene's `source`.
         lacks: phrases that name what the scene lacks of its capture.
-        properties: further properties of the files.
     """
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
@@ -457,12 +444,7 @@ def import_guarantee(
 
 
 def zero_notes(removed: dict[str, int], rows: int) -> list[str]:
-    """Note about rows without a rotation, which are left out.
-
-    Args:
-        removed: number of rows that each rule removed.
-        rows: number of all rows.
-    """
+    """Note about rows without a rotation, which are left out."""
     if not (zero := removed.get(_ZERO, 0)):
         return []
     return [
@@ -472,11 +454,7 @@ def zero_notes(removed: dict[str, int], rows: int) -> list[str]:
 
 
 def property_notes(properties: Properties) -> list[str]:
-    """Notes about further properties of the files.
-
-    Args:
-        properties: of the files.
-    """
+    """Notes about further properties of the files."""
     unknown = [
         f"{unknown_words(properties.unknown)}; not read: if one of them changes the shape of Gaussians, the "
         "scene is wrong"

@@ -52,9 +52,6 @@ def convention_of(source: Mapping[str, Any]) -> Convention:
     into every file, whatever its axes are, and its own reader takes -y for up. SPZ names its frame by the
     directions of x, y and z (RUB: right, up, back), which is RUB where the file names none; glTF is y up;
     nerfstudio trains with z up.
-
-    Args:
-        source: of the manifest of an `alula/scene`.
     """
     stated = str(source.get("tags", {}).get("vertical_axis", "")).lower()
     if stated != "y" and (named := re.fullmatch(r"([+-]?)([xyz])", stated)):
@@ -103,7 +100,6 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
 
     Args:
         mean: centres, shape (N, 3).
-        convention: up by the format of the file.
     """
     if convention.decides:
         return Up(convention.direction, f"the header of the file states {convention.words}")

@@ -48,9 +48,6 @@ class Piece:
 def splats_in(path: Path) -> list[Path]:
     """Splat files directly in a folder, by their suffix and in the order of their names.
 
-    Args:
-        path: the folder.
-
     Raises:
         InputError: there is none.
     """
@@ -65,11 +62,7 @@ def splats_in(path: Path) -> list[Path]:
 
 
 def passed_over(path: Path) -> str:
-    """Phrase about the folders in a folder of splats that hold splats too, which nobody reads; or nothing.
-
-    Args:
-        path: the folder.
-    """
+    """Phrase about the folders in a folder of splats that hold splats too, which nobody reads; or nothing."""
     found = []
     for folder in sorted(child for child in path.iterdir() if child.is_dir()):
         depth = len(folder.parts)
@@ -133,7 +126,6 @@ def pieces_of(files: Sequence[SplatFile], most: int) -> Iterator[Piece]:
     files. Of other formats a file is one piece, however long it is.
 
     Args:
-        files: that `find_splats` found.
         most: maximum number of rows.
 
     Raises:
@@ -158,9 +150,6 @@ def pieces_of(files: Sequence[SplatFile], most: int) -> Iterator[Piece]:
 def decode_piece(piece: Piece) -> Splats:
     """Decode a piece.
 
-    Args:
-        piece: one of `pieces_of`.
-
     Raises:
         ArtifactError: the file is damaged.
         InputError: it cannot be read.
@@ -181,9 +170,6 @@ def decode_piece(piece: Piece) -> Splats:
 
 def levels_of(files: Sequence[SplatFile]) -> tuple[Level, ...]:
     """Levels of detail that files belong to, without decoding them.
-
-    Args:
-        files: that `find_splats` found.
 
     Raises:
         UsageError, ArtifactError: an index is damaged, or a file of a level is missing.
@@ -209,7 +195,6 @@ def sliced(splats: Splats, most: int) -> Iterator[Splats]:
     """Consecutive rows of Gaussians, at most a number at a time.
 
     Args:
-        splats: the Gaussians.
         most: maximum number of rows.
     """
     if len(splats) <= most:

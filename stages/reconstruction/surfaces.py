@@ -85,8 +85,6 @@ def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, **lo
         corner: where u = v = 0, world frame [m].
         edge_u: edge along u, world frame [m].
         edge_v: edge along v, world frame [m].
-        paint: colours.
-        **looks: `density` and `detail`, see `Surface`.
     """
     start, a, b = np.array(corner), np.array(edge_u), np.array(edge_v)
     cross = np.cross(a, b)
@@ -105,8 +103,6 @@ def box(lower: Vector, upper: Vector, paint: Paint, **looks: float) -> list[Surf
     Args:
         lower: smallest coordinates, world frame [m].
         upper: largest coordinates, world frame [m].
-        paint: colours of each face.
-        **looks: `density` and `detail`, see `Surface`.
     """
     (x0, y0, z0), (x1, y1, z1) = lower, upper
     x, y, z = (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), (0.0, 0.0, z1 - z0)
@@ -129,9 +125,7 @@ def tube(
         centre: centre of the bottom, world frame [m].
         radius: radius of the bottom [m].
         height: height [m].
-        paint: colours.
         top: radius of the top [m]; None: that of the bottom.
-        **looks: `density` and `detail`, see `Surface`.
     """
     x0, y0, z0 = centre
     end = radius if top is None else top
@@ -155,8 +149,6 @@ def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface
     Args:
         centre: centre, world frame [m].
         radius: radius [m].
-        paint: colours.
-        **looks: `density` and `detail`, see `Surface`.
     """
 
     def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,8 +165,6 @@ def sphere(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surfa
     Args:
         centre: centre, world frame [m].
         radius: radius [m].
-        paint: colours.
-        **looks: `density` and `detail`, see `Surface`.
     """
 
     def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -196,8 +186,6 @@ def torus(
         axis: direction of the axis, horizontal, world frame.
         radius: distance from the centre to the middle of the tube [m].
         thickness: radius of the tube [m].
-        paint: colours.
-        **looks: `density` and `detail`, see `Surface`.
     """
     forward = np.array(axis) / np.linalg.norm(axis)
     up = np.array([0.0, 0.0, 1.0])

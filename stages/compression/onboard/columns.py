@@ -23,7 +23,6 @@ class Columns:
 
     Args:
         source: voxels, or a cover whose members they are.
-        voxel_size_m: edge of a voxel [m].
 
     Attributes:
         count: number of voxels, of a cover of members.
@@ -67,7 +66,6 @@ class Columns:
 
         Args:
             low: see `near`.
-            high: see `near`.
 
         Yields:
             Lower and upper corner of the box, shape (2, 3), of each side with voxels.

@@ -48,7 +48,6 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
     assumes that every pass of a tick visits and decodes every hull.
 
     Args:
-        raw: the image.
         image: the same image, decoded.
 
     Returns:
@@ -115,9 +114,7 @@ def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
     """Refuse a map that does not fit on a target.
 
     Args:
-        raw: the image.
         image: the same image, decoded.
-        target: the microcontroller.
 
     Raises:
         InfeasibleError: it is too large; the message has the `merge --max-bytes` that fits.
@@ -134,9 +131,6 @@ def require_rate(facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: 
     """Refuse a map whose worst tick takes longer than the period of its control rate.
 
     Args:
-        facts: see `target_facts`.
-        hulls: number of hulls of the map.
-        target: the microcontroller.
         rate_hz: the control rate; None is the default of the target's firmware.
 
     Raises:
@@ -159,9 +153,7 @@ def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
     that was tried.
 
     Args:
-        raw: the image.
         image: the same image, decoded.
-        target: the microcontroller.
     """
     worst = worst_tick(raw, image)
     facts: dict[str, Any] = {

@@ -25,12 +25,6 @@ _Arrays = dict[str, NDArray[Any]]
 class HullRecords:
     """Records of all hulls as the whole map has them: its origin, its kind of planes and its order.
 
-    Args:
-        cover: in parts.
-        largest_normal: see `encode_map`.
-        cover_sha256: see `encode_map`.
-        jobs: threads, 0 for all processors.
-
     Attributes:
         frame: of the whole map.
         empty: image of the whole map without its records.

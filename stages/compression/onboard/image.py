@@ -220,10 +220,6 @@ def _planes(
 def read_map(raw: bytes, name: object) -> MapImage:
     """Decode an image as `decode_map` does, with the file's name in front of every error message.
 
-    Args:
-        raw: the content of the file.
-        name: the file's name.
-
     Raises:
         ArtifactError: as `decode_map`.
     """

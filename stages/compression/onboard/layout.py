@@ -56,13 +56,10 @@ def encode_map(
     rounded outward. Layout: native/onboard/include/alula_map.h.
 
     Args:
-        cover: an `alula/cover`.
         largest_normal: bound of the components of normals; with 1 all planes are of the 26-DOP family.
         cover_sha256: hash of the cover's file, in hexadecimal; its first 8 bytes go into the header.
         indexed: add the tree of boxes that lets a search near a position skip most hulls; it takes
             `index_bytes` more.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The image.
@@ -89,13 +86,6 @@ def encode_records(
     progress: Progress | None = None,
 ) -> tuple[bytes, bool, int]:
     """Encode hulls as records, in the order of their centres along a Z-order curve.
-
-    Args:
-        hulls: arrays of a cover.
-        frame: of the map.
-        largest_normal: see `encode_map`.
-        jobs: see `encode_map`.
-        progress: see `encode_map`.
 
     Returns:
         The records, whether all normals are of the 26-DOP family, and the largest component of a normal.
@@ -138,7 +128,6 @@ class MapFrame:
         """Frame of the map of a cover.
 
         Args:
-            cover: its manifest.
             low: lower corner of all hulls [voxels].
             high: upper corner.
 
@@ -164,14 +153,6 @@ class MapFrame:
         self, records: bytes, hulls: int, is_kdop: bool, largest: int, cover_sha256: str, *, indexed: bool
     ) -> bytes:
         """Image of a map with these records.
-
-        Args:
-            records: of `encode_records`.
-            hulls: their number.
-            is_kdop: the kind of the planes.
-            largest: largest component of a normal.
-            cover_sha256: see `encode_map`.
-            indexed: see `encode_map`.
 
         Raises:
             InfeasibleError: there are too many records.
@@ -200,7 +181,6 @@ def with_records(image: bytes, records: Sequence[bytes], *, indexed: bool) -> by
     """Encode a map of other records, with origin, voxel size, margin and kind of planes of a given one.
 
     Args:
-        image: of a map.
         records: of the hulls, as in an image with its origin and kind of planes.
         indexed: add the tree of boxes.
     """
@@ -239,11 +219,7 @@ def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
 
 
 def index_bytes(hulls: int) -> int:
-    """Size of the index of a map [bytes]; it never decreases with more hulls.
-
-    Args:
-        hulls: number of hulls of the map.
-    """
+    """Size of the index of a map [bytes]; it never decreases with more hulls."""
     size, total = -(-hulls // LEAF_HULLS), 0
     if hulls == 0:
         return 0
@@ -276,7 +252,6 @@ def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     """Content of a .bin file: the image, then a line with the provenance, which flash does not need.
 
     Args:
-        cover: an `alula/cover`.
         provenance: of the file; its parameters set the encoding.
     """
     yield _image(cover, provenance)
@@ -287,7 +262,6 @@ def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     """Content of a C header with the image of a cover (see `image_c_header`).
 
     Args:
-        cover: an `alula/cover`.
         provenance: of the file; its parameters set the encoding and the array's name.
     """
     yield from image_c_header(_image(cover, provenance), provenance)
@@ -297,7 +271,6 @@ def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
     """Content of a guarded C header with an image as a constant array, aligned to 8 bytes.
 
     Args:
-        image: an encoded map.
         provenance: of the file; `name` of its parameters is the array's name.
     """
     name = str(provenance.parameters.get("name", "map"))
@@ -315,11 +288,7 @@ def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
 
 
 def map_facts(image: MapImage) -> dict[str, Any]:
-    """Summary figures of a map.
-
-    Args:
-        image: a decoded map.
-    """
+    """Summary figures of a map."""
     return {
         "hulls": len(image),
         "half_planes": image.half_planes,

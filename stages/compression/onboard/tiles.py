@@ -43,12 +43,7 @@ _Rows = NDArray[np.int64]
 
 
 def voxels_up(length_m: float, voxel_size_m: float) -> int:
-    """Number of voxels that are at least as long as a length, at least one.
-
-    Args:
-        length_m: the length [m].
-        voxel_size_m: edge of a voxel [m].
-    """
+    """Number of voxels that are at least as long as a length, at least one."""
     return max(1, math.ceil(round(length_m / voxel_size_m, 6)))
 
 
@@ -80,12 +75,9 @@ def cut_tiles(
     Args:
         cover: an `alula/cover`, alone or in parts.
         keep: called with the image of each tile, in the order of the index.
-        tile_m: edge of a tile [m].
-        reach_m: see above [m].
         hysteresis_m: see above; at most half of a tile [m].
         largest_normal: as `encode_map`.
         cover_sha256: as `encode_map`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
 
     Returns:
         The index without `key_id` and `provenance`, see `TilesIndex`.
@@ -153,7 +145,6 @@ def sealed(cut: dict[str, Any], *, key_id: str, provenance: Provenance) -> Tiles
     Args:
         cut: index of the map that was cut, see `cut_tiles`.
         key_id: of the key that signs it; empty without a signature.
-        provenance: of the folder.
     """
     open_index = TilesIndex(**cut, sha256=64 * "0", key_id=key_id, provenance=provenance)
     digest = hashlib.sha256(open_index.binary()).hexdigest()
@@ -188,11 +179,7 @@ def walls_around(low: _Rows, high: _Rows, lower: _Rows, upper: _Rows) -> _Rows:
 
 
 def tiles_facts(index: TilesIndex) -> dict[str, Any]:
-    """Summary figures of a map in tiles.
-
-    Args:
-        index: of the map.
-    """
+    """Summary figures of a map in tiles."""
     sizes = [tile.bytes for tile in index.tiles]
     return {
         "tiles": len(index.tiles),
@@ -217,7 +204,6 @@ def fastest_m_s(image: bytes, reach_m: float) -> float:
     The parameters are `ASSUMED`, apart from the speed.
 
     Args:
-        image: of any tile.
         reach_m: reach of the tiles [m].
 
     Returns:

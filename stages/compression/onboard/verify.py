@@ -47,11 +47,8 @@ def verify_map(
         image: a decoded map; `decode_map` has checked lengths and CRC-32.
         cover: the `alula/cover` that the map was made from.
         voxels: the `alula/voxels` that the map must contain; without it, the members of the cover.
-        scene: the `alula/scene` that the voxels must contain.
         sha256: hash of the file "cover"; a difference from the hash in the map becomes a note, not an error,
             because the proof uses the content alone.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The certificate; `covered` when every check holds.
@@ -86,14 +83,7 @@ def _arrays(
 def files_agree(
     image: MapImage, cover: Artifact | None, voxels: Artifact | Parts | None, scene: Artifact | Parts | None
 ) -> Check:
-    """Check that lattice, level, frame and unit of all files are equal and equal to their claims.
-
-    Args:
-        image: a decoded map.
-        cover: the `alula/cover`, if it is given.
-        voxels: the `alula/voxels`, if they are given.
-        scene: the `alula/scene`, if it is given.
-    """
+    """Check that lattice, level, frame and unit of all files are equal and equal to their claims."""
     files = {"cover": cover, "voxels": voxels, "scene": scene}
     given = {name: file.manifest for name, file in files.items() if file is not None}
     offences = [
@@ -115,11 +105,7 @@ def files_agree(
 
 
 def margin_holds(image: MapImage) -> Check:
-    """Check in exact arithmetic that the margin is at least 2^-18 of the largest coordinate.
-
-    Args:
-        image: a decoded map.
-    """
+    """Check in exact arithmetic that the margin is at least 2^-18 of the largest coordinate."""
     largest = max(int(np.abs(edge.astype(np.int64)).max(initial=0)) for edge in (image.lower, image.upper))
     needed = Fraction(image.voxel_size_m) * largest * Fraction(MARGIN_OF_EXTENT)
     offences = []
@@ -165,10 +151,6 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
 def occupied_by(cover: Artifact | None, voxels: Artifact | None) -> tuple[LevelManifest, NDArray[np.int32]]:
     """Level and voxels (M, 3) that an onboard map must contain: those of a file, or the members of a cover.
 
-    Args:
-        cover: the `alula/cover` that the map was made from.
-        voxels: an `alula/voxels`.
-
     Raises:
         UsageError: neither is given.
         InputError: there are more voxels than a proof takes.
@@ -187,7 +169,6 @@ def notes_of(image: MapImage, cover_sha256: str | None) -> list[str]:
     """Note about a cover that is not the file that the map records.
 
     Args:
-        image: a decoded map.
         cover_sha256: hash of the cover's file; None where it was not given.
     """
     if cover_sha256 is None or not any(image.cover_hash):

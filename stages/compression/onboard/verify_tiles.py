@@ -55,10 +55,6 @@ def verify_tiles(
         tiles: that were read; every byte is compared with the index.
         cover: the `alula/cover` that the tiles were cut from.
         voxels: the `alula/voxels` that every tile must contain; without it, the members of the cover.
-        scene: the `alula/scene` that the voxels must contain.
-        sha256: hash of the file "cover", see `verify_map`.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The certificate; `covered` when every check holds.

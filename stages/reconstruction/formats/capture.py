@@ -15,11 +15,7 @@ _COMMENTS = 100
 
 
 def level_facts(levels: Sequence[Level]) -> list[dict[str, object]]:
-    """Facts about the levels of detail that Gaussians come from, for a manifest.
-
-    Args:
-        levels: of the Gaussians.
-    """
+    """Facts about the levels of detail that Gaussians come from, for a manifest."""
     return [
         {"level": one.number, "levels": one.levels, "files": len(one.files), "files_of_level": len(one.of)}
         for one in levels
@@ -27,11 +23,7 @@ def level_facts(levels: Sequence[Level]) -> list[dict[str, object]]:
 
 
 def missing_files(levels: Sequence[Level]) -> list[str]:
-    """Phrases that name files of the same levels of detail that were not read; empty for whole levels.
-
-    Args:
-        levels: of the Gaussians.
-    """
+    """Phrases that name files of the same levels of detail that were not read; empty for whole levels."""
     words = []
     for one in levels:
         others = [name for name in one.of if name not in one.files]
@@ -46,11 +38,7 @@ def missing_files(levels: Sequence[Level]) -> list[str]:
 
 
 def lacking(levels: Sequence[Level]) -> list[str]:
-    """Phrases that name what the Gaussians of some levels of detail lack of their capture.
-
-    Args:
-        levels: of the Gaussians.
-    """
+    """Phrases that name what the Gaussians of some levels of detail lack of their capture."""
     words = missing_files(levels)
     for index in dict.fromkeys(one.index for one in levels):
         mine = [one for one in levels if one.index == index]

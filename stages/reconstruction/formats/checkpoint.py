@@ -50,10 +50,6 @@ class Checkpoint:
     def array(self, tensor: Tensor, what: str) -> NDArray[Any]:
         """View of the numbers of a tensor.
 
-        Args:
-            tensor: from `tree`.
-            what: name of the tensor, for messages.
-
         Raises:
             ArtifactError: the numbers are not floating-point, or not within the tensor's storage.
         """

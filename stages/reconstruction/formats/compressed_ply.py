@@ -67,10 +67,6 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
     d = (h - l) / (2^b - 1): |d| for the centre, exp(max d) - 1 for a semi-axis. The format clamps log scales
     above 20; Gaussians that may be affected are counted.
 
-    Args:
-        buffer: the whole file.
-        progress: called with the rows done and the rows in all.
-
     Raises:
         ArtifactError: not a compressed PLY, truncated, or a range is invalid.
     """

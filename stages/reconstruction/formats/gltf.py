@@ -118,7 +118,6 @@ def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
 
     Args:
         source: the `.gltf` or `.glb` file.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         ArtifactError: the file is damaged, has no Gaussians, or uses an unknown feature.
@@ -233,8 +232,6 @@ class _Output:
         """Gaussians that were read, with their loss.
 
         Args:
-            tags: see `Splats.tags`.
-            properties: see `Splats.properties`.
             notes: notes for the user.
         """
         unbounded = {}

@@ -292,8 +292,6 @@ class Tables:
         """Table of an accessor.
 
         Args:
-            index: index of the accessor.
-            what: name of the table, for messages.
             types: allowed types, such as `VEC3`.
             kinds: allowed kinds of components, such as `f32` or `u8n`.
 

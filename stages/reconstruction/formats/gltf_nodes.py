@@ -42,7 +42,6 @@ def placed_primitives(document: Document, notes: list[str]) -> list[Placed]:
     """Primitives with Gaussians in the scene, in the order of its nodes.
 
     Args:
-        document: a parsed file.
         notes: list to which notes about skipped parts are added.
 
     Raises:
@@ -135,7 +134,6 @@ def roots_of(document: Document, notes: list[str]) -> list[int]:
     """Roots of the default scene, or of all nodes in a file without scenes.
 
     Args:
-        document: a parsed file.
         notes: list to which notes about other scenes are added.
     """
     if not document.scenes:
@@ -151,10 +149,6 @@ def roots_of(document: Document, notes: list[str]) -> list[int]:
 
 def local_matrix(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
     """4 by 4 matrix of a node, and True when it is exactly the identity.
-
-    Args:
-        node: the node.
-        index: its index, for messages.
 
     Raises:
         ArtifactError: a part of it has too few numbers, or some that are not finite.

@@ -68,10 +68,6 @@ def decode_ksplat(buffer: memoryview, progress: Progress | None = None) -> Splat
     precision has steps of 2^-24, is read one step larger, so that the whole ellipsoid need not grow for it.
     A negative scale renders like its absolute value and is read as such.
 
-    Args:
-        buffer: the whole file.
-        progress: called with the rows done and the rows in all.
-
     Raises:
         ArtifactError: truncated, of another version, or counts that contradict each other.
     """

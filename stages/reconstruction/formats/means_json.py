@@ -69,10 +69,6 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     A matrix M means the nearest rotation R. The error bound is the angle of twice |M - R| plus 1e-6, which
     exceeds the rounding to single precision. Matrices with errors above 1e-5 have no certain bound.
 
-    Args:
-        buffer: the whole file.
-        progress: called with the rows done and the rows in all.
-
     Raises:
         ArtifactError: not JSON, a list is missing, or rows are not of one length.
     """

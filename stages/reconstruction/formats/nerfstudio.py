@@ -62,7 +62,6 @@ def decode_nerfstudio(source: Source, progress: Progress | None = None) -> Splat
 
     Args:
         source: the folder with `config.yml`, that file itself, or one checkpoint.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         ArtifactError: the files are damaged, of another method, or would need to run code.

@@ -54,9 +54,6 @@ _Place = tuple[int, str] | None
 def count_ply(buffer: memoryview) -> int:
     """Number of Gaussians of a PLY file by its header.
 
-    Args:
-        buffer: the whole file.
-
     Raises:
         ArtifactError: not PLY, or not Gaussians.
     """
@@ -73,7 +70,6 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None, window: sli
 
     Args:
         buffer: the whole file; only the rows of `vertex` are touched.
-        progress: called with the rows done and the rows in all.
         window: rows to decode.
 
     Raises:
@@ -356,7 +352,6 @@ def encode_ply(splats: Splats, comments: Sequence[str] = ()) -> Iterator[bytes]:
 
     Args:
         splats: the Gaussians to write, file frame and units.
-        comments: comment lines of the header.
     """
     names = (*_POSITION, "nx", "ny", "nz", *_SH0, "opacity", *_SCALE, *_ROTATION)
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]

@@ -48,10 +48,6 @@ class Rows:
 def ply_rows(header: Header, data: memoryview) -> dict[str, Rows]:
     """Read all elements.
 
-    Args:
-        header: of the file.
-        data: the whole file.
-
     Raises:
         ArtifactError: rows are missing, malformed, or followed by something else.
     """
@@ -73,9 +69,6 @@ def positions(rows: Rows) -> FloatArray:
 
 def ply_points(raw: bytes) -> FloatArray:
     """Points of a PLY file, whatever they form, shape (N, 3).
-
-    Args:
-        raw: the file.
 
     Raises:
         ArtifactError: it is damaged, or has no points.

@@ -200,7 +200,6 @@ def judged(
     Args:
         names: of properties, elements or files.
         what: a name is of, for the message.
-        known: list to look them up in.
         applied: names that change the ellipsoids and that the caller applies.
 
     Returns:

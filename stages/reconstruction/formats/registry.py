@@ -149,7 +149,6 @@ def recognise(source: Source, name: str = "auto") -> SplatFormat:
     """Recognise the format of a source by its content first and its suffix second.
 
     Args:
-        source: the file or folder.
         name: the name of a format, which is then taken without a test, or `auto`.
 
     Raises:
@@ -233,9 +232,6 @@ class SplatFile:
     def decode(self, progress: Progress | None = None) -> Splats:
         """Read the Gaussians.
 
-        Args:
-            progress: called with the rows done and the rows in all.
-
         Raises:
             ArtifactError: the splat is damaged, or not of that format.
             InputError: it cannot be read.
@@ -253,7 +249,6 @@ def read_splats(path: Path, name: str = "auto", progress: Progress | None = None
     Args:
         path: a file, or a folder (see `SplatFile.find`).
         name: `auto`, or the name of a format.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         UsageError, ArtifactError, InputError: as `SplatFile.find` and `SplatFile.decode`.

@@ -100,7 +100,6 @@ def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
 
     Args:
         source: a `.sog` archive, a `meta.json`, or the folder of one.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         ArtifactError: a file is missing or damaged, or `meta.json` is not valid.
@@ -300,9 +299,6 @@ class _View(io.RawIOBase):
 @contextmanager
 def archive_of(data: memoryview) -> Iterator[zipfile.ZipFile]:
     """Context with the members of a ZIP archive.
-
-    Args:
-        data: the whole file.
 
     Raises:
         ArtifactError: it is damaged.

@@ -108,8 +108,6 @@ def let_go(buffer: memoryview, begin: int, end: int) -> None:
 
     Args:
         buffer: the whole mapped file; others are left alone.
-        begin: first byte.
-        end: byte after the last one.
     """
     if isinstance(buffer.obj, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         begin -= begin % mmap.PAGESIZE
@@ -136,7 +134,6 @@ def find_source(path: Path, level: int | None = None) -> Source:
     A folder of INRIA's trainer stands for its last `point_cloud/iteration_*/point_cloud.ply`.
 
     Args:
-        path: the file or folder.
         level: level of detail to read, for formats with several; None is the finest.
 
     Raises:

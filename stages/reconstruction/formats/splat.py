@@ -32,9 +32,6 @@ OPACITY_LOSS = 1.0 / 255.0
 def count_splat(buffer: memoryview) -> int:
     """Number of Gaussians of a `.splat` file.
 
-    Args:
-        buffer: the whole file.
-
     Raises:
         ArtifactError: the file is empty, not a whole number of records, or of sizes that no scene has.
     """
@@ -88,8 +85,6 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None, window: s
     like its absolute value and is read as such.
 
     Args:
-        buffer: the whole file.
-        progress: called with the rows done and the rows in all.
         window: rows to decode.
 
     Raises:

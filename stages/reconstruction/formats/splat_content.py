@@ -21,9 +21,6 @@ def is_splat(source: Source) -> bool:
     quaternion has the length 1 within the error of its bytes. Of random records one in 80,000 is plausible,
     so the probability that eight of them pass is below 1e-38. Text, and positions or rows that repeat, are
     refused for themselves. A file with quaternions that are not normalised is not recognised.
-
-    Args:
-        source: the file or folder.
     """
     if source.is_folder:
         return False
@@ -31,11 +28,7 @@ def is_splat(source: Source) -> bool:
 
 
 def has_plausible_records(buffer: memoryview) -> bool:
-    """Test the content, as `is_splat` says.
-
-    Args:
-        buffer: the whole file.
-    """
+    """Test the content, as `is_splat` says."""
     count, rest = divmod(len(buffer), RECORD.itemsize)
     if rest or count < LEAST:
         return False

@@ -53,10 +53,6 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
     are recorded: one number each for centres and scales, and one per Gaussian for rotations, because the
     error of the missing component grows as it becomes smaller.
 
-    Args:
-        buffer: the whole file.
-        progress: called with the rows done and the rows in all.
-
     Raises:
         ArtifactError: damaged, truncated, of another version, or not SPZ.
     """
@@ -169,7 +165,6 @@ def encode_spz(splats: Splats, version: int = 3, comment: str = "") -> Iterator[
     Args:
         splats: the Gaussians to write, file frame and units; no value is NaN or infinite.
         version: 2, 3 or 4.
-        comment: a line of text that readers ignore.
 
     Raises:
         InputError: a centre or a semi-axis is too large for the format.

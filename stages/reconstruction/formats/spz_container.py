@@ -305,7 +305,6 @@ def pack(header: Header, arrays: Mapping[str, Iterator[bytes]], comment: str = "
 
     Args:
         header: header of the file, without higher harmonics.
-        arrays: parts of each array.
         comment: one line of text without a zero byte that readers ignore: the comment of the gzip header, or
             from version 4 on an extension of alula's own kind.
     """

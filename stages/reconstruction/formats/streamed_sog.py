@@ -94,7 +94,6 @@ def decode_streamed_sog(source: Source, progress: Progress | None = None) -> Spl
 
     Args:
         source: a `lod-meta.json`, or its folder; `source.level` is the level to read.
-        progress: called with (done, total).
 
     Raises:
         UsageError: the capture has no such level.
@@ -129,8 +128,6 @@ def decode_level_file(source: Source, name: str, progress: Progress | None = Non
 
     Args:
         source: as for `decode_streamed_sog`.
-        name: one of `level_files`.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         UsageError, ArtifactError: as `decode_streamed_sog`.
@@ -201,7 +198,6 @@ def decode_sog_file(source: Source, progress: Progress | None = None) -> Splats:
 
     Args:
         source: a `.sog` archive, a `meta.json`, or the folder of one.
-        progress: called with the rows done and the rows in all.
 
     Raises:
         ArtifactError: a file is missing or damaged, or `meta.json` or the index is not valid.

@@ -20,7 +20,6 @@ def text_lines(raw: bytes, *, comments: bool) -> list[str]:
     """Lines of an ASCII text, with any line ends, without comments.
 
     Args:
-        raw: the text.
         comments: `#` begins a comment, which may hold any character.
 
     Raises:
@@ -42,7 +41,6 @@ def number_rows(lines: Sequence[str], what: str, first: int = 1) -> FloatArray:
     Args:
         lines: without comments.
         what: a row, for messages.
-        first: number of the first line in the file.
 
     Returns:
         Shape (rows, columns); (0, 0) without rows.
