@@ -51,7 +51,6 @@ def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
 
     Args:
         scene: an `alula/scene`; the tree is in its frame and unit, and reads its arrays, mapped ones too.
-        sigma: level, in standard deviations.
 
     Raises:
         InputError: `sigma` is not positive and finite.
@@ -71,7 +70,6 @@ def kept_obstacles(scene: Artifact, sigma: float, trees: dict[float, EllipsoidSe
     """The search tree of `scene_obstacles`, made once for each level.
 
     Args:
-        sigma: level, in standard deviations.
         trees: those of this scene by level; the one that is made is added.
 
     Raises:
@@ -152,7 +150,6 @@ def sphere_clearance(
     Args:
         points: path of its centre, shape (T, 3), in the frame of the obstacles [m].
         obstacles: from `hull_obstacles` or `scene_obstacles`.
-        radius_m: of the sphere [m].
 
     Returns:
         The minimum of `path_clearance` less the radius [m]; None without obstacles.

@@ -89,11 +89,7 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def joined(cls, parts: Sequence[Times]) -> Self:
-        """Add up histograms, at least one.
-
-        Args:
-            parts: of parts of a run.
-        """
+        """Add up histograms, at least one."""
         counts = sum((np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(BINS, np.int64))
         return cls(
             counts=counts.tobytes(),

@@ -18,8 +18,6 @@ def check(
     """Result of a check.
 
     Args:
-        name: of the check.
-        checked: number of items.
         offences: failures; the first of them are listed.
         detail: method of the check, in a few words.
         failed: number of all failures; None for that of `offences`.

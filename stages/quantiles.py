@@ -7,7 +7,6 @@ def student_quantile(degrees: float, probability: float) -> float:
     """Quantile of Student's t.
 
     Args:
-        degrees: degrees of freedom.
         probability: of a smaller value.
     """
     from scipy.special import stdtrit

@@ -37,12 +37,7 @@ class Unlike:
     second: str
 
     def words(self, first: str, second: str) -> str:
-        """The difference in words.
-
-        Args:
-            first: name of the one run.
-            second: name of the other.
-        """
+        """The difference in words."""
         return f"{self.name} ({first}: {self.first or 'none'}; {second}: {self.second or 'none'})"
 
 
@@ -69,12 +64,7 @@ class Flown:
 
 
 def unlike(first: Setup, second: Setup) -> list[Unlike]:
-    """How two runs differ, apart from their filters: a comparison of filters compares this, too.
-
-    Args:
-        first: a run.
-        second: another one.
-    """
+    """How two runs differ, apart from their filters: a comparison of filters compares this, too."""
     ours, theirs = first.provenance, second.provenance
     found = []
     if first.vehicle != second.vehicle:
@@ -94,8 +84,6 @@ def unlike_words(found: Sequence[Unlike], first: str, second: str) -> str:
 
     Args:
         found: from `unlike`.
-        first: name of the one run.
-        second: name of the other.
     """
     if not found:
         return ""

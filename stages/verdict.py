@@ -23,8 +23,6 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[f
     (p + z^2/2n +- z sqrt(p (1 - p) / n + z^2/4n^2)) / (1 + z^2/n).
 
     Args:
-        successes: number of successful trials.
-        n: number of trials.
         confidence: probability that the interval contains the rate, in (0, 1).
 
     Raises:
@@ -49,7 +47,6 @@ def success(good: int, n: int) -> dict[str, Any]:
     """Success rate with its 95 % Wilson interval, by the keys of a summary.
 
     Args:
-        good: number of successful trials.
         n: number of trials, at least one.
     """
     return {"success_rate": good / n, "success_interval": list(wilson_interval(good, n))}
@@ -59,9 +56,6 @@ def distinct(trials: Iterable[TrialResult]) -> list[TrialResult]:
     """The trials that differ in more than their index; the first of each kind.
 
     Trials with equal records are one flight, flown again: they add no evidence.
-
-    Args:
-        trials: verdicts.
     """
     seen: dict[bytes, TrialResult] = {}
     for trial in trials:
@@ -70,11 +64,7 @@ def distinct(trials: Iterable[TrialResult]) -> list[TrialResult]:
 
 
 def is_success(trial: TrialResult) -> bool:
-    """True when the flight reached its goal without collision.
-
-    Args:
-        trial: its verdict.
-    """
+    """True when the flight reached its goal without collision."""
     return trial.outcome == "reached" and not trial.collision
 
 
@@ -90,8 +80,6 @@ def head(
 
     Args:
         trials: verdicts, at least one.
-        outcomes: the outcomes to count.
-        is_good: returns True for a successful trial.
     """
     found = success(sum(map(is_good, trials)), len(trials))
     different = distinct(trials)
@@ -111,31 +99,18 @@ def head(
 
 
 def totals(trials: Iterable[TrialResult], names: Sequence[str]) -> dict[str, Any]:
-    """Sums of fields over all trials; a missing field counts as 0.
-
-    Args:
-        trials: verdicts.
-        names: of the fields.
-    """
+    """Sums of fields over all trials; a missing field counts as 0."""
     each = list(trials)
     return {name: sum(getattr(trial, name) or 0 for trial in each) for name in names}
 
 
 def mean_path_ratio(trials: Iterable[TrialResult]) -> float | None:
-    """Mean path length over straight length of the successful trials; None without any.
-
-    Args:
-        trials: verdicts.
-    """
+    """Mean path length over straight length of the successful trials; None without any."""
     return mean(ratio for t in trials if is_success(t) and (ratio := path_ratio(t)) is not None)
 
 
 def path_ratio(trial: TrialResult) -> float | None:
-    """Ratio of the length flown to the straight line from start to goal; None for a closed course.
-
-    Args:
-        trial: its verdict.
-    """
+    """Ratio of the length flown to the straight line from start to goal; None for a closed course."""
     straight = trial.straight_length_m
     is_closed = straight <= _CLOSED_SHARE * trial.path_length_m
     return None if is_closed else trial.path_length_m / straight

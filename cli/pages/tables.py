@@ -19,7 +19,6 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """A Markdown table; line breaks and bars of the cells are made harmless.
 
     Args:
-        head: names of the columns.
         rows: cells, as Markdown.
     """
     names = list(head)
@@ -92,7 +91,6 @@ def type_text(schema: Schema, links: Mapping[str, str]) -> str:
     """The type of a value in words, with its limits.
 
     Args:
-        schema: of the value.
         links: where structs are explained, by their names.
     """
     if "$ref" in schema:

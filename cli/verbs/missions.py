@@ -44,12 +44,6 @@ def scenario_of(
         map_path: cover or scene to fly in.
         scene_path: scene beside a cover.
         vehicle: name of a built-in vehicle, or a file.
-        pairs_path: run whose pairs are flown.
-        planned: plan each pair first.
-        filters: names in their order.
-        speed_m_s: of the mission.
-        trials: number of flights.
-        seed: of all randomness.
         given: other values, by the path of their key.
 
     Raises:
@@ -158,7 +152,6 @@ class Trials:
         """Read what the scenario names besides maps.
 
         Args:
-            scenario: with all of its values.
             source: file that it comes from; files that a .toml names lie beside it.
 
         Raises:
@@ -199,13 +192,7 @@ class Trials:
         return cls(scenario, vehicle, parameters, seed, paths, pairs, pairs_run)
 
     def summary_of(self, flown: WorldRun, provenance: Provenance, cover: Artifact | None) -> dict[str, Any]:
-        """Summary of a run; notes say how it differs from the run of its pairs, and its cover from its scene.
-
-        Args:
-            flown: all trials.
-            provenance: of the run.
-            cover: that was flown in.
-        """
+        """Summary of a run; notes say how it differs from that of its pairs, and its cover from its scene."""
         from alula.stages.simulation.certificate import misfits
         from alula.stages.simulation.summary import world_summary, world_words
         from alula.stages.unlike import Flown, unlike, unlike_words
@@ -222,9 +209,6 @@ class Trials:
     def read(self, role: str) -> Artifact | None:
         """Read one of the files that is an artifact; None where the scenario names none.
 
-        Args:
-            role: of the file.
-
         Raises:
             InputError: the file cannot be read, or is of another kind.
         """
@@ -238,7 +222,6 @@ class Trials:
         """A note where the map is of the plan's scene but not the file that it was made in.
 
         Args:
-            manifest: of the plan, with its inputs.
             refs: files of the run, and what is known of their origins.
 
         Raises:

@@ -108,11 +108,6 @@ class PlanInputs:
         """Check what goes together; maps are read later.
 
         Args:
-            map: as of `plan`.
-            scene: as of `plan`.
-            vehicle: as of `plan`.
-            mission: as of `plan`.
-            within: as of `plan`.
             fields: of the configuration, those that are given.
 
         Raises:

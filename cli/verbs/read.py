@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 def read(path: str | Path) -> Scene | Voxels | Seen | Cover | Plan | Run:
     """Read an artifact, or the log of a run, that a command or `save` wrote.
 
-    Args:
-        path: the file.
-
     Returns:
         A result of its kind. Large arrays are mapped, not copied.
 

@@ -39,18 +39,11 @@ class File:
 
     @classmethod
     def at(cls, path: Path) -> File:
-        """The file as it is now.
-
-        Args:
-            path: the file.
-        """
+        """The file as it is now."""
         return cls(path, runner.state_of(runner.index_of(path)))
 
     def read(self, kind: Kind) -> Artifact:
         """The artifact in the file; one in parts is joined.
-
-        Args:
-            kind: that is needed.
 
         Raises:
             InputError: it cannot be read.
@@ -60,9 +53,6 @@ class File:
 
     def parts(self, kind: Kind) -> Parts:
         """The artifact as parts, which are read one at a time.
-
-        Args:
-            kind: that is needed.
 
         Raises:
             InputError: it cannot be read.
@@ -76,9 +66,6 @@ class File:
 
     def ref(self, role: str) -> InputRef:
         """Reference for a manifest.
-
-        Args:
-            role: of the file.
 
         Raises:
             InputError: the file has changed since, or cannot be read.
@@ -118,9 +105,6 @@ class Result:
     def read(self, kind: Kind) -> Artifact:
         """The artifact.
 
-        Args:
-            kind: that is needed.
-
         Raises:
             WrongKindError: it is of another kind.
         """
@@ -130,9 +114,6 @@ class Result:
 
     def parts(self, kind: Kind) -> Parts:
         """The artifact as one part.
-
-        Args:
-            kind: that is needed.
 
         Raises:
             WrongKindError: it is of another kind.
@@ -189,9 +170,6 @@ class Result:
 
     def ref(self, role: str) -> InputRef:
         """Reference to this result for the manifest of another.
-
-        Args:
-            role: of the result there.
 
         Raises:
             InputError: its file has changed since it was read.

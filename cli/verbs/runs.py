@@ -51,12 +51,7 @@ class Flown:
         return Provenance.now(RUN_SCHEMA, RUN_VERSION, self.mission.parameters, self.mission.seed, refs)
 
     def record(self, provenance: Provenance, summary: dict[str, Any]) -> RunRecord:
-        """The record of the run.
-
-        Args:
-            provenance: of the run.
-            summary: of the trials.
-        """
+        """The record of the run."""
         from alula.stages.simulation.summary import world_guarantee, world_words
 
         scenario = self.flights.scenario
@@ -72,10 +67,6 @@ class Flown:
 
     def write(self, output: Path, record: RunRecord) -> None:
         """Write the log, and the record beside it.
-
-        Args:
-            output: file of the log.
-            record: of the run.
 
         Raises:
             OutputError: a file cannot be written.
@@ -168,12 +159,7 @@ class Run:
         return self
 
     def write(self, path: Path, provenance: Provenance) -> None:
-        """Write log and record, whatever is there.
-
-        Args:
-            path: file of the log.
-            provenance: of the run.
-        """
+        """Write log and record, whatever is there."""
         assert self._flown is not None
         self._flown.write(path, self._flown.record(provenance, self.summary))
 
@@ -206,11 +192,7 @@ class Run:
         return path
 
     def ref(self, role: str) -> InputRef:
-        """Reference to this run for the provenance of another result.
-
-        Args:
-            role: of the run there.
-        """
+        """Reference to this run for the provenance of another result."""
         with on_disk() as folder:
             return runner.input_ref(role, self.path_in(folder, "run"))
 
@@ -232,8 +214,6 @@ def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialRe
 
     Args:
         name: of the run, for the message.
-        scenario: that was flown.
-        trials: verdicts.
 
     Raises:
         CheckError: there is one.

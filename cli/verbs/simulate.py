@@ -141,7 +141,6 @@ class Flights:
         """Fly all trials.
 
         Args:
-            progress: called with (done, total).
             provenance: of the run, where it is known already.
             kept: function from the progress to a journal that the flights continue, and a progress.
 

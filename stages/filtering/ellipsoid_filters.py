@@ -37,10 +37,6 @@ _PARTS = {
 def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """All parameters of a native filter: those given, else their defaults.
 
-    Args:
-        name: the filter.
-        given: some of its parameters.
-
     Raises:
         UsageError: a parameter is unknown, of the wrong type or beyond its limits.
     """
@@ -57,12 +53,7 @@ def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def certified_against(name: str, parameters: Mapping[str, Any]) -> str | None:
-    """Obstacles that the shield of a filter certifies against; None for a filter without a shield.
-
-    Args:
-        name: the filter.
-        parameters: all of its parameters.
-    """
+    """Obstacles that the shield of a filter certifies against; None for a filter without a shield."""
     if name not in _CLASSES or not parameters.get(SHIELD, name == SHIELD):
         return None
     return parameters.get(SHIELD_MAP)
@@ -72,8 +63,6 @@ def keeps_from_hulls(name: str, parameters: Mapping[str, Any], *, has_ellipsoids
     """Return whether a filter keeps clear of the hulls of a cover, by its rows or its shield.
 
     Args:
-        name: the filter.
-        parameters: all of its parameters.
         has_ellipsoids: False where the hulls are all obstacles.
     """
     return not has_ellipsoids or certified_against(name, parameters) in (HULLS, BOTH)

@@ -21,7 +21,6 @@ def fence_filter(name: str, world: FilterWorld, given: Mapping[str, Any]) -> Nat
     """Build the geofence, or backup-qp.
 
     Args:
-        name: of the filter.
         world: with a fence, or for the geofence with an image and its polytopes; and with a racer.
         given: some of `GeofenceParameters`.
 
@@ -47,7 +46,6 @@ def native_geofence(
     """Build the native geofence of a filter, or of a judge.
 
     Args:
-        name: of the filter, for messages.
         world: with a racer.
         parameters: all but the radius.
         has_regulation: without a regulation function beta has no meaning; one that is too high is lowered.

@@ -31,7 +31,6 @@ def moving_filter(name: str, world: FilterWorld, given: Mapping[str, Any]) -> Na
     """Build dr-acbf or one of the methods that it was compared with.
 
     Args:
-        name: of the filter.
         world: `parts` and the limits of the vehicle matter.
         given: some of `MovingFilterParameters`.
 
@@ -61,7 +60,6 @@ def moving_options(world: FilterWorld, parameters: MovingFilterParameters) -> di
 
     Args:
         world: `parts` and the limits of the vehicle matter.
-        parameters: of the filter.
     """
     largest = world.max_acceleration_m_s2
     options = {"wall_deceleration": WALL_FRACTION * largest} | native_options(parameters)

@@ -41,7 +41,6 @@ def beyond_hulls(inflation_m: float | None, cover: Artifact | None, suggested_m:
 
     Args:
         inflation_m: of the user, if given.
-        cover: with the hulls, if there is one.
         suggested_m: inflation that the scene's alignment suggests [m].
 
     Returns:
@@ -56,7 +55,6 @@ def union_of(parts: Mapping[str, _core.ObstacleMap], *names: str) -> _core.Obsta
     """The union of some native maps; None without any.
 
     Args:
-        parts: maps by name.
         names: of those to join; a name without a map is left out.
     """
     found = [parts[name] for name in names if name in parts]
@@ -85,9 +83,6 @@ def ellipsoid_index(scene: Artifact | None, sigma: float, radius_m: float) -> _c
 
 def tile_set(tiles: TileFiles) -> _core.TileSet:
     """A map in tiles, as the onboard code reads it.
-
-    Args:
-        tiles: that were read.
 
     Raises:
         ArtifactError: the onboard code refuses the index.

@@ -50,7 +50,6 @@ def without_filter(world: FilterWorld, parameters: Mapping[str, Any]) -> NativeF
 
     Args:
         world: with hulls.
-        parameters: of `polytope-cbf`.
 
     Raises:
         UsageError: as of `polytope_cbf`.

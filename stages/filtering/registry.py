@@ -73,8 +73,6 @@ def complete_parameters(
     """All parameters of a filter among ellipsoids, defaults included; of other packages' filters those given.
 
     Args:
-        name: of the filter.
-        given: some of its parameters.
         has_ellipsoids: False where the hulls of a cover are all obstacles.
         has_hulls: whether the flight has hulls. Shields certify against all that the flight has.
 

@@ -49,11 +49,8 @@ class PlanJudge:
     not proven has no tube: its filter leads the vehicle aside where the plan is blocked.
 
     Args:
-        plan: an `alula/plan`.
         obstacles: map in the plan's frame.
-        radius_m: of the vehicle [m].
         via_tolerance_m: distance within which a via point counts as passed [m].
-        jobs: threads, 0 for all processors.
 
     Attributes:
         is_proven: the plan says that it is proven to keep its distance.
@@ -148,8 +145,6 @@ def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.Plan
     room about the plan, but not for one within a tenth of a metre: aligned, it then crosses the plane.
 
     Args:
-        plan: an `alula/plan`.
-        radius_m: of the vehicle [m].
         via_tolerance_m: distance within which a via point without its own tolerance counts as passed [m].
     """
     curve = curve_of(plan)
@@ -172,8 +167,6 @@ def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
     """Distance from the plan's point within which a vehicle passes it [m].
 
     Args:
-        each: waypoint or gate of a plan.
-        radius_m: of the vehicle [m].
         via_tolerance_m: of waypoints without their own [m].
     """
     if each.kind == "gate":
@@ -183,10 +176,6 @@ def allowed_m(each: PlanPass, radius_m: float, via_tolerance_m: float) -> float:
 
 def require_fit(plan: Artifact, vehicle: Vehicle) -> None:
     """Refuse a plan through a gate that the vehicle does not fit through.
-
-    Args:
-        plan: an `alula/plan`.
-        vehicle: that will fly it.
 
     Raises:
         UsageError: names the first such gate.
@@ -212,7 +201,6 @@ def require_room(
     """Refuse a plan that is nearer to a map than the filter lets the vehicle be.
 
     Args:
-        plan: judge with the maps.
         keeps_m: distance that the filter keeps from each map [m]; None from one that it does not see.
         filter_name: its name; `none` keeps nothing.
         allow_tight: warn instead.
@@ -243,12 +231,7 @@ def require_room(
 
 
 def outcome_of_plan(outcome: Outcome, result: PlanResult | None) -> Outcome:
-    """Outcome of a flight along a plan: one that reached the goal may still have missed what came before.
-
-    Args:
-        outcome: end of the flight.
-        result: comparison with its plan, if it had one.
-    """
+    """Outcome of a flight along a plan: one that reached the goal may still have missed what came before."""
     if outcome != "reached" or result is None:
         return outcome
     if result.missed:
@@ -257,11 +240,7 @@ def outcome_of_plan(outcome: Outcome, result: PlanResult | None) -> Outcome:
 
 
 def complaint(result: PlanResult | None) -> str | None:
-    """What a flight missed of its plan, in words; None if nothing.
-
-    Args:
-        result: comparison with the plan, if there was one.
-    """
+    """What a flight missed of its plan, in words; None if nothing."""
     if result is None:
         return None
     if result.missed:

@@ -48,10 +48,7 @@ def slowed(
     flown in its turn, at most 14 times.
 
     Args:
-        corridor: of the curve.
         curve: the fastest.
-        behind: the filters.
-        speed_m_s: limit of the speed [m/s].
         heading: coefficients of the yaw along a curve in its corridor, shape (K, 1, 8).
         solve: the fastest curve in a corridor within the speeds of its cells.
 

@@ -101,14 +101,12 @@ def find_corridor(
     Args:
         point: the path, shape (W, 3) [m].
         is_via: points that must stay, shape (W,); both ends do.
-        kept_from: hulls and ellipsoids.
         radius_m: distance to keep, from those without a larger one [m].
         bounds: corners of the box that contains the path and will contain the cells [m].
         kept: indices of further points of the path that must stay, but need not be passed.
         opening: room of points that must stay, by their index; before and behind a disc the path is on its
             two sides.
         zones: boxes with a lower top speed; cells of segments that touch none do not touch it either.
-        jobs: threads; the result does not depend on it.
     """
     path, passed = np.asarray(point, np.float64), np.array(is_via, np.bool_)
     stays = passed.copy()
@@ -233,7 +231,6 @@ def divided(corridor: Corridor, cells: ArrayLike, length_m: float) -> tuple[Corr
     A part is the cell between two planes across its segment; neighbours overlap by 4 cm.
 
     Args:
-        corridor: any.
         cells: to cut; one without room about its segment, or with a short one, stays as it is.
         length_m: of the segments [m].
 

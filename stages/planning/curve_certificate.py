@@ -56,10 +56,8 @@ def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> 
     ends more than 1e-6 m from where the next begins is not proven.
 
     Args:
-        plan: an `alula/plan`.
         hulls: the obstacles, world frame [m].
         radius_m: distance to keep, positive [m].
-        jobs: threads; the result does not depend on it.
 
     Raises:
         InputError: the radius is not positive, or the trajectory leaves all bounds.
@@ -93,7 +91,6 @@ def certify_curve(
             frame [m].
         obstacles: hulls or a map, world frame [m].
         radius_m: distance to keep, positive [m].
-        jobs: threads; the result does not depend on it.
         extent_m: largest coordinate of the obstacles of a map, in place of vertices [m].
 
     Raises:
@@ -128,11 +125,7 @@ def certify_among(
     """Prove that a plan keeps `radius_m` from every ellipsoid of a scene at every instant.
 
     Args:
-        plan: an `alula/plan`.
-        scene: an `alula/scene` in its frame.
-        sigma: level of the ellipsoids, in standard deviations.
         radius_m: distance to keep, positive [m].
-        jobs: threads; the result does not depend on it.
 
     Raises:
         InputError: the radius is not positive, or the trajectory has no finite bounds.
@@ -152,8 +145,6 @@ def certify_in(
     Args:
         time: as for `certify_curve` [s].
         coefficient: as for `certify_curve`.
-        space: obstacles.
-        jobs: threads; the result does not depend on it.
         radius_m: distance to keep from all maps instead [m].
 
     Returns:

@@ -34,9 +34,6 @@ def free_points_of_flight(
     """The points of a flight; with `snap`, those that are not free are moved to the nearest that are.
 
     Args:
-        config: of the plan.
-        space: obstacles.
-        named: names and positions of the points.
         lower: corner of the box that moved points stay in, shape (3,) [m].
         upper: the other corner, shape (3,) [m].
         radius_m: distance that points must have from obstacles [m].
@@ -116,10 +113,8 @@ def nearest_free_point(
     """The free point nearest to a given one, up to a few millimetres; it is free as printed.
 
     Args:
-        space: obstacles.
         lower: corner of the box to look in, shape (3,) [m].
         upper: the other corner, shape (3,) [m].
-        point: given.
         radius_m: distance that it must have from obstacles [m].
 
     Returns:
@@ -155,10 +150,6 @@ def free_points(
 
     Args:
         config: of the plan; start and goal are not needed.
-        space: obstacles.
-        count: number of points.
-        seed: of the draw.
-        progress: called with (points, count).
 
     Returns:
         Shape (count, 3), multiples of a millimetre [m].

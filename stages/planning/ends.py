@@ -48,9 +48,7 @@ def ends_of(config: PlanConfig, space: PlanSpace, cover: Artifact, *, jobs: int 
 
     Args:
         config: of the plan, with its radius.
-        space: obstacles.
         cover: the same.
-        jobs: threads.
 
     Raises:
         InfeasibleError: there is no free space, or no way between the points.

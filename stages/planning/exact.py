@@ -40,7 +40,6 @@ def derivative(points: Points, duration: Fraction) -> Points:
 
     Args:
         points: of a polynomial of degree len(points) - 1.
-        duration: of the piece [s].
     """
     factor = (len(points) - 1) / duration
     return [
@@ -55,8 +54,6 @@ def holds(points: Points, is_inside: Callable[[Vector], bool], halvings: int = _
     point of the curve, is outside.
 
     Args:
-        points: control points.
-        is_inside: of the set.
         halvings: of the interval, at most.
     """
     if all(is_inside(p) for p in points):
@@ -80,10 +77,8 @@ def is_slow_in(points: Points, velocity: Points, box: Sequence[float], speed: fl
     """Whether a polynomial is proven to leave a box out wherever it is faster than a limit.
 
     Args:
-        points: control points.
         velocity: of its derivative.
         box: XMIN YMIN ZMIN XMAX YMAX ZMAX; its faces belong to the outside.
-        speed: limit.
         halvings: of the interval, at most.
     """
     if all(map(ball(speed), velocity)):

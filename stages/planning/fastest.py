@@ -86,7 +86,6 @@ def fastest_curve(
     Args:
         corridor: its joints between these cells are open.
         cells: cells to pass, from the first point of the first to the last point of the last.
-        limits: of the motion.
         pieces: in each cell, at least 2; two more in a cell alone.
         start: state of motion at the start; at rest if none.
         smooth: factor on the minimum time, in which snap is minimised.
@@ -152,8 +151,6 @@ def straight_curve(
     Args:
         start: shape (3,) [m].
         goal: shape (3,), another point [m].
-        limits: of the motion.
-        smooth: factor on the time.
         segment: of the corridor that it belongs to.
     """
     point = (1 - _STRAIGHT[..., None]) * start + _STRAIGHT[..., None] * goal
@@ -198,7 +195,6 @@ def keeps(
     Args:
         point: control points of positions, shape (K, 8, 3) [m].
         duration: shape (K,) [s].
-        limits: of the motion.
         speed: lower limits of the pieces, shape (K,) [m/s].
     """
     room = 1 - 1e-9

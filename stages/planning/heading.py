@@ -46,31 +46,19 @@ class Leg:
 
 
 def is_turning(mission: Mission) -> bool:
-    """Whether the heading of a mission is not one constant.
-
-    Args:
-        mission: to fly.
-    """
+    """Whether the heading of a mission is not one constant."""
     own = [_kind(table) for table in mission.passes]
     kinds = {_kind(mission) or _DEFAULT, *(kind for kind in own if kind is not None)}
     return len(kinds) > 1 or next(iter(kinds))[0] != "yaw_rad"
 
 
 def constant_heading(mission: Mission) -> float:
-    """The heading of a mission that does not turn [rad].
-
-    Args:
-        mission: to fly.
-    """
+    """The heading of a mission that does not turn [rad]."""
     return float((_kind(mission) or _DEFAULT)[1])
 
 
 def has_heading(table: PassTable) -> bool:
-    """Whether a pass has its own heading.
-
-    Args:
-        table: of a mission.
-    """
+    """Whether a pass has its own heading."""
     return _kind(table) is not None
 
 
@@ -94,7 +82,6 @@ def heading_along(
         time: knots, shape (K + 1,) [s].
         coefficient: of x, y, z, shape (K, 3, 8).
         legs: in their order; the last one ends at the end or later.
-        limits: of the motion.
 
     Returns:
         Coefficients, shape (K, 8) [rad, s], and the largest error at the samples [rad].

@@ -98,7 +98,6 @@ def inside_of(
     a flight. Else in the whole box.
 
     Args:
-        map_: obstacles.
         lower: corner of the box for centres, shape (3,) [m].
         upper: the other corner [m].
         radius_m: distance that flights keep [m].
@@ -130,10 +129,8 @@ def lattice_of(
     """Lattice points of a box that keep a distance and a millimetre from all obstacles.
 
     Args:
-        map_: obstacles.
         lower: corner of the box, shape (3,) [m].
         upper: the other corner [m].
-        radius_m: distance [m].
         most: number of lattice points.
         least: spacing, in radii.
     """
@@ -166,7 +163,6 @@ def enclosed(
     """Fraction of 26 ways, along axes and diagonals, on which a ball meets an obstacle within a box, (N,).
 
     Args:
-        map_: obstacles.
         points: shape (N, 3) [m].
         lower: corner of the box that holds all obstacles, less a radius, shape (3,) [m].
         upper: the other corner [m].

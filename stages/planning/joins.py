@@ -72,9 +72,6 @@ def _first_jump(
 def require_motion(plan: Artifact) -> None:
     """Refuse a plan that no vehicle can fly: it jumps, or has pieces that are too short.
 
-    Args:
-        plan: an `alula/plan`.
-
     Raises:
         ArtifactError: names the first fault, with the time.
     """

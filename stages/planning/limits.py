@@ -104,7 +104,6 @@ def motion_limits(config: PlanConfig, vehicle: Vehicle, *, turns: bool = False) 
     Args:
         config: limits of the user; without an interface, those of body rates.
         vehicle: that will fly the plan; only that of a quadrotor bounds tilt, thrust and rates.
-        turns: whether the heading is not constant.
 
     Raises:
         UsageError: an option does not apply to the vehicle.
@@ -142,9 +141,6 @@ def followed_limits(vehicle: Vehicle) -> Limits:
 
     `_FOLLOWED_SHARE` of those by which it shapes set-points, see `following_options`: level acceleration and
     jerk. The vertical acceleration A is bounded through the thrust: g - A <= a_z + g and |a + g e3| <= g + A.
-
-    Args:
-        vehicle: a quadrotor.
     """
     shaping, gravity = following_options(vehicle), vehicle.body.gravity_m_s2
     up = _FOLLOWED_SHARE * shaping.vertical_acceleration_m_s2
@@ -162,10 +158,6 @@ def beyond_followed(plan: Artifact, vehicle: Vehicle) -> str:
     """What a plan asks beyond `followed_limits`, in words; empty if nothing.
 
     Its derivatives are sampled every 10 ms: this is about how well it is followed, and proves nothing.
-
-    Args:
-        plan: an `alula/plan`.
-        vehicle: a quadrotor.
     """
     knots = np.asarray(plan["time"], np.float64)
     coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]

@@ -38,9 +38,6 @@ class Mapped:
         """Corners of the box that the centre of a ball stays in, each of shape (3,) [m].
 
         Where the ball does not fit between two faces, both corners are in their middle.
-
-        Args:
-            radius_m: of the ball [m].
         """
         inside = radius_m - self.beyond_m
         middle = 0.5 * (self.lower + self.upper)
@@ -51,7 +48,6 @@ class Mapped:
 
         Args:
             points: centres, shape (N, 3) [m].
-            radius_m: of the balls [m].
         """
         lower, upper = self.room(radius_m)
         out: FloatArray = np.maximum(lower - points, points - upper).max(axis=1, initial=0.0)
@@ -63,7 +59,6 @@ class Mapped:
         """Say which point is outside, how far, and in which unit it probably is; None where all are inside.
 
         Args:
-            named: names and positions [m].
             radius_m: of the ball around each [m].
             insist: option that grows the box, up to its value.
         """
@@ -81,8 +76,6 @@ class Mapped:
         Each part of a piece lies in the box around its control points.
 
         Args:
-            plan: of kind `alula/plan`.
-            radius_m: of the vehicle [m].
             insist: option that grows the box, up to its value.
         """
         coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
@@ -145,12 +138,7 @@ def words_beyond(beyond_m: float) -> str:
 
 
 def ellipsoid_box(scene: Artifact, sigma: float) -> list[FloatArray]:
-    """Corners of a box around the ellipsoids of a scene, each of shape (1, 3) [m]; none without ellipsoids.
-
-    Args:
-        scene: an `alula/scene`.
-        sigma: level of the ellipsoids, in standard deviations.
-    """
+    """Corners of a box around the ellipsoids of a scene, of shape (1, 3) each [m]; none without any."""
     corners: list[FloatArray] = []
     for first in range(0, len(scene["mean"]), _CHUNK):
         rows = slice(first, first + _CHUNK)

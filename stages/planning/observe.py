@@ -99,8 +99,6 @@ def observe(
         scene: an `alula/scene` in metres.
         cameras: in the scene's frame of `world_from_scene`'s source, before the alignment; None with `reach`.
         voxels: the obstacles as an `alula/voxels` of the scene; default: those of `voxelize`.
-        jobs: threads; the result does not depend on it.
-        progress: called with (done, total) cameras.
 
     Returns:
         An `alula/seen` in the frame of the scene.

@@ -92,7 +92,6 @@ def passages_of(mission: Mission, config: PlanConfig) -> list[Passage]:
     smaller than that in the same manner.
 
     Args:
-        mission: to fly.
         config: complete, see `resolve_plan`; of a whole distance without a margin all is the vehicle's.
 
     Raises:
@@ -141,8 +140,6 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
 
     Args:
         passage: a gate.
-        space: obstacles.
-        radius_m: distance to keep [m].
 
     Returns:
         The point, shape (3,) [m], and half the length of a straight segment about it that keeps the distance.
@@ -182,11 +179,7 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
 
 
 def passes_of(plan: Artifact) -> list[PlanPass]:
-    """The passes of a plan in their order; for one that does not list them, its via points.
-
-    Args:
-        plan: an `alula/plan`.
-    """
+    """The passes of a plan in their order; for one that does not list them, its via points."""
     manifest = plan.manifest
     assert isinstance(manifest, PlanManifest)
     if manifest.passes or not manifest.via_m:
@@ -202,7 +195,6 @@ def via_times(plan: Artifact, points: FloatArray) -> list[float]:
     """Times at which a plan passes points that are ends of its pieces, in their order [s].
 
     Args:
-        plan: an `alula/plan`.
         points: shape (V, 3) [m].
     """
     ends_s = np.asarray(plan["time"], np.float64)
@@ -216,12 +208,7 @@ def via_times(plan: Artifact, points: FloatArray) -> list[float]:
 
 
 def name_of(each: PlanPass, laps: int) -> str:
-    """Name of a pass of a plan, for messages.
-
-    Args:
-        each: of the plan.
-        laps: number of laps of the plan.
-    """
+    """Name of a pass of a plan, for messages."""
     return _name(each.kind == "gate", each.number, each.lap, laps)
 
 
@@ -231,9 +218,5 @@ def _name(is_gate: bool, number: int, lap: int, laps: int) -> str:
 
 
 def laps_of(passes: Sequence[PlanPass]) -> int:
-    """Number of laps.
-
-    Args:
-        passes: of a plan.
-    """
+    """Number of laps."""
     return max((each.lap for each in passes), default=1)

@@ -133,10 +133,7 @@ def find_polyline(
     corners.
 
     Args:
-        config: see `PlanConfig`.
-        space: obstacles.
         passages: waypoints and gates on the way; if None, those of the options.
-        jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:

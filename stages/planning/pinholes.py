@@ -40,11 +40,7 @@ class Pinholes:
         return len(self.image)
 
     def moved(self, world_from_here: Similarity) -> Pinholes:
-        """Map the cameras to another frame.
-
-        Args:
-            world_from_here: the other frame from this one.
-        """
+        """Map the cameras to another frame."""
         return Pinholes(self.poses.moved(world_from_here), self.image)
 
     def arrays(self, columns: int) -> dict[str, Any]:
@@ -70,9 +66,6 @@ def read_pinholes(folder: Path) -> Pinholes:
     The image of a camera with distortion is replaced by a rectangle of rays that lies within it: by the
     innermost points of its undistorted edges, and at most `WIDEST`. Rays through the rectangle and its edges
     are projected into the photograph and back as a check.
-
-    Args:
-        folder: the model's folder.
 
     Raises:
         InputError: the model cannot be read, or a camera has no such rectangle.

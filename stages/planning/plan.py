@@ -67,10 +67,6 @@ METHOD_STRAIGHT = "straight lines from rest to rest"
 def resolve_plan(config: PlanConfig, vehicle: Vehicle = FASTBRIDGE) -> PlanConfig:
     """Complete the distance to keep: the vehicle's radius and the margin that its filter keeps.
 
-    Args:
-        config: as given by the user.
-        vehicle: that will fly the plan.
-
     Raises:
         UsageError: a margin is given with the whole distance.
     """
@@ -109,17 +105,13 @@ def plan(
     Args:
         config: see `PlanConfig`; without a radius, for the vehicle.
         cover: an `alula/cover`; one map at least is needed, and plans keep away from all.
-        scene: an `alula/scene`.
-        image: an onboard map.
         within: an `alula/seen` to stay in; what was not seen is an obstacle like the others.
         mission: what to pass on the way; if None, what the configuration has. Its start and goal are those of
             the configuration.
         space: the obstacles of the maps, where they have been made before; cover, scene and image are then
             not used.
-        vehicle: that will fly the plan.
         motion: of the vehicle at the start; at rest if none.
         behind: filters behind which a plan from rest will be flown; it is slower where they would act.
-        jobs: threads; the result does not depend on it.
         progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
@@ -268,13 +260,10 @@ def corridor_around(
     """The corridor of a plan.
 
     Args:
-        path: through the passages.
         passages: waypoints and gates, in their order.
-        space: obstacles.
         zones: boxes with a lower top speed.
         led: passages through gates before and behind which a curve passes also near the points between
             which the path is straight; without this it may only touch the plane of the gate.
-        jobs: threads; the result does not depend on it.
     """
     marks = np.zeros(len(path.point), np.bool_)
     marks[list(path.at)] = True
@@ -394,11 +383,8 @@ def curve_along(
     Args:
         corridor: around a path that keeps the radius.
         config: with a radius.
-        limits: of the motion.
-        space: obstacles.
         hold_s: times to rest at joints, by their numbers [s].
         motion: of the vehicle at the start; at rest if none.
-        jobs: threads; the result does not depend on it.
 
     Raises:
         InfeasibleError: a straight line cannot be proven, or no curve leads from this motion.

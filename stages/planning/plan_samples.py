@@ -29,21 +29,13 @@ _DRAWN = 500
 
 
 def curve_of(plan: Artifact) -> _core.ReferenceCurve:
-    """The native curve of a plan.
-
-    Args:
-        plan: an `alula/plan`.
-    """
+    """The native curve of a plan."""
     time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
     return _core.ReferenceCurve(time, coefficient)
 
 
 def path_of(curve: _core.ReferenceCurve) -> list[tuple[float, float, float]]:
-    """Points of a plan about every 0.1 s, at most 500, to draw it, world frame [m].
-
-    Args:
-        curve: of the plan.
-    """
+    """Points of a plan about every 0.1 s, at most 500, to draw it, world frame [m]."""
     count = min(max(2, round(10 * curve.duration_s) + 1), _DRAWN)
     rows = curve.at(np.linspace(0, curve.duration_s, count))[:, :3].tolist()
     return [(x, y, z) for x, y, z in rows]
@@ -53,10 +45,6 @@ def sample_plan(plan: Artifact, dt_s: float) -> Reference:
     """Evaluate a plan's polynomials every `dt_s`, and once at its end.
 
     On segment k position is sum_j c_kj (t - t_k)^j, velocity its derivative.
-
-    Args:
-        plan: an `alula/plan`.
-        dt_s: interval of the samples [s].
 
     Raises:
         UsageError: that would be more than `MOST_SAMPLES`.

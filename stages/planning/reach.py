@@ -47,7 +47,6 @@ def touched(centres: Mask, radius_voxels: float) -> Mask:
 
     Args:
         centres: voxels with such a ball, shape (X, Y, Z).
-        radius_voxels: radius of the ball in voxel edges.
     """
     limit, layers = limit_of(radius_voxels), layers_of(radius_voxels)
     distance = np.where(centres, 0, _FAR).astype(np.uint16)
@@ -67,7 +66,6 @@ def centres_of(free: Mask, radius_voxels: float, *, is_closed: bool = True) -> M
 
     Args:
         free: shape (X, Y, Z).
-        radius_voxels: radius of the ball in voxel edges.
         is_closed: voxels outside of the array are not free; otherwise they are.
     """
     found = ~touched(~free, radius_voxels)
@@ -77,12 +75,7 @@ def centres_of(free: Mask, radius_voxels: float, *, is_closed: bool = True) -> M
 
 
 def rim(shape: tuple[int, ...], layers: int) -> Mask:
-    """Mark the outermost layers of an array of voxels.
-
-    Args:
-        shape: of the array.
-        layers: their number.
-    """
+    """Mark the outermost layers of an array of voxels."""
     result = np.ones(shape, np.bool_)
     inner = tuple(slice(layers, max(size - layers, layers)) for size in shape)
     result[inner] = False

@@ -33,7 +33,6 @@ def rest_to_rest(
         start: shape (3,) [m].
         goal: shape (3,) [m], another point.
         peak_speed: [m/s].
-        yaw_rad: constant heading [rad].
 
     Raises:
         InputError: the points are the same or not finite, or the speed is not positive.

@@ -128,7 +128,6 @@ class PlanSpace:
 
         Args:
             maps: at least one.
-            frame: name of their frame.
             floor_m: height of the floor, if it is known [m].
         """
         keep = min(one.keep_m for one in maps)
@@ -196,7 +195,6 @@ class PlanSpace:
 
         Args:
             points: shape (T, 3), T > 1 [m].
-            jobs: threads.
         """
         path = np.ascontiguousarray(points, np.float64)
         least = _FAR_M
@@ -229,12 +227,8 @@ def plan_space(
 
     Args:
         config: complete, see `resolve_plan`.
-        cover: an `alula/cover`.
-        scene: an `alula/scene`.
-        image: an onboard map.
         within: an `alula/seen`; what it does not list is an obstacle, from which plans keep `radius_m`.
         ellipsoids: of the scene at the level of the configuration, where they have been made before.
-        jobs: threads.
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes, or the onboard map
@@ -326,8 +320,6 @@ def scene_map(
     """The ellipsoids of a scene.
 
     Args:
-        scene: an `alula/scene`.
-        sigma: level of the ellipsoids, in standard deviations.
         keep_m: distance to keep, without the inflation [m].
         inflation_m: distance to keep beyond that [m].
         ellipsoids: of the scene at this level, where they have been made before.
@@ -386,7 +378,6 @@ def mapped_box(space: PlanSpace, beyond_m: float = 0.0) -> Mapped | None:
     """The box beyond which the obstacles' maps know nothing; None without obstacles.
 
     Args:
-        space: obstacles.
         beyond_m: see `Mapped`.
     """
     box = space.box()
@@ -405,8 +396,6 @@ def room_around(
     Without bounds no way leads below the floor, where it is known and no point of the flight is there.
 
     Args:
-        config: of the plan.
-        space: obstacles.
         points: of the flight, around which there is room where nothing is mapped at all [m].
 
     Raises:

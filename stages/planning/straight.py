@@ -41,7 +41,6 @@ def straight_duration(start: FloatArray, goal: FloatArray, limits: Limits) -> fl
     Args:
         start: shape (3,) [m].
         goal: shape (3,), another point [m].
-        limits: of the motion.
     """
     length = float(np.linalg.norm(goal - start))
     direction = (goal - start) / length
@@ -87,10 +86,6 @@ def straight_plan(
 
     Args:
         config: with a radius, and with `straight`.
-        space: obstacles.
-        limits: of the motion.
-        vehicle: name of the vehicle.
-        jobs: threads; the result does not depend on it.
 
     Returns:
         Of kind `alula/plan`. With `allow_blocked` one that is not proven has `requires` and a guarantee that

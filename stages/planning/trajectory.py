@@ -96,7 +96,6 @@ def subdivided(points: FloatArray, parts: int = _SUBDIVISIONS) -> FloatArray:
 
     Args:
         points: shape (..., n + 1).
-        parts: number of sub-intervals.
 
     Returns:
         Shape (..., parts, n + 1).

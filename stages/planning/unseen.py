@@ -27,7 +27,6 @@ def unseen_hulls(seen: Artifact, lower_m: ArrayLike | None = None, upper_m: Arra
     because beyond the surrounding layer there are no boxes.
 
     Args:
-        seen: an `alula/seen`.
         lower_m: leave out boxes that lie wholly below it along an axis, shape (3,) [m].
         upper_m: leave out boxes that lie wholly above it.
 
@@ -54,7 +53,6 @@ def is_seen(seen: Artifact, points: ArrayLike) -> NDArray[np.bool_]:
     """Test whether points lie in seen voxels.
 
     Args:
-        seen: an `alula/seen`.
         points: shape (n, 3), frame of the seen voxels [m].
     """
     manifest: Any = seen.manifest
@@ -69,7 +67,6 @@ def require_seen(seen: Artifact, named: Sequence[tuple[str, Sequence[float]]]) -
     """Refuse points of a flight that are not in seen space.
 
     Args:
-        seen: an `alula/seen`.
         named: names and positions of the points [m].
 
     Raises:

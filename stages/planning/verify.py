@@ -71,13 +71,11 @@ def verify_plan(
     goal in their order; rest where the plan holds, and at the goal.
 
     Args:
-        plan: an `alula/plan`.
         cover: the `alula/cover` that it keeps away from; without one, the scene that it was made in.
         scene: the `alula/scene` that it was made in, or that of the cover.
         within: the `alula/seen` that it stays in: it begins in a seen voxel, and keeps the distance from all
             others as from hulls.
         sha256: hashes of the files "cover" and "scene"; a difference from the plan's inputs becomes a note.
-        jobs: threads, 0 for all processors.
 
     Raises:
         ArtifactError: the cover is not sound.

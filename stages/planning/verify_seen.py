@@ -53,13 +53,10 @@ def verify_seen(
     must be touched by a ball on the way. What the cameras saw is not checked again.
 
     Args:
-        seen: an `alula/seen`.
         voxels: the `alula/voxels` of the obstacles.
         scene: the `alula/scene` with the obstacles.
         sha256: hashes of the files "voxels" and "scene"; a difference from the recorded inputs becomes a
             note.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) from time to time.
 
     Returns:
         The certificate; `covered` when every check holds.

@@ -32,11 +32,7 @@ class Zone:
 
     @classmethod
     def of(cls, table: ZoneTable) -> Zone:
-        """From a mission.
-
-        Args:
-            table: of the mission.
-        """
+        """From a mission."""
         return cls(np.array(table.box_m[:3]), np.array(table.box_m[3:]), table.speed_m_s)
 
     def part(self, begin: FloatArray, end: FloatArray) -> tuple[float, float] | None:
@@ -105,7 +101,6 @@ def touched(begin: FloatArray, end: FloatArray, zones: Sequence[Zone]) -> NDArra
     Args:
         begin: shape (S, 3) [m].
         end: shape (S, 3) [m].
-        zones: any number.
     """
     return np.array(
         [any(zone.part(a, b) is not None for zone in zones) for a, b in zip(begin, end, strict=True)],
@@ -118,7 +113,6 @@ def split_at(point: FloatArray, zones: Sequence[Zone]) -> tuple[FloatArray, NDAr
 
     Args:
         point: the path, shape (W, 3) [m].
-        zones: any number.
 
     Returns:
         The path with further points; where the given ones are in it, shape (W,); indices of the further ones.

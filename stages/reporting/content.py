@@ -62,7 +62,6 @@ def content_of(
     """Gather what a report says.
 
     Args:
-        material: what the report is about.
         names: tables to keep; all when empty.
         listed: number of trials that are listed of each run; None for all.
 
@@ -74,13 +73,7 @@ def content_of(
 
 
 def to_json(content: Content, figures: Sequence[Figure], provenance: Provenance) -> str:
-    """Write the contents as JSON, with all digits.
-
-    Args:
-        content: what the report says.
-        figures: described in words.
-        provenance: of the report.
-    """
+    """Write the contents as JSON, with all digits."""
     found = content.brief
     record = Report(
         schema=REPORT_SCHEMA,

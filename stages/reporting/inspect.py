@@ -85,11 +85,7 @@ def artifact_facts(artifact: Artifact) -> Facts:
 
 
 def parts_facts(parts: Parts) -> Facts:
-    """Facts in the index of an artifact in parts, which describes the whole.
-
-    Args:
-        parts: of one artifact.
-    """
+    """Facts in the index of an artifact in parts, which describes the whole."""
     facts = manifest_facts(msgspec.to_builtins(parts.manifest))
     counts = [ref.count for ref in parts.refs]
     lower = np.min([ref.lower for ref in parts.refs], axis=0)

@@ -52,7 +52,6 @@ def to_tex(content: Content, figures: Sequence[tuple[Figure, str]], first_line: 
     """Write the contents as a document of LaTeX, with figures from files beside it.
 
     Args:
-        content: what the report says.
         figures: each with the name of its file, without folder.
         first_line: of provenance, put into a comment.
     """

@@ -70,11 +70,7 @@ class Material:
 
 
 def is_composed(trial: TrialResult) -> bool:
-    """Whether a trial is simulated, in a world whose parts are chosen each on its own.
-
-    Args:
-        trial: its verdict.
-    """
+    """Whether a trial is simulated, in a world whose parts are chosen each on its own."""
     return trial.stale_steps is not None
 
 
@@ -156,12 +152,7 @@ def flew_through(run: Run, material: Material) -> bool | None:
 
 
 def elsewhere(run: Run, material: Material) -> list[str]:
-    """Name what of a report a run did not fly in: the map, which is shown or proven, and the scan.
-
-    Args:
-        run: one of its runs.
-        material: all inputs of the report.
-    """
+    """Name what of a report a run did not fly in: the map, which is shown or proven, and the scan."""
     flown = run.record.provenance.inputs
     covers = (cover_hash(material.inputs), material.certified_cover)
     found = []

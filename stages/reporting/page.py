@@ -59,9 +59,7 @@ def page(
     """Write the page; it loads nothing from elsewhere, and every name in it is escaped.
 
     Args:
-        material: what the report is about.
         tables: in reading order; all are folded.
-        figures: in reading order.
         view: the 3D view, shown in a sandboxed frame.
         provenance_line: put into the head, where `read_provenance` finds it.
         facts: summary lines by subject, of a page about no run and no map.
@@ -107,15 +105,7 @@ def page(
 def report_page(
     material: Material, content: Content, figures: Sequence[Figure], view: View | None, line: str
 ) -> str:
-    """Write the page of a report.
-
-    Args:
-        material: what it is about.
-        content: what it says.
-        figures: from `draw`.
-        view: the 3D view.
-        line: of provenance.
-    """
+    """Write the page of a report."""
     picture = next((figure for figure in figures if figure.name == STILL), None)
     flights = [figure for figure in figures if figure.name.startswith(FLIGHT)]
     others = [figure for figure in figures if figure is not picture and figure not in flights]

@@ -32,7 +32,6 @@ def column_figures(draw: Callable[[], Sequence[Figure]], line: str) -> list[tupl
     """Draw all figures as PDF at the width of a column, or wide ones of two.
 
     Args:
-        draw: draws them.
         line: of provenance, kept among the keywords of each file.
     """
 
@@ -49,8 +48,6 @@ def to_pdf(draw: Callable[[], Sequence[Figure]], content: Content, line: str) ->
     """Write a PDF document: the first screen, a page for each figure, then the tables.
 
     Args:
-        draw: draws the figures.
-        content: what it says.
         line: of provenance, kept among the keywords of the document.
     """
     box_width = 1 - 2 * _LEFT
@@ -77,8 +74,6 @@ def to_png(still: Callable[[], Figure | None], content: Content, line: str) -> b
     """Draw the first screen as one picture: verdict and numbers beside the still picture.
 
     Args:
-        still: draws the still picture.
-        content: what it says.
         line: of provenance, kept as the description of the picture.
     """
     found = content.brief

@@ -14,7 +14,6 @@ def length(value_m: float, *, down: bool = False) -> str:
     """Write a length with two digits, three from 10 m on, in mm, cm or m.
 
     Args:
-        value_m: the length [m].
         down: round down, so that a clearance never looks larger than it is.
     """
     size = abs(value_m)

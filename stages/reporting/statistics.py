@@ -90,7 +90,6 @@ def mean_estimate(
         values: shape (n,).
         bounds: limits of all possible values; with them the interval also covers what n values cannot
             exclude.
-        seed: of the resampling.
 
     Raises:
         InputError: a value is not finite.
@@ -108,7 +107,6 @@ def ratio_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Esti
     Args:
         ours: numerator, shape (n,).
         theirs: denominator, shape (n,).
-        seed: of the resampling.
 
     Source: Efron and Tibshirani 1993, chapter 13 (percentile intervals).
 
@@ -135,7 +133,6 @@ def difference_estimate(
         ours: shape (n,).
         theirs: subtracted from `ours`, shape (n,).
         bounds: limits of the differences, as in `mean_estimate`.
-        seed: of the resampling.
 
     Raises:
         InputError: the lengths differ, or a value is not finite.
@@ -152,7 +149,6 @@ def two_sample_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) ->
     Args:
         ours: shape (n,).
         theirs: its mean is subtracted, shape (m,).
-        seed: of the resampling.
 
     Returns:
         The difference; `n` counts both samples. None where one of them is empty.

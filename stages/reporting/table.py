@@ -122,7 +122,6 @@ def markdown_table(table: Table, *, before: str = "") -> str:
     """Write a table as Markdown, with its title above and its note below.
 
     Args:
-        table: with raw values.
         before: paragraph between title and table.
     """
     head = "| " + " | ".join(markdown_cell(name) for name in table.columns) + " |"

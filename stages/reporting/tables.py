@@ -50,7 +50,6 @@ def all_tables(
     """Make the tables of a report, in reading order.
 
     Args:
-        material: what the report is about.
         names: tables to keep; all when empty.
         listed: number of trials that are listed of each run; None for all.
 

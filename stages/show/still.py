@@ -230,7 +230,6 @@ def faces_near(shape: FenceShape, paths: Sequence[FloatArray]) -> list[tuple[Flo
     """Faces of a fence, cut to a box around the flights.
 
     Args:
-        shape: triangles of the faces.
         paths: flown positions, shape (n, 3) each [m].
 
     Returns:

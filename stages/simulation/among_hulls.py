@@ -20,20 +20,12 @@ _NOISE = ("position_noise_m", "velocity_noise_m_s", "delay_s", "lost_share", "lo
 
 
 def unsafe_starts(trials: Sequence[TrialResult]) -> list[float]:
-    """Margins psi - radius of the trials that violate the filter's start condition [m].
-
-    Args:
-        trials: verdicts.
-    """
+    """Margins psi - radius of the trials that violate the filter's start condition [m]."""
     return [m for trial in trials if (m := trial.start_margin_m) is not None and m < 0]
 
 
 def note_of_starts(trials: Sequence[TrialResult]) -> list[str]:
-    """Note for the summary where starts violate the filter's condition.
-
-    Args:
-        trials: verdicts.
-    """
+    """Note for the summary where starts violate the filter's condition."""
     unsafe = unsafe_starts(trials)
     if not unsafe:
         return []
@@ -47,8 +39,6 @@ def note_of_psi(reference: Reference, among: _core.PolytopeCbf, keep_m: float) -
     """Note for the summary where psi is below what the filter keeps, although the plan is far enough away.
 
     Args:
-        reference: samples of the plan.
-        among: barrier of the hulls.
         keep_m: distance that the filter keeps from hulls [m].
     """
     lowest = float(among.psi(reference.position_world)[0].min(initial=math.inf))
@@ -61,12 +51,7 @@ def note_of_psi(reference: Reference, among: _core.PolytopeCbf, keep_m: float) -
 
 
 def is_exact(scenario: WorldScenario, vehicle: Vehicle) -> bool:
-    """Whether the vehicle is the one of the filter's proof: a single integrator with exact state.
-
-    Args:
-        scenario: completed.
-        vehicle: that it names.
-    """
+    """Whether the vehicle is the one of the filter's proof: a single integrator with exact state."""
     known = scenario.estimation
     return vehicle.model == "single-integrator" and not any(getattr(known, name) for name in _NOISE)
 
@@ -75,12 +60,6 @@ def proof_among_hulls(
     scenario: WorldScenario, vehicle: Vehicle, cover: Artifact | None, trials: Sequence[TrialResult]
 ) -> tuple[str, str, dict[str, Any]]:
     """State what is proven of flights behind `polytope-cbf`, and of single integrators among hulls.
-
-    Args:
-        scenario: completed.
-        vehicle: that it names.
-        cover: that was flown in, or None.
-        trials: verdicts.
 
     Returns:
         What was guaranteed beforehand and the limits of that, both empty where other words apply; and claims.

@@ -42,11 +42,7 @@ _MODELS = {"wrench": "quadrotor with rotor limits", "body-rates": "quadrotor wit
 
 
 def certifying(run: WorldRun) -> list[str]:
-    """Names of the parts of the world that the last filter certifies against; none without a shield.
-
-    Args:
-        run: all trials.
-    """
+    """Names of the parts of the world that the last filter certifies against; none without a shield."""
     against = _against(run.scenario)
     return [] if against is None else [name for name in (*against, "fence") if name in run.world.parts]
 
@@ -60,12 +56,7 @@ def _against(scenario: WorldScenario) -> tuple[str, ...] | None:
 
 
 def uncertified_words(scenario: WorldScenario, trials: Sequence[TrialResult]) -> str:
-    """State which obstacles that the last filter does not certify flights touched; empty without any.
-
-    Args:
-        scenario: that was flown.
-        trials: verdicts.
-    """
+    """State which obstacles that the last filter does not certify flights touched; empty without any."""
     against = _against(scenario)
     touched = [name for name, _, _ in _touched(trials) if name != "fence"]
     others = [] if against is None else [name for name in touched if name not in against]
@@ -81,9 +72,7 @@ def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> 
     """State what the filters guarantee before the flights are judged.
 
     Args:
-        run: all trials.
         left: what the flights had and the model of the last filter leaves out, in words.
-        chain: claim of that name.
     """
     names, guide = run.scenario.safety.filters, run.scenario.mission.controller.guide
     tracks = TRACKING.issuperset(names)
@@ -109,11 +98,7 @@ def beforehand(run: WorldRun, left: list[str], chain: dict[str, Any] | None) -> 
 
 
 def judged_words(run: WorldRun) -> str:
-    """State what the flights were judged against, after "Judged".
-
-    Args:
-        run: all trials.
-    """
+    """State what the flights were judged against, after "Judged"."""
     table, parts = run.scenario.world, []
     if run.world.ellipsoids is not None:
         parts.append(f"the scene's ellipsoids at {level_words(run.world.sigma)}")
@@ -130,11 +115,7 @@ def judged_words(run: WorldRun) -> str:
 
 
 def limits_words(run: WorldRun) -> str:
-    """State for what the judgement holds.
-
-    Args:
-        run: all trials.
-    """
+    """State for what the judgement holds."""
     contains = "its ellipsoids contain it" if run.world.ellipsoids is not None else "the hulls contain it"
     table = run.scenario.world
     real = f", and for the real scene as far as {contains}" if table.scene or table.cover else ""
@@ -143,11 +124,7 @@ def limits_words(run: WorldRun) -> str:
 
 
 def model_words(run: WorldRun) -> str:
-    """The simulated model, in words.
-
-    Args:
-        run: all trials.
-    """
+    """The simulated model, in words."""
     interface = run.scenario.vehicle.interface
     if run.vehicle.model != "quadrotor":
         return run.vehicle.model.replace("-", " ")
@@ -155,11 +132,7 @@ def model_words(run: WorldRun) -> str:
 
 
 def contradictions(run: WorldRun) -> list[str]:
-    """Parts of the world that the last filter certified and that flights touched all the same, in words.
-
-    Args:
-        run: all trials.
-    """
+    """Parts of the world that the last filter certified and that flights touched all the same, in words."""
     parts = certifying(run)
     return [
         f"{hits} of {len(run.trials)} flights touched {part}"
@@ -185,10 +158,7 @@ def claims_of(
     `every_step_certified` is false where a flight touched what was certified: the truth has the last word.
 
     Args:
-        run: all trials.
-        cover: that was flown in.
         left: what the flights had and the model of the last filter leaves out, in words.
-        inputs: files of the run, with their hashes.
     """
     trials, world, parts = run.trials, run.world, certifying(run)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
@@ -311,13 +281,7 @@ def _chain(
 
 
 def misfits(run: WorldRun, cover: Artifact | None, inputs: Sequence[InputRef]) -> list[str]:
-    """How the obstacles in a cover differ from the scene that was flown in beside it, one sentence each.
-
-    Args:
-        run: all trials.
-        cover: that was flown in.
-        inputs: files of the run, with their hashes.
-    """
+    """How the obstacles in a cover differ from the scene that was flown in beside it, one sentence each."""
     if cover is None or run.scenario.world.scene is None:
         return []
     level = cover.manifest

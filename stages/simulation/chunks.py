@@ -125,7 +125,6 @@ def shown(chunk: _Chunk, logged: int) -> int:
     """Number of trials at the beginning of a chunk that the log shows.
 
     Args:
-        chunk: consecutive trials.
         logged: the log shows this many first trials of the run.
     """
     return min(max(logged - chunk.first, 0), chunk.count)
@@ -147,12 +146,9 @@ def fly_missing(
     Args:
         fly: flies a chunk, possibly on another machine: see `distribute`.
         chunk_of: makes a chunk from the number of its first trial and the number of trials.
-        total: trials of the run.
         size: maximum number of trials per chunk.
         journal: finished chunks are taken from it, others added.
-        jobs: threads, 0 for all processors.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
-        progress: called with (trials done, trials).
 
     Raises:
         LinkError: see `distribute`.

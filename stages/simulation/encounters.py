@@ -33,9 +33,6 @@ def seen_by(scenario: WorldScenario) -> str | None:
 
     `NO_FILTER` where a flight without filters is only watched, so that encounters with and without a filter
     compare; None where nothing sees tracks.
-
-    Args:
-        scenario: completed.
     """
     names = [name for name in scenario.safety.filters if name in TRACKING]
     if names:
@@ -52,10 +49,6 @@ def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter |
 
     It turns nothing aside, so static obstacles change none of its figures and it is given none.
 
-    Args:
-        scenario: completed.
-        world: what filters are built for.
-
     Raises:
         UsageError: a parameter is wrong.
     """
@@ -71,11 +64,7 @@ def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter |
 
 
 def risk_window_s(scenario: WorldScenario) -> float:
-    """Window of the risk of a collision: the assumed duration of a command of the last tracking filter [s].
-
-    Args:
-        scenario: completed.
-    """
+    """Window of the risk of a collision: the duration of a command that the last tracking filter assumes."""
     names = [name for name in scenario.safety.filters if name in TRACKING]
     options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
     return float(options.h_max_s)
@@ -85,7 +74,6 @@ def obstacle_results(log: dict[str, Any], reach_m: Sequence[float]) -> list[Obst
     """Encounters of one flight with each obstacle.
 
     Args:
-        log: native log of the flight.
         reach_m: radius of each obstacle and of the vehicle together [m].
     """
     known = [
@@ -102,7 +90,6 @@ def encounter_figures(flown: dict[str, Any], seen: str | None) -> dict[str, Any]
     """Figures of `TrialResult` that come from the answers of the filter that sees tracks.
 
     Args:
-        flown: native log of the flight.
         seen: of `seen_by`.
     """
     if seen is None:
@@ -121,7 +108,6 @@ def encounter_summary(scenario: WorldScenario, trials: list[TrialResult]) -> dic
     """Figures over all trials, per moving obstacle too; means over obstacles with a warning.
 
     Args:
-        scenario: completed.
         trials: verdicts, at least one.
     """
     found: dict[str, Any] = {}
@@ -176,6 +162,5 @@ def rows_of_obstacles(stored: list[bytes], trials: int) -> FloatArray:
 
     Args:
         stored: float64 numbers of consecutive trials.
-        trials: number of all trials.
     """
     return np.frombuffer(b"".join(stored), np.float64).reshape(trials, -1)

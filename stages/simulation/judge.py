@@ -85,13 +85,10 @@ class WorldJudge:
         """Judge one flight.
 
         Args:
-            index: number of the trial.
             start: shape (3,), world frame [m].
             goal: shape (3,), world frame [m].
-            curve: its reference, or None.
             flown: native log of the flight; with its path where there are static obstacles or a plan, and
                 with complete rows of its ticks where there is a reference.
-            along: judge of its plan, or None.
         """
         path, steps = _finite(flown["path"]), flown["ticks"]
         hulls, ellipsoids = (
@@ -215,32 +212,20 @@ class WorldJudge:
 
 
 def static_clearance(trial: TrialResult) -> float:
-    """Minimum clearance of a flight to what does not move, infinite without obstacles [m].
-
-    Args:
-        trial: its verdict.
-    """
+    """Minimum clearance of a flight to what does not move, infinite without obstacles [m]."""
     parts = (trial.map_clearance_m, trial.scene_clearance_m, trial.fence_clearance_m)
     return min((part for part in parts if part is not None), default=math.inf)
 
 
 def worst_clearance(trial: TrialResult) -> float:
-    """Minimum clearance of a flight to anything, infinite without obstacles [m].
-
-    Args:
-        trial: its verdict.
-    """
+    """Minimum clearance of a flight to anything, infinite without obstacles [m]."""
     return min(
         static_clearance(trial), math.inf if trial.moving_clearance_m is None else trial.moving_clearance_m
     )
 
 
 def hits_static(trial: TrialResult) -> bool:
-    """True when a flight touched a static obstacle or left the fence.
-
-    Args:
-        trial: its verdict.
-    """
+    """True when a flight touched a static obstacle or left the fence."""
     return is_collision(static_clearance(trial))
 
 

@@ -41,11 +41,7 @@ class Difference:
     interfaces: tuple[str, ...] = _ALL
 
     def words(self, scenario: WorldScenario) -> str | None:
-        """Name the keys whose values differ from the model; None where there are none.
-
-        Args:
-            scenario: completed.
-        """
+        """Name the keys whose values differ from the model; None where there are none."""
         if scenario.vehicle.interface not in self.interfaces:
             return None
         known = self.modelled(scenario) if callable(self.modelled) else self.modelled
@@ -181,7 +177,6 @@ def value_at(scenario: WorldScenario, key: str) -> Any:
     """The value of a key.
 
     Args:
-        scenario: any.
         key: with dots between.
     """
     value: Any = scenario
@@ -191,11 +186,7 @@ def value_at(scenario: WorldScenario, key: str) -> Any:
 
 
 def left_out(scenario: WorldScenario) -> list[str]:
-    """What flights have and the model of their last filter leaves out, in words with keys and values.
-
-    Args:
-        scenario: completed.
-    """
+    """What flights have and the model of their last filter leaves out, in words with keys and values."""
     found = [words for each in DIFFERENCES if (words := each.words(scenario)) is not None]
     if scenario.vehicle.interface in _FOLLOWED:
         found.append("the vehicle's own cascade")

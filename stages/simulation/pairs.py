@@ -39,7 +39,6 @@ def pairs_flown(trials: Sequence[TrialResult], count: int | None) -> Pairs:
     """Take the starts and goals of another run.
 
     Args:
-        trials: of that run.
         count: number of first trials to take; None for all.
 
     Raises:
@@ -56,7 +55,6 @@ def check_clear(pairs: Pairs, is_clear: Callable[[FloatArray], NDArray[np.bool_]
     """Check the starts and goals of another run.
 
     Args:
-        pairs: of the other run.
         is_clear: which of the points, shape (M, 3), are clear of this run's map; shape (M,).
 
     Raises:
@@ -115,8 +113,6 @@ def sample_pairs(
     generator, so the pairs are drawn under the condition that they are wanted.
 
     Args:
-        count: number of trials.
-        seed: of the whole run.
         bounds: lower and upper corner, each of shape (3,) [m].
         min_distance_m: minimum distance from start to goal [m].
         clearance: psi of the map at points (M, 3), shape (M,), negative inside a hull [m].

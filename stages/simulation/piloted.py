@@ -42,10 +42,6 @@ def pilots_geofence(scenario: WorldScenario, world: FilterWorld) -> _core.Geofen
     Its fence has the faces, and the hulls of the cover, also where the filter knows only one of them. Without
     either it is a box that nobody reaches.
 
-    Args:
-        scenario: completed.
-        world: that the filters are built for.
-
     Raises:
         UsageError: the parameters of the geofence have no meaning for this vehicle.
     """
@@ -67,22 +63,13 @@ def pilots_geofence(scenario: WorldScenario, world: FilterWorld) -> _core.Geofen
 
 
 def fence_filter_of(scenario: WorldScenario) -> str | None:
-    """The last filter of a pilot's sticks, where it is one of this package; None for others and without one.
-
-    Args:
-        scenario: any.
-    """
+    """The last filter of a pilot's sticks, where it is one of this package; None otherwise."""
     last = scenario.safety.filters[-1:]
     return last[0] if last and FILTERS.get(last[0]) is GeofenceParameters else None
 
 
 def is_fenced(scenario: WorldScenario, world: FilterWorld) -> bool:
-    """Whether flights have the figures of a fence: by a racer's pilot, without a filter or behind a geofence.
-
-    Args:
-        scenario: completed.
-        world: that the filters are built for.
-    """
+    """Whether flights have figures of a fence: by a racer's pilot, without a filter or behind a geofence."""
     known = not scenario.safety.filters or fence_filter_of(scenario) is not None
     by_sticks = scenario.mission.kind == "pilot" and scenario.vehicle.interface == "sticks"
     return by_sticks and known and _has_fence(world)
@@ -98,11 +85,8 @@ def pilots_starts(
     """Start states of a pilot's flights: the one of the scenario, or one drawn for each trial.
 
     Args:
-        scenario: completed.
         world: static obstacles, which starts are clear of.
         geofence: in which drawn starts have h_I > 0.
-        count: number of trials.
-        jobs: threads.
 
     Returns:
         Position, velocity, attitude w x y z, body rates; shape (count, 13).
@@ -145,10 +129,6 @@ def _given_start(mission: MissionTable) -> FloatArray:
 def start_h_i(scenario: WorldScenario, geofence: _core.Geofence | None) -> float | None:
     """h_I of the start of all trials [m]; None where it is drawn, or without a pilot.
 
-    Args:
-        scenario: completed.
-        geofence: see `pilots_geofence`.
-
     Raises:
         UsageError: the start is farther than the geofence can tell.
     """
@@ -161,11 +141,7 @@ def start_h_i(scenario: WorldScenario, geofence: _core.Geofence | None) -> float
 
 
 def fence_result(flown: dict[str, Any]) -> FenceResult | None:
-    """Figures of one flight in a fence; None for others.
-
-    Args:
-        flown: native log of the flight.
-    """
+    """Figures of one flight in a fence; None for others."""
     if (log := flown.get("fence")) is None:
         return None
     return FenceResult(
@@ -187,11 +163,7 @@ def _known(value: float) -> float | None:
 
 
 def fence_distance(trial: TrialResult) -> float | None:
-    """Minimum distance to the fence, faces and hulls, less the radius [m]; None without one.
-
-    Args:
-        trial: its verdict.
-    """
+    """Minimum distance to the fence, faces and hulls, less the radius [m]; None without one."""
     return minimum([trial.map_clearance_m, trial.fence_clearance_m])
 
 

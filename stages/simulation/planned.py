@@ -35,13 +35,7 @@ class PlanMaps(NamedTuple):
 
 
 def plan_config(scenario: WorldScenario, world: StaticWorld, speed_m_s: float) -> PlanConfig:
-    """Configuration of the plans, with the distance that filters keep as their radius.
-
-    Args:
-        scenario: completed.
-        world: static obstacles.
-        speed_m_s: limit of the speed [m/s].
-    """
+    """Configuration of the plans, with the distance that filters keep as their radius."""
     table = scenario.vehicle
     followed: Literal["body-rates", "acceleration", "velocity"] = "body-rates"
     if table.autopilot and (table.interface == "velocity" or table.interface == "acceleration"):
@@ -59,10 +53,7 @@ def margins(world: StaticWorld, pairs: Pairs, margin_m: float, jobs: int = 0) ->
     """Distance that the plan of each pair keeps beyond what filters keep, shape (N,) [m].
 
     Args:
-        world: static obstacles.
-        pairs: starts and goals.
         margin_m: to keep, where both ends of the pair have it [m].
-        jobs: threads.
     """
     cap = world.most_keep_m + margin_m + _ROUNDING_M
     ends = [world.clearance(each, each, cap, jobs) for each in (pairs.start, pairs.goal)]
@@ -85,13 +76,9 @@ def plans_of(
 
     Args:
         pairs: starts and goals, world frame [m].
-        maps: to plan in.
-        vehicle: that will fly them.
         config: of the plans, but start, goal and heading; with the radius that filters keep.
         margin_m: distance to keep beyond it, of each pair, shape (N,) [m].
         behind: filters behind which they will be flown.
-        jobs: threads; the result does not depend on it.
-        progress: called with (pairs planned, pairs).
 
     Returns:
         A plan per pair, with the heading from start to goal; None where the planner finds no way.
@@ -138,7 +125,6 @@ def planned_alone(pairs: Pairs, plans: list[Artifact | None]) -> Planned:
     """Leave out the pairs for which there is no plan: a flight straight at the goal is no planned flight.
 
     Args:
-        pairs: starts and goals.
         plans: of each; None without one.
 
     Raises:

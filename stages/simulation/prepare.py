@@ -48,16 +48,8 @@ def prepare(
     """Make all parts of a run.
 
     Args:
-        scenario: as read.
         vehicle: of the file that it names; default: the one built in by its name.
-        cover: that it names.
-        scene: that it names.
-        seen: space that it names.
-        plan: that it names.
-        tiles: that it names.
         pairs: starts and goals of the run that it names.
-        jobs: threads, 0 for all processors.
-        progress: of planning.
 
     Raises:
         UsageError: parts that make no sense together, in one sentence with what would work instead; or values

@@ -80,10 +80,8 @@ class PreparedRun:
 
         Args:
             first: number of the first trial.
-            count: number of trials.
             is_logged: keep their path and a row per tick, besides what the judge needs.
             jobs: threads, 0 for all processors; only measured times depend on it.
-            progress: called with (trials done, trials).
 
         Raises:
             UsageError: an obstacle cannot meet the vehicle, or the motion diverges.
@@ -107,20 +105,11 @@ class PreparedRun:
             raise UsageError(f"`$.vehicle`: {error}") from error
 
     def on_board(self, index: int) -> _core.Flight:
-        """The flight of one trial as the computer on board sees it, without a simulation around it.
-
-        Args:
-            index: number of the trial.
-        """
+        """The flight of one trial as the computer on board sees it, without a simulation around it."""
         return _core.Flight(self.vehicle_spec, self.options, self.missions.missions[index], self.filters)
 
     def judged(self, index: int, flown: dict[str, Any]) -> TrialResult:
-        """Verdict on one flight.
-
-        Args:
-            index: number of the trial.
-            flown: its native log.
-        """
+        """Verdict on one flight."""
         goal = self.missions.goal[index]
         if self.scenario.mission.kind == "pilot":
             goal = flown["last"][:3]
@@ -130,12 +119,7 @@ class PreparedRun:
         return msgspec.structs.replace(trial, start_margin_m=margin if math.isfinite(margin) else None)
 
     def shown(self, index: int, flown: dict[str, Any]) -> WorldFlight:
-        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf.
-
-        Args:
-            index: number of the trial.
-            flown: its native log.
-        """
+        """Samples of one flight for the log; a flight without a filter has the margin of polytope-cbf."""
         if self.among is not None and not self.filters:
             smooth = self.among.psi(np.ascontiguousarray(flown["state"][:-1, :3]), jobs=1)[0]
             flown = flown | {"margin": smooth[:, None] - self.world.keeps_m("hulls")}
@@ -147,9 +131,6 @@ class PreparedRun:
 
         Of all filters together in each tick; of one among moving obstacles in the ticks of a manoeuvre or a
         warning, as in the others it has little to do.
-
-        Args:
-            flown: its native log.
         """
         if self.names == [self.judge.seen_by]:
             return np.asarray(flown["active_tick_s"])

@@ -16,11 +16,7 @@ LOOP_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused") 
 
 
 def outcomes_of(trials: Sequence[TrialResult]) -> tuple[Outcome, ...]:
-    """Outcomes that a summary of start-goal flights counts; those of plans only where plans were flown.
-
-    Args:
-        trials: verdicts.
-    """
+    """Outcomes that a summary of start-goal flights counts; those of plans only where plans were flown."""
     return LOOP_OUTCOMES + (PLAN_OUTCOMES if any(trial.plan is not None for trial in trials) else ())
 
 
@@ -28,7 +24,6 @@ def logged_ticks(last: int, dt_s: float, rate_hz: float) -> IntArray:
     """Ticks that a log shows: one in so many from 0 on, as the rate requires, and the last one once.
 
     Args:
-        last: number of the last tick.
         dt_s: duration of a tick [s].
         rate_hz: samples per second in the log.
 
@@ -98,10 +93,8 @@ class WorldFlight(msgspec.Struct, frozen=True, kw_only=True):
         """Sample a native log; see `logged_ticks`.
 
         Args:
-            trial: its number.
             flown: arrays by name, a row per tick.
             dt_s: duration of a tick [s].
-            rate_hz: samples per second.
             filter_ticks: ticks for which the filters' command is held.
         """
         steps = len(flown["mark"])
@@ -138,11 +131,7 @@ class WorldFlight(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def time_s(self, tick_s: float) -> FloatArray:
-        """Times of the samples, shape (T,) [s].
-
-        Args:
-            tick_s: duration of a tick [s].
-        """
+        """Times of the samples, shape (T,) [s]."""
         return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
     def of_filters(self, name: str) -> NDArray[np.uint8]:
@@ -155,11 +144,7 @@ class WorldFlight(msgspec.Struct, frozen=True, kw_only=True):
         return flat.reshape(len(self.status), -1) if len(flat) else flat.reshape(len(self.status), 0)
 
     def rows(self, name: str) -> FloatArray:
-        """Numbers of a field; see the class.
-
-        Args:
-            name: of the field.
-        """
+        """Numbers of a field; see the class."""
         flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
         shape = self._SHAPES[name]
         if not len(flat) and -1 in shape:  # no obstacle, no filter

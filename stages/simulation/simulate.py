@@ -88,18 +88,10 @@ def simulate_world(
     of the ones with the least clearance, which are flown again for it.
 
     Args:
-        scenario: as read.
         vehicle: of the file that it names; default: the one built in by its name.
-        cover: that it names.
-        scene: that it names.
-        seen: space that it names.
-        plan: that it names.
-        tiles: that it names.
         pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
-        jobs: threads, 0 for all processors.
         scheduler: address of a `dask.distributed` scheduler, whose workers fly the trials.
-        progress: called with (trials done, trials).
 
     Raises:
         UsageError, InputError, ArtifactError, InfeasibleError: as `prepare` and `PreparedRun.fly`.
@@ -155,11 +147,7 @@ def simulate_world(
 
 
 def chunk_size(ready: PreparedRun) -> int:
-    """Number of trials that are flown together; smaller for long flights, whose samples take memory.
-
-    Args:
-        ready: the run.
-    """
+    """Number of trials that are flown together; smaller for long flights, whose samples take memory."""
     longest_s = max(task.max_time_s for task in ready.missions.tasks)
     return max(1, min(CHUNK, int(CHUNK_TICKS * ready.scenario.rules.dt_s / longest_s)))
 
@@ -195,9 +183,7 @@ def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:
     """Fly the trials of a chunk and judge them.
 
     Args:
-        ready: the run.
         jobs: threads, 0 for all processors; only measured times depend on it.
-        chunk: numbers of the trials.
     """
     trials, flights, filters, ticks, commands, reactions = [], [], [], [], [], []
     rules, first = ready.scenario.rules, chunk.first

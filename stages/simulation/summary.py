@@ -56,9 +56,6 @@ def world_summary(run: WorldRun) -> dict[str, Any]:
 
     Without any random number there is no interval: the flight would repeat itself bit by bit. `fence` has the
     figures of a pilot's flights in a fence, see `fence_summary`.
-
-    Args:
-        run: all trials.
     """
     trials = run.trials
     good = good_outcomes(run.scenario.mission)
@@ -119,11 +116,7 @@ def _extremes(trials: list[TrialResult]) -> dict[str, Any]:
 
 
 def good_outcomes(mission: MissionTable) -> tuple[Outcome, ...]:
-    """Outcomes of a flight that did what its mission asks.
-
-    Args:
-        mission: of the scenario.
-    """
+    """Outcomes of a flight that did what its mission asks."""
     # Such a flight waits until all obstacles have passed, and not for its goal.
     waits: tuple[Outcome, ...] = () if mission.receded_s is None else ("passed", "timeout")
     return ("reached", *waits, *_GOOD.get(mission.kind, ()))
@@ -134,9 +127,6 @@ def world_timing(run: WorldRun) -> dict[str, Any]:
 
     Those of the filters are of all of them together in each tick; where there is one alone, and it sees
     moving obstacles, of its ticks in a manoeuvre or with a warning.
-
-    Args:
-        run: all trials.
     """
     timing: dict[str, Any] = {"ticks": run.tick_times.calls, "overruns": run.tick_times.overruns}
     if run.scenario.safety.filters:
@@ -160,12 +150,7 @@ def _spread(what: str, times: Times) -> dict[str, float]:
 
 
 def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
-    """The vehicle in words.
-
-    Args:
-        scenario: completed.
-        vehicle: that it names.
-    """
+    """The vehicle in words."""
     table, guide = scenario.vehicle, scenario.mission.controller.guide
     sphere = f"sphere of radius {exact(table.radius_m or 0.0)} m"
     limit = table.max_speed_m_s
@@ -189,8 +174,6 @@ def world_guarantee(run: WorldRun, cover: Artifact | None, inputs: Sequence[Inpu
     """State what was proven, for which model, and what the run shows.
 
     Args:
-        run: all trials.
-        cover: that was flown in.
         inputs: files of the run; a claim about a scene whose hash is not among them is not made.
     """
     trials, left = run.trials, left_out(run.scenario)
@@ -228,11 +211,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None, inputs: Sequence[Inpu
 
 
 def disturbances(scenario: WorldScenario) -> list[str]:
-    """What a scenario adds to the bare model of its vehicle and to exact measurements, in words.
-
-    Args:
-        scenario: completed.
-    """
+    """What a scenario adds to the bare model of its vehicle and to exact measurements, in words."""
     table, known = scenario.vehicle, scenario.estimation
     own = table.disturbance
     found = {

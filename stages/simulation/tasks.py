@@ -85,21 +85,13 @@ def missions_of(
     """Make the tasks of all trials.
 
     Args:
-        scenario: completed.
-        world: static obstacles.
-        count: number of trials.
         speed_m_s: of the nominal command [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
-        plan: that the scenario names, or None.
-        maps: to plan in.
-        vehicle: that flies, for its limits.
         behind: filters behind which plans will be flown.
         given: starts and goals of another run, or None.
         geofence: in which a pilot's start is safe; None without a pilot.
         psi: of the hulls at points, shape (N, 3) to (N,), where the vehicle is flown by velocities among
             them; pairs are then drawn around the hulls, by psi instead of the distance from them [m].
-        jobs: threads.
-        progress: of planning.
 
     Raises:
         ArtifactError: the given plan is no motion, see `require_motion`.

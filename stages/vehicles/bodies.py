@@ -107,8 +107,6 @@ def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleI
 
     Args:
         vehicle: quadrotor or double integrator.
-        seed: of the run.
-        trial: number of the trial.
 
     Raises:
         UsageError: the vehicle is a single integrator, which has no plant: its position follows the command.

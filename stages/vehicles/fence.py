@@ -34,7 +34,6 @@ class KeepOut:
         Args:
             cover: an `alula/cover`, in metres.
             indexed: add the tree of boxes to the map, see `encode_map`.
-            jobs: threads, 0 for all processors.
 
         Raises:
             InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.

@@ -76,9 +76,7 @@ def ground_of(cover: Artifact | None, scene: Artifact | None = None, sigma: floa
     """The ground that maps in one frame give.
 
     Args:
-        cover: an `alula/cover`, or None.
         scene: an `alula/scene` in metres, or None.
-        sigma: level of its ellipsoids, in standard deviations.
     """
     obstacles: list[PolytopeSet | EllipsoidSet] = []
     lowest = math.inf
@@ -106,7 +104,6 @@ class Footing:
     simulated vehicle, it stays what it was.
 
     Args:
-        ground: of the map.
         start: where the vehicle stands at first, whatever is below, shape (3,), world frame [m].
     """
 

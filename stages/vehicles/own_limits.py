@@ -63,11 +63,7 @@ def own_limits(parameters: Mapping[str, float]) -> dict[str, Limit]:
 
 
 def rate_notes(parameters: Mapping[str, float]) -> list[str]:
-    """What is wrong with the parameters for flights by body rates.
-
-    Args:
-        parameters: of the vehicle, by name.
-    """
+    """What is wrong with the parameters for flights by body rates."""
     if parameters.get(_FEEDS_FORWARD, 1.0) != 0:
         return []
     return [
@@ -80,10 +76,6 @@ def first_guess(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
 
     The horizontal acceleration is also at most that of the largest lean angle, g tan(angle). Body rates stay
     those of the file where the vehicle allows more, because links send no faster ones.
-
-    Args:
-        vehicle: contents of the file.
-        parameters: of the vehicle, by name.
     """
     limits, following, rates = own_limits(parameters), vehicle.following, vehicle.rates
     given = {

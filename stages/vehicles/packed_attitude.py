@@ -35,9 +35,6 @@ def expand_quat_wxyz(packed: int) -> tuple[float, float, float, float]:
     """Expand 32 bits to a quaternion; inverse of `compress_quat_wxyz`.
 
     The error of each component that was sent is at most 1.4e-3.
-
-    Args:
-        packed: the 32 bits.
     """
     largest = packed >> 30 & 3
     parts = [0.0] * 4

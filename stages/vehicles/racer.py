@@ -68,8 +68,6 @@ def geofence(vehicle: Vehicle, where: Fence, parameters: Mapping[str, float] | N
 
     Args:
         vehicle: one that `racer_model` takes; its radius is the default of `radius_m`.
-        where: the fence.
-        parameters: of the filter, by name.
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust, or a parameter is unknown or out of range.

@@ -37,10 +37,7 @@ class Body:
     velocities.
 
     Args:
-        vehicle: the vehicle file.
         start: initial position, shape (3,), world frame [m]; it rests there, on a flat floor.
-        yaw_rad: initial heading [rad].
-        seed: seed of the vehicle's noise.
 
     Attributes:
         floor_m: height of the ground below it [m].

@@ -22,7 +22,6 @@ def filter_lags_s(following: VelocitiesTable, speed_m_s: float) -> tuple[float, 
     """Lags along x, y, z that a filter of velocities assumes: 1.25 times that of a stop, at most 5 s [s].
 
     Args:
-        following: how the vehicle follows velocities.
         speed_m_s: speed limit [m/s].
     """
     level = stop_time_s(following.horizontal_lag, speed_m_s)
@@ -68,7 +67,6 @@ def max_speed_m_s(following: VelocitiesTable, beta: float) -> float:
     The solution of v = d (1 / beta + lag(v)), d the vehicle's deceleration.
 
     Args:
-        following: how the vehicle follows velocities.
         beta: gain of the barrier [1/s].
     """
     a, b = following.horizontal_lag

@@ -24,11 +24,7 @@ _NO_NOISE: dict[str, Any] = {
 
 
 def undisturbed(scenario: WorldScenario) -> WorldScenario:
-    """The same without noise and gusts; lag, drag, wind and delay remain.
-
-    Args:
-        scenario: completed.
-    """
+    """The same without noise and gusts; lag, drag, wind and delay remain."""
     table = scenario.vehicle
     still = msgspec.structs.replace(table.disturbance, gust_m_s=(0.0, 0.0, 0.0))
     return msgspec.structs.replace(
@@ -51,11 +47,9 @@ def flown_behind(
     """How a plan is flown for its planner: behind the filters, past nothing that moves, without noise.
 
     Args:
-        scenario: completed.
         filters: native, in their order; the first ones are guides.
         guides: number of guides, which may change commands.
         spec: the vehicle of the scenario without noise and gusts.
-        options: of its flights.
         plant_steps: of the plant in a tick.
         max_speed_m_s: limit of velocity commands [m/s].
     """

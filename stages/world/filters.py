@@ -38,9 +38,6 @@ def filter_world(
     """What the filters of a scenario are built for.
 
     Args:
-        scenario: completed.
-        vehicle: that it names.
-        world: static obstacles.
         speed_m_s: of the mission [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         extent_m: bound of the coordinates of all positions [m].
@@ -76,11 +73,7 @@ def filter_world(
 
 
 def needs_image(scenario: WorldScenario) -> bool:
-    """Whether a geofence reads the cover as an onboard map: one that filters, or the judge of a pilot.
-
-    Args:
-        scenario: any.
-    """
+    """Whether a geofence reads the cover as an onboard map: one that filters, or the judge of a pilot."""
     return "geofence" in scenario.safety.filters or scenario.mission.kind == "pilot"
 
 
@@ -90,7 +83,6 @@ def needs_index(scenario: WorldScenario, names: Sequence[str]) -> bool:
     Behind `polytope-cbf`, or without a filter, flights in a cover steer by its hulls alone.
 
     Args:
-        scenario: completed.
         names: filters, with the guide of the controller.
     """
     is_among_hulls = scenario.world.cover is not None and set(names) <= {"polytope-cbf"}
@@ -103,8 +95,6 @@ def safety_filters(
     """Make the filters of a scenario, the guide of its controller first.
 
     Args:
-        scenario: completed.
-        world: of `filter_world`.
         lag_s: with which velocities are followed along x, y, z [s].
 
     Raises:
@@ -146,7 +136,6 @@ def flown_filter(
     """A filter as flights take it: native, and one of velocities with the way to a stop.
 
     Args:
-        made: the filter.
         lag_s: with which velocities are followed along x, y, z [s].
         max_speed_m_s: limit of velocity commands [m/s].
     """

@@ -22,9 +22,6 @@ def moving_spec(
     """Make the native obstacles with the sensor that detects them and the tracker.
 
     Args:
-        obstacles: one table for each.
-        sensor: of the vehicle.
-        tracker: that makes tracks of its detections.
         yaw_rate_rad_s: maximum rate at which the sensor turns [rad/s].
 
     Raises:

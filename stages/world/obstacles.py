@@ -113,11 +113,7 @@ class StaticWorld(Kept):
         return self.keeps_m(*self.parts)
 
     def of(self, *names: str) -> _core.ObstacleMap | None:
-        """The union of some parts; None without any.
-
-        Args:
-            names: of the parts.
-        """
+        """The union of some parts; None without any."""
         return union_of(self.parts, *names)
 
     def clearance(self, start: FloatArray, end: FloatArray, cap_m: float, jobs: int) -> FloatArray:
@@ -127,7 +123,6 @@ class StaticWorld(Kept):
             start: shape (S, 3), world frame [m].
             end: shape (S, 3).
             cap_m: larger distances are returned as this [m].
-            jobs: threads.
 
         Returns:
             Shape (S,) [m].
@@ -177,7 +172,6 @@ class StaticWorld(Kept):
 
         Args:
             paths: points of the references, each of shape (N, 3) [m].
-            has_moving: whether there are moving obstacles.
         """
         means = [] if self.scene is None else [self.scene["mean"]]
         points = [each for each in (self.vertices, *means, *paths) if len(each)]
@@ -191,7 +185,6 @@ def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
     """Check the files that were read for a scenario.
 
     Args:
-        scenario: any.
         files: by role: cover, scene, seen, plan; None where there is none.
 
     Raises:
@@ -231,15 +224,9 @@ def static_world(
     """Make the static world of a scenario.
 
     Args:
-        scenario: completed.
-        cover: that the scenario names.
-        scene: that the scenario names.
-        seen: space that the scenario names.
-        tiles: that the scenario names.
         beyond_map_m: distance around the mapped box in which space counts as free [m].
         needs_image: whether a filter reads the cover as an onboard map.
         needs_index: whether a filter, or the choice of starts, reads the ellipsoids; the judge does not.
-        jobs: threads.
 
     Raises:
         InputError: the cover is not metric.
@@ -325,10 +312,8 @@ def require_clear(world: StaticWorld, points: FloatArray, what: str, jobs: int) 
     """Refuse starts and goals that touch an obstacle or are outside of the mapped box.
 
     Args:
-        world: static obstacles.
         points: shape (N, 3), world frame [m].
         what: the points in words.
-        jobs: threads.
 
     Raises:
         UsageError: one does.
@@ -355,9 +340,7 @@ def static_walls(
     """Join hulls of a cover, boxes of a scenario and those of unseen space to one set; None without any.
 
     Args:
-        walls: the boxes.
         cover: an `alula/cover`, in metres, if there is one.
-        seen: an `alula/seen`, if there is one.
     """
     parts = [_box(wall) for wall in walls]
     if cover is not None:

@@ -37,8 +37,6 @@ def vehicle_spec(
     drag; a racer has both.
 
     Args:
-        scenario: completed with the values of the vehicle.
-        vehicle: that the scenario names.
         peak_m_s: peak speed of the references [m/s].
         max_speed_m_s: limit of velocity commands, and of a point's speed [m/s].
         lag_s: see `velocity_lags_s` [s].
@@ -102,8 +100,6 @@ def known_vehicle(
     """What the computer on board knows of the vehicle, as arguments of `_core.VehicleSpec`.
 
     Args:
-        scenario: completed with the values of the vehicle.
-        vehicle: that it names.
         peak_m_s: peak speed of the references [m/s].
         max_speed_m_s: limit of velocity commands [m/s].
         lag_s: see `velocity_lags_s` [s].
@@ -126,9 +122,6 @@ def known_vehicle(
 def body_of(vehicle: Vehicle) -> _core.Quadrotor:
     """Rigid body of a quadrotor; any for a point, whose controller and filters use only the translation.
 
-    Args:
-        vehicle: of any model.
-
     Raises:
         UsageError: the rotors of the quadrotor cannot make every wrench.
     """
@@ -139,8 +132,6 @@ def controller_gains(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float)
     """Gains of the tracking controller, with its speed to catch up; a single integrator has none.
 
     Args:
-        scenario: any.
-        vehicle: that it names.
         peak_m_s: peak speed of the references [m/s].
     """
     if vehicle.model == "single-integrator":
@@ -154,8 +145,6 @@ def velocity_lags_s(
     """Lags along x, y, z that filters of velocities assume, with an autopilot as in `fly` [s].
 
     Args:
-        scenario: completed.
-        vehicle: that it names.
         max_speed_m_s: limit of velocity commands [m/s].
     """
     table = scenario.vehicle
@@ -182,10 +171,6 @@ def box_of_accelerations(vehicle: Vehicle, table: VehicleTable) -> float:
     Of a quadrotor: for every a with |a_i| at most this, the force m (a + g e3) is within the largest thrust
     and the largest tilt of its controller; rounded down to 1 %. Of a point whose limit is that of the length
     of its acceleration: the limit over sqrt(3).
-
-    Args:
-        vehicle: of any model.
-        table: of the scenario.
     """
     limit_m_s2 = table.max_acceleration_m_s2
     if vehicle.model != "quadrotor" or vehicle.rotors is None:

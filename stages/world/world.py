@@ -109,15 +109,8 @@ def make_world(
     """Make them.
 
     Args:
-        scenario: as read.
         vehicle: of the file that it names; default: the one built in by its name.
-        cover: that it names.
-        scene: that it names.
-        seen: space that it names.
-        plan: that it names.
-        tiles: that it names.
         ends: starts and goals of the run that it names, shape (N, 3) [m].
-        jobs: threads, 0 for all processors.
 
     Raises:
         UsageError: parts that make no sense together, in one sentence with what would work instead; or values
@@ -183,11 +176,6 @@ def behind_filters(
 
     Args:
         config: with the names of the filters.
-        vehicle: that will fly the plan.
-        cover: that it is made in.
-        scene: that it is made in.
-        within: seen space that it stays in.
-        jobs: threads, 0 for all processors.
 
     Returns:
         None for the filter `none`.
@@ -232,11 +220,7 @@ def _options(scenario: WorldScenario) -> _core.FlightOptions:
 
 
 def has_losses(scenario: WorldScenario) -> bool:
-    """Whether measurements can be missing.
-
-    Args:
-        scenario: completed.
-    """
+    """Whether measurements can be missing."""
     return scenario.estimation.lost_share > 0 or scenario.estimation.lost_from_s is not None
 
 
@@ -244,10 +228,6 @@ def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
     """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
 
     One is exact for a point whose velocity is held, where nothing else moves.
-
-    Args:
-        scenario: completed.
-        is_point: whether the vehicle is a single integrator.
     """
     if scenario.rules.plant_steps is not None:
         return scenario.rules.plant_steps

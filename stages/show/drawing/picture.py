@@ -113,24 +113,15 @@ def picture(
     does not depend on `jobs`.
 
     Args:
-        models: what is drawn.
-        sight: the camera.
         background: red, green and blue, 0 to 255.
         through: opacity of lines of the last model where something hides them.
-        jobs: threads, 0 for all processors.
     """
     image, light = _drawn(models, sight, through, jobs)
     return _bytes(image + light[:, :, None] * np.asarray(background, np.float32))
 
 
 def translucent(model: Model, sight: Sight, *, jobs: int = 0) -> NDArray[np.uint8]:
-    """Draw a model with red, green, blue and opacity, for any background, shape (rows, columns, 4).
-
-    Args:
-        model: what is drawn.
-        sight: the camera.
-        jobs: threads, 0 for all processors.
-    """
+    """Draw a model with red, green, blue and opacity, for any background, shape (rows, columns, 4)."""
     image, light = _drawn([model], sight, 0.0, jobs)
     opacity = 1 - light[:, :, None]
     return _bytes(np.concatenate([image / np.maximum(opacity, 1e-6), 255 * opacity], axis=2))

@@ -72,10 +72,8 @@ def sight_of(
     """Camera of a picture from a camera of a page.
 
     Args:
-        camera: where it is and what it looks at.
         size: columns and rows [px].
         up: axis that points up, shape (3,).
-        field_rad: vertical field of view.
         near_m: as of `Sight`; None for a small fraction of the distance.
     """
     along = camera.look_at - camera.position

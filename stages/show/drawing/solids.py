@@ -138,14 +138,10 @@ def drawn(
     """Faces of a mesh and its edges, as two parts under one name; none for an empty mesh.
 
     Args:
-        name: in the scene tree.
         corners: shape (V, 3) [m].
         triangles: shape (T, 3).
         color: of the faces; edges are darker.
-        opacity: of the faces.
-        visible: shown at first.
         far_only: as of `Faces`.
-        faces_visible: the faces are shown at first too.
     """
     if not len(triangles):
         return []
@@ -189,7 +185,6 @@ def voxel_surface(
 
     Args:
         index: lower corners, shape (M, 3) [voxels].
-        edge_m: length of an edge [m].
         maximum: number of triangles.
 
     Returns:

@@ -25,11 +25,7 @@ _MOST_GROWN = 6.0  # of a Gaussian that also stands for neighbours that are left
 
 
 def contribution(scene: Artifact) -> NDArray[np.float64]:
-    """Opacity times the area of the projected ellipse along its shortest axis, shape (N,).
-
-    Args:
-        scene: an `alula/scene`.
-    """
+    """Opacity times the area of the projected ellipse along its shortest axis, shape (N,)."""
     area = np.empty(len(scene["opacity"]))
     for rows in _chunks(len(area)):
         axes = np.sort(np.asarray(scene["scale"][rows], np.float64), axis=1)
@@ -57,10 +53,6 @@ def chosen(scene: Artifact, maximum: int = MOST_GAUSSIANS) -> Choice:
     to `maximum`: systematic sampling along a space-filling curve, without chance. The two longer semi-axes
     of a kept one grow by 1 / sqrt(p_i), within a limit, so that it covers the area of those that it stands
     for. The rows are in the order of the curve, in which neighbours compress well.
-
-    Args:
-        scene: an `alula/scene`.
-        maximum: number of rows.
     """
     let_go(*scene.arrays.values())  # makes room, where a search tree was made of them before
     count = len(scene["mean"])
@@ -132,10 +124,6 @@ def thinned(parts: Parts, maximum: int) -> Artifact:
     """At most `maximum` Gaussians of a scene in parts, chosen and grown in each part as by `chosen`.
 
     Memory holds one part and the chosen Gaussians. The summary has the number of all as `THINNED_FROM`.
-
-    Args:
-        parts: of an `alula/scene`.
-        maximum: number of rows.
     """
     names = ("mean", "scale", "quat_wxyz", "opacity", "color")
     found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
@@ -161,12 +149,6 @@ def gaussians(name: str, scene: Artifact, choice: Choice, *, visible: bool = Tru
     """Gaussians of some rows of a scene.
 
     Centres are rounded to a fraction of the smallest common size, far below what can be seen.
-
-    Args:
-        name: in the scene tree.
-        scene: an `alula/scene`.
-        choice: from `chosen`.
-        visible: shown at first.
     """
     rows = choice.row
     scale = np.minimum(np.asarray(scene["scale"][rows], np.float64), _LARGEST)

@@ -76,10 +76,8 @@ def deciding(
     """Obstacles that decide, each with the samples in which a filter changes the command because of it.
 
     Args:
-        flight: of a log.
         filters: name of the run's filter, where it is a single one.
         answer: row of the filter's answers at each sample, shape (n,); None without any.
-        among: obstacles of the map.
     """
     if answer is None:
         return ()

@@ -19,12 +19,7 @@ OBSTACLE_COLOR, TRACK_COLOR = (204, 77, 26), (26, 115, 204)
 
 
 def vehicle_parts(name: str, body: Body) -> list[Faces | Lines]:
-    """A vehicle in its body frame, at its true size: hub, arms, nose and rotors, and a ring around it.
-
-    Args:
-        name: in the scene tree.
-        body: its size.
-    """
+    """A vehicle in its body frame, at its true size: hub, arms, nose and rotors, and a ring around it."""
     meshes = (
         ("body", frame_mesh(body), BODY_COLOR, 1.0),
         ("rotors", disc_mesh(body), ROTOR_COLOR, 0.85),
@@ -58,8 +53,6 @@ def ball_parts(name: str, play: Play, *, tracks: bool) -> list[Faces]:
     """Moving obstacles of a flight, or its tracks, each around the origin.
 
     Args:
-        name: in the scene tree.
-        play: the flight.
         tracks: the tracks, twice as large as their obstacles and translucent.
     """
     corners, triangles = ball_mesh()
@@ -88,13 +81,7 @@ def nearest_line(name: str, play: Play, row: int) -> Lines:
 
 
 def deciding_part(name: str, one: Decides, *, visible: bool = True) -> Faces:
-    """An obstacle while it decides what is sent.
-
-    Args:
-        name: in the scene tree.
-        one: the obstacle.
-        visible: shown at first.
-    """
+    """An obstacle while it decides what is sent."""
     return Faces(
         name=f"{name}/deciding/{one.name}",
         corners=one.corners,
@@ -108,10 +95,8 @@ def new_plan_part(name: str, number: int, points: FloatArray, *, visible: bool =
     """A new plan that a flight joined on its way.
 
     Args:
-        name: in the scene tree.
         number: of the plan, from 1.
         points: along it, shape (k, 3) [m].
-        visible: shown at first.
     """
     return Lines(
         name=f"{name}/new plan {number}",
@@ -129,10 +114,8 @@ def moment(play: Play, time_s: float, *, color: Color = PASSES_COLOR, vehicle: b
     sample before.
 
     Args:
-        play: the flight.
         time_s: from its begin [s].
         color: of the path where the filter passes the command.
-        vehicle: draw the vehicle and the line to what is nearest.
     """
     row = int(np.clip(np.searchsorted(play.time_s, time_s, "right") - 1, 0, len(play.time_s) - 2))
     place, turn = pose_at(play, time_s)

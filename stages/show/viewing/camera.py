@@ -32,11 +32,7 @@ def upright(up: str) -> FloatArray:
 
 
 def view_direction(up: str) -> FloatArray:
-    """Direction of sight of the first camera, a unit vector, shape (3,).
-
-    Args:
-        up: axis that points up.
-    """
+    """Direction of sight of the first camera, a unit vector, shape (3,)."""
     found: FloatArray = -(upright(up) @ _FROM)
     return found
 
@@ -47,7 +43,6 @@ def fitted(solid: FloatArray, flown: FloatArray, up: str = "+z") -> Camera:
     Args:
         solid: points of the scene, shape (n, 3) [m].
         flown: points of flights and plans, shape (m, 3) [m].
-        up: axis that points up.
     """
     boxes = [np.stack([points.min(axis=0), points.max(axis=0)]) for points in (flown,) if len(points)]
     if len(solid):

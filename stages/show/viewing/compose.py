@@ -87,12 +87,9 @@ def content_of(
     """Make the content of a view.
 
     Args:
-        shown: what it is made from.
-        most_gaussians: maximum number of Gaussians of all scenes.
         flights: those to play, as (run, trial); None for the worst ones of each run, up to `most_played_s`.
         most_played_s: maximum time of the flights to play, beyond the first [s].
         first: flights to play before all others, as (run, trial).
-        up: axis of the scene that points up.
     """
     notes: list[str] = []
     solids = _solids(shown)

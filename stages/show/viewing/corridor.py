@@ -24,7 +24,6 @@ def plan_parts(plan: Artifact, *, has_splat: bool = False) -> list[Part]:
     """Parts of an `alula/plan`: curve, start, goal, via points, gates, and the cells of its corridor.
 
     Args:
-        plan: the artifact.
         has_splat: faces of the corridor would hide the Gaussians behind it, so they are not shown at first.
     """
     points = thin(plan_positions(plan))

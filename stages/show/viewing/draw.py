@@ -42,7 +42,6 @@ def draw(server: Any, content: Content) -> None:
 
     Args:
         server: a `viser.ViserServer`.
-        content: of the view.
     """
     scene = server.scene
     scene.world_axes.visible = False
@@ -70,7 +69,6 @@ def draw_part(scene: Any, part: Part) -> Any:
 
     Args:
         scene: `scene` of a `viser.ViserServer`.
-        part: to draw.
 
     Returns:
         The handle of viser.
@@ -148,9 +146,6 @@ class Vehicle:
 
     Args:
         scene: `scene` of a `viser.ViserServer`.
-        name: in the scene tree.
-        body: its size.
-        visible: shown at first.
     """
 
     def __init__(self, scene: Any, name: str, body: Body, *, visible: bool = True) -> None:
@@ -181,7 +176,6 @@ def record(server: Any, plays: Sequence[Play], sleep: Callable[[float], None]) -
 
     Args:
         server: a `viser.ViserServer`; its scene is being recorded.
-        plays: the flights.
         sleep: lets the time of the record pass [s].
 
     Returns:

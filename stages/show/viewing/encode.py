@@ -56,8 +56,6 @@ def webp(film: Film, rate_hz: float, line: str) -> bytes:
     """Encode a moving picture as WebP.
 
     Args:
-        film: the frames.
-        rate_hz: frames per second.
         line: of provenance, kept as a comment of its XMP data.
     """
     xmp = f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><!-- {comment(line)} --></x:xmpmeta>'
@@ -81,7 +79,6 @@ def gif(film: Film, rate_hz: float, line: str) -> bytes:
     """Encode a moving picture as GIF, in 256 colours that all frames share.
 
     Args:
-        film: the frames.
         rate_hz: frames per second; GIF counts hundredths of a second.
         line: of provenance in ASCII, kept as its comment.
     """

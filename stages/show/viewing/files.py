@@ -45,7 +45,6 @@ def read_files(paths: Sequence[Path], title: str = "") -> Shown:
     """Read the files of a view.
 
     Args:
-        paths: artifacts, runs and splats.
         title: of the view; default: the names of the files.
 
     Raises:

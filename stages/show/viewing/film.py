@@ -45,9 +45,7 @@ def still(content: Content, size: tuple[int, int], jobs: int = 0) -> NDArray[np.
     """Draw what a page shows at first, with the first flight at its worst moment, shape (rows, columns, 3).
 
     Args:
-        content: of the view.
         size: columns and rows [px].
-        jobs: threads, 0 for all processors.
     """
     parts = [part for part in content.parts if not _is_cut(part)]
     if content.plays:
@@ -74,13 +72,9 @@ def film(
     """Draw the frames of the first flight, or of a scene without flights.
 
     Args:
-        content: of the view.
         kind: of camera, as of `sights`.
         size: columns and rows [px].
-        rate_hz: frames per second.
         most_s: a longer flight is shown faster, in this time [s].
-        jobs: threads, 0 for all processors.
-        progress: called with the number of frames that are done, and of all.
     """
     play = content.plays[0] if content.plays else None
     kind = ORBIT if play is None else kind
@@ -158,8 +152,6 @@ def framed(content: Content, world: Model, size: tuple[int, int]) -> Camera:
     """Camera that looks as the first one of a page and is filled by what that one looks at.
 
     Args:
-        content: of the view.
-        world: what is drawn.
         size: columns and rows [px].
     """
     camera, up = content.camera, upright(content.up)[:, 2]

@@ -44,11 +44,7 @@ _WORDS = {
 
 
 def path_parts(runs: Sequence[Run]) -> list[Part]:
-    """Flown paths coloured by outcome, their ends, and with several runs also paths coloured by run.
-
-    Args:
-        runs: with their flights.
-    """
+    """Flown paths coloured by outcome, their ends, and with several runs also paths coloured by run."""
     each = [[path for path in paths_of(run) if len(path.position_world) > 1] for run in runs]
     paths = [path for some in each for path in some]
     if not paths:
@@ -164,11 +160,7 @@ def faces_of(run: Run) -> FloatArray:
 
 
 def worst_first(runs: Sequence[Run]) -> list[tuple[int, int]]:
-    """Logged flights as (run, trial), by outcome and then by clearance, the worst first.
-
-    Args:
-        runs: with their flights.
-    """
+    """Logged flights as (run, trial), by outcome and then by clearance, the worst first."""
     order: list[tuple[int, float, int, int]] = []
     for number, run in enumerate(runs):
         ends = {trial.index: trial for trial in run.record.trials}
@@ -215,8 +207,6 @@ def play_of(
     """Make a logged flight ready to be played.
 
     Args:
-        run: that it belongs to.
-        index: of its trial.
         obstacles: search trees of the parts of the world that it flew in, by name.
         several: there are several runs, so the label names this one.
         among: obstacles by the numbers in the log; None where they are not known.

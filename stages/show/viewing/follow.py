@@ -38,7 +38,6 @@ def sights(
         kind: chase (behind and above the vehicle), cockpit (where it is, along its motion), orbit (around the
             scene, on the side where the vehicle is, or in front of a room that is cut open) or fixed (the
             first camera).
-        content: of the view.
         play: the flight; None without one, for orbit and fixed.
         time_s: of the frames, from the begin of the flight [s].
         size: of the picture, columns and rows [px].

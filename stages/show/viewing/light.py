@@ -21,7 +21,6 @@ def lightened(content: Content, make: Callable[[int], Content]) -> Content:
     paths evenly spaced points; lines that are hidden at first stay as they are.
 
     Args:
-        content: of a view.
         make: the same content with at most so many Gaussians.
     """
     found = make(LIGHT_GAUSSIANS) if content.gaussians > LIGHT_GAUSSIANS else content

@@ -49,12 +49,7 @@ class LoggedMap:
         return len(self.centers) > 0
 
     def ellipsoids(self, name: str, cut: Cut | None = None) -> list[Part]:
-        """The ellipsoids as a part, and those that are cut as another.
-
-        Args:
-            name: in the scene tree.
-            cut: of ceiling and near walls.
-        """
+        """The ellipsoids as a part, and those that are cut as another."""
         gone = np.zeros(len(self.centers), np.bool_)
         if cut is not None and len(gone):
             gone = cut.removes(self.centers, self.centers)
@@ -75,9 +70,6 @@ class LoggedMap:
 def read_map(log: Path) -> LoggedMap | None:
     """Read the map in a log; None when it has none.
 
-    Args:
-        log: file of a run.
-
     Raises:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt before the map.
@@ -92,9 +84,6 @@ def map_of(message: SceneUpdate) -> LoggedMap:
     """Hulls and ellipsoids of a map.
 
     Its fence is left out, because the parameters of the run have it too.
-
-    Args:
-        message: as logged.
 
     Raises:
         ValueError: a place is missing or too large.

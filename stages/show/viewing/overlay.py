@@ -17,9 +17,5 @@ in three dimensions: it needs WebGL 2 and scripts.</figcaption></figure>
 
 
 def asset(name: str) -> str:
-    """Text of a file beside this module.
-
-    Args:
-        name: of the file.
-    """
+    """Text of a file beside this module."""
     return files("alula.stages.show.viewing").joinpath(name).read_text(encoding="utf-8")

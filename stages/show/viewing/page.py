@@ -81,7 +81,6 @@ def page(content: Content, *, provenance_line: str = "", other: str = "") -> str
     """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
 
     Args:
-        content: of the view.
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
         other: how to see a flight that the page does not play, in words; "" when it plays all.
 
@@ -112,7 +111,6 @@ def within(
 
     Args:
         make: content of a view with at most so many Gaussians.
-        maximum: number of bytes.
         gaussians: show so many, whatever the number of bytes; None: at most `MOST_GAUSSIANS`, and fewer where
             the page would be too large.
         provenance_line: as of `page`.

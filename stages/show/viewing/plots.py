@@ -16,12 +16,7 @@ _POINTS = 300  # per curve; more cannot be distinguished
 
 
 def flight_data(plays: Sequence[Play], spans: Sequence[Span]) -> list[dict[str, Any]]:
-    """Names, places on the timeline and curves of flights, as JSON values.
-
-    Args:
-        plays: the flights.
-        spans: their places on the timeline.
-    """
+    """Names, places on the timeline and curves of flights, as JSON values."""
     return [
         {
             "label": play.label,

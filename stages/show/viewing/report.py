@@ -17,9 +17,6 @@ def view(material: Material) -> View | None:
 
     Those flights are played first that the report has curves of, then the worst ones. Hulls are the cover's,
     also for runs that flew through another one, whose clearance to it is not shown.
-
-    Args:
-        material: of the report.
     """
     runs = [run for run in material.runs if run.flights]
     if not (runs or material.scene or material.cover or material.plan):

@@ -52,12 +52,10 @@ def balls(
     """Balls or ellipsoids of one colour.
 
     Args:
-        name: in the scene tree.
         centers: shape (n, 3) [m].
         radius_m: of all, or semi-axes, shape (n, 3) [m].
         color: of all, or one of each, shape (n, 3).
         opacity: 0 to 1.
-        visible: shown at first.
         quat_wxyz: of the semi-axes, shape (n, 4); None for balls.
     """
     corners, triangles = ball_mesh()
@@ -79,9 +77,6 @@ def frame_mesh(body: Body) -> tuple[FloatArray, IntArray]:
     """Hub, arms and a nose of a vehicle at its true size, in its body frame [m].
 
     Without rotors it has four at the usual places within its radius. The nose points forward, along x.
-
-    Args:
-        body: its size.
     """
     rotors = rotors_of(body)
     size = float(np.linalg.norm(rotors[:, :2], axis=1).max())
@@ -99,11 +94,7 @@ def frame_mesh(body: Body) -> tuple[FloatArray, IntArray]:
 
 
 def disc_mesh(body: Body) -> tuple[FloatArray, IntArray]:
-    """Discs of a vehicle's rotors in its body frame [m]: neighbours nearly touch.
-
-    Args:
-        body: its size.
-    """
+    """Discs of a vehicle's rotors in its body frame [m]: neighbours nearly touch."""
     rotors = rotors_of(body)
     apart = np.linalg.norm(rotors[:, None] - rotors[None], axis=2)
     apart[np.diag_indices(len(rotors))] = np.inf
