@@ -133,7 +133,6 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, in UTF-8.
 
     Args:
-        path: the file to write.
         text: the text; bytes of file names that are not UTF-8 (surrogate escapes) do not change.
 
     Raises:

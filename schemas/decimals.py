@@ -12,9 +12,6 @@ DIGITS = 3  # significant digits of a bound
 def exact(value: float | Iterable[float]) -> str:
     """Write a number, or several joined by spaces, so that reading returns the same double.
 
-    Args:
-        value: a number, or several.
-
     Returns:
         The shortest such decimal, without a trailing ".0": 1, 0.05, 0.9999996, 1000005.4.
     """
@@ -27,7 +24,6 @@ def at_most(value: float, digits: int = DIGITS) -> str:
     """Write an upper bound: rounded up, so that the printed decimal is never below the value.
 
     Args:
-        value: the bound.
         digits: significant digits.
     """
     return _rounded(value, digits, ROUND_CEILING)
@@ -37,7 +33,6 @@ def at_least(value: float, digits: int = DIGITS) -> str:
     """Write a lower bound: rounded down, so that the printed decimal is never above the value.
 
     Args:
-        value: the bound.
         digits: significant digits.
     """
     return _rounded(value, digits, ROUND_FLOOR)

@@ -52,21 +52,13 @@ def _msgpack_decoder(kind: Any) -> msgspec.msgpack.Decoder[Any]:
 
 
 def json_decoder(kind: type[T]) -> msgspec.json.Decoder[T]:
-    """Decoder of many short messages of one type; its errors are those of msgspec, or a RecursionError.
-
-    Args:
-        kind: type of the messages.
-    """
+    """Decoder of many short messages of one type; its errors are those of msgspec, or a RecursionError."""
     decoder: msgspec.json.Decoder[T] = _json_decoder(cast(Hashable, kind))
     return decoder
 
 
 def msgpack_decoder(kind: type[T]) -> msgspec.msgpack.Decoder[T]:
-    """Decoder of MessagePack of one type; its errors are those of msgspec, or a RecursionError.
-
-    Args:
-        kind: type of the messages.
-    """
+    """Decoder of MessagePack of one type; its errors are those of msgspec, or a RecursionError."""
     decoder: msgspec.msgpack.Decoder[T] = _msgpack_decoder(cast(Hashable, kind))
     return decoder
 
@@ -76,7 +68,6 @@ def decode_json(raw: bytes, kind: type[T], *, most_values: int = MOST_VALUES) ->
 
     Args:
         raw: the text in UTF-8.
-        kind: its type.
         most_values: text with more values is refused.
 
     Raises:
@@ -100,9 +91,6 @@ def _check_extent(raw: bytes, most_values: int) -> None:
 
 def decode_plain_json(raw: bytes) -> Any:
     """Decode JSON as people write it, with NaN and Infinity, into plain values.
-
-    Args:
-        raw: the text in UTF-8.
 
     Raises:
         MalformedError: the text is too long, has too many values, is too deep or is not JSON.
@@ -138,9 +126,6 @@ def decode_toml(raw: bytes) -> dict[str, Any]:
 
     The parser's time and memory are quadratic in the parts of a dotted key, and it recurses into arrays, so
     both are bounded before it runs.
-
-    Args:
-        raw: the text in UTF-8.
 
     Raises:
         MalformedError: the text is too long, has keys of too many parts, is too deep or is not TOML.
@@ -185,10 +170,6 @@ def _check_tree(tree: dict[str, Any]) -> None:
 
 def convert(tree: Any, kind: type[T]) -> T:
     """Convert plain values to a type.
-
-    Args:
-        tree: as `decode_toml` returns it.
-        kind: the type.
 
     Raises:
         MalformedError: a value is of another type or out of range; the message has its path.

@@ -35,7 +35,6 @@ def read_small(path: Path, most_bytes: int) -> bytes:
     """Read a file of limited length; never waits for the writer of a pipe.
 
     Args:
-        path: the file.
         most_bytes: longer files are refused.
 
     Raises:
@@ -91,11 +90,7 @@ _KINDS = (
 
 
 def what_it_is(path: Path) -> str:
-    """What a file of another kind is, as words after the refusal; "" where that is unknown.
-
-    Args:
-        path: the file, which can be read.
-    """
+    """What a file of another kind is, as words after the refusal; "" where that is unknown."""
     if path.suffix == ".toml":
         return "; it is a TOML file, such as a scenario or a vehicle"
     with path.open("rb") as file:

@@ -20,8 +20,6 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
     """Read a file into a struct.
 
     Args:
-        path: the file.
-        table: type of the struct.
         schema: id of the file's schema, for messages.
 
     Raises:
@@ -73,7 +71,6 @@ def first_beyond(value: Any, path: str, limit: float) -> str | None:
     """Path of the first number with an absolute value that is not below a limit; None without one.
 
     Args:
-        value: plain values, as from TOML.
         path: path of `value` itself.
         limit: the limit; with infinity only numbers that are not finite are found.
     """

@@ -37,11 +37,7 @@ def code(text: str) -> str:
 
 
 def summary_and_attributes(docstring: str) -> tuple[str, dict[str, str]]:
-    """A docstring without its section on attributes, and the meaning of each attribute.
-
-    Args:
-        docstring: in Google's style, indented or not.
-    """
+    """A docstring without its section on attributes, and the meaning of each attribute."""
     head, *tail = _SECTION.split(cleandoc(docstring), maxsplit=1)
     found = _ATTRIBUTE.finditer(tail[0] if tail else "")
     meanings = {name: " ".join(match[2].split()) for match in found for name in match[1].split(", ")}
@@ -53,7 +49,6 @@ def structs(schema: Schema, level: int = 2, more: Mapping[str, Mapping[str, str]
 
     Args:
         schema: as `msgspec.json.schema` makes it: a reference and `$defs`.
-        level: of the headings.
         more: meanings of fields by the names of struct and field, where the schema has none.
     """
     definitions = schema["$defs"]

@@ -22,11 +22,7 @@ _UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "Ki": 2**10, "Mi": 2**20, "
 
 
 def is_address(text: str) -> bool:
-    """Test whether an argument is an address and not the name of a file.
-
-    Args:
-        text: the argument.
-    """
+    """Test whether an argument is an address and not the name of a file."""
     return re.match(r"(?i)https?://", text) is not None
 
 
@@ -34,7 +30,6 @@ def is_allowed(text: str, *, from_loopback: bool = True) -> bool:
     """Test whether an address may be read: https, and http of this machine, by its number.
 
     Args:
-        text: the address.
         from_loopback: allow the latter.
     """
     parts = urlsplit(text)
@@ -109,9 +104,6 @@ class Limits:
 
     def for_each(self, count: int) -> tuple[str, ...]:
         """A hash for each download; empty for any.
-
-        Args:
-            count: number of downloads.
 
         Raises:
             UsageError: the number of hashes is another.

@@ -11,12 +11,7 @@ _SHOWN = 10  # items without -v
 
 
 def show_alignment(alignment: dict[str, Any], verbose: int = 0) -> None:
-    """Print all figures, the ten largest residuals (with -v all of them), and the warnings.
-
-    Args:
-        alignment: the record of `scale_align`.
-        verbose: how often -v was given.
-    """
+    """Print all figures, the ten largest residuals (with -v all of them), and the warnings."""
     for name, text in _rows(alignment):
         echo(f"  {name:<16}  {text}", err=True)
     items = sorted(alignment.get("items", []), key=lambda item: -item["residual_m"])

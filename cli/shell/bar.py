@@ -17,24 +17,13 @@ _EVERY_S = 0.2  # between two pictures of a bar
 
 
 def quiet(output: Path, *, force: bool = False, jobs: int = 0, seed: int = 0) -> Common:
-    """The options that commands share, for one that prints nothing.
-
-    Args:
-        output: file to write.
-        force: replace a file of other provenance.
-        jobs: threads; 0 is all processors.
-        seed: of all randomness.
-    """
+    """The options that commands share, for one that prints nothing."""
     return Common(output, force, False, False, True, 0, seed, jobs, None)
 
 
 @contextmanager
 def shown(name: str) -> Iterator[Progress]:
-    """Context with a progress callback (done, total) that shows how far a function is.
-
-    Args:
-        name: of the function.
-    """
+    """Context with a progress callback (done, total) that shows how far a function is."""
     shell = _notebook()
     if shell is None:
         common = Common(Path(name), False, False, False, False, 0, 0, 0, None)

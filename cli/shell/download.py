@@ -32,8 +32,6 @@ def downloaded(
     """Context with a temporary file that has the content of an address; errors name the address.
 
     Args:
-        address: of the file.
-        most_bytes: maximum size.
         sha256: that it must have, in lower case; empty for any.
         progress: called with the bytes done and the bytes in all; 0 where these are unknown.
 

@@ -29,9 +29,7 @@ class Option(click.Option):
     """An option with the heading under which the help shows it.
 
     Args:
-        declarations: names, as for `click.Option`.
         group: the heading; empty for an option that matters.
-        keywords: as for `click.Option`.
     """
 
     def __init__(self, declarations: Any = None, *, group: str = "", **keywords: Any) -> None:
@@ -43,7 +41,6 @@ def option(*names: str, group: str = "", **keywords: Any) -> Callable[[F], F]:
     """Decorator that adds an option, as `click.option` does.
 
     Args:
-        names: of the option.
         group: heading under which the help shows it; empty for an option that matters.
         keywords: as for `click.option`; a class must be an `Option`.
     """
@@ -62,9 +59,6 @@ class Command(click.Command):
 
         First those that matter, with the output at the head; then the groups, in the order in which their
         first options were declared; then the common ones.
-
-        Args:
-            context: of the command.
         """
         found: dict[str, list[tuple[str, str]]] = {"Options": [], COMMON: []}
         for shown in self.get_params(context):
@@ -95,11 +89,7 @@ class Command(click.Command):
         return [Option(["--help-all"], group=COMMON, help="Show all options and exit.", **words), *found]
 
     def help_of_all(self, ctx: click.Context) -> str:
-        """The help with all options.
-
-        Args:
-            ctx: context of the command.
-        """
+        """The help with all options."""
         ctx.meta[_ALL] = True
         return self.get_help(ctx)
 
@@ -123,6 +113,5 @@ def command(name: str | None = None, **keywords: Any) -> Callable[[Callable[...,
 
     Args:
         name: of the command; None is that of the function.
-        keywords: as for `click.command`.
     """
     return click.command(name, cls=Command, **keywords)

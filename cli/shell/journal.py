@@ -42,8 +42,6 @@ class JournalFile(Generic[J]):
     time; one of another output, or with a wrong checksum, is ignored.
 
     Args:
-        common: the shared options.
-        kind: kind of the journal, one per command.
         make: function from a snapshot to a journal, which is empty for no bytes; raises ValueError for
             invalid bytes.
     """
@@ -58,19 +56,11 @@ class JournalFile(Generic[J]):
         self._stopped: Callable[[KeyboardInterrupt], NoReturn] | None = None
 
     def begin(self, wanted: Provenance) -> None:
-        """Set the provenance of the output; call this before `kept`, both within `until_written`.
-
-        Args:
-            wanted: the provenance.
-        """
+        """Set the provenance of the output; call this before `kept`, both within `until_written`."""
         self._wanted = wanted
 
     def kept(self, progress: Progress) -> tuple[J, Progress]:
-        """The journal to use, and a progress callback that also writes the file when due.
-
-        Args:
-            progress: the callback to wrap.
-        """
+        """The journal to use, and a progress callback that also writes the file when due."""
         assert self._wanted is not None
         wanted, journal = self._wanted, self._continued(self._wanted)
         written = len(journal)

@@ -37,11 +37,7 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """A fixed count of finite numbers, separated by spaces or commas; see `NumbersOption`.
-
-    Args:
-        count: how many.
-    """
+    """A fixed count of finite numbers, separated by spaces or commas; see `NumbersOption`."""
 
     name = "numbers"
 
@@ -237,7 +233,6 @@ def from_config(
     """Decorator that adds one option per field of a configuration dataclass; the function gets an instance.
 
     Args:
-        config: see `_of_fields`.
         argument: name of the function's argument.
         groups: headings by field, in place of those of the metadata.
     """
@@ -248,9 +243,6 @@ def fields_of(config: type[Any]) -> Callable[[F], F]:
     """Decorator that adds one option per field of a configuration dataclass, for a verb.
 
     The function gets a dictionary `fields` of those that are given on the command line.
-
-    Args:
-        config: see `_of_fields`.
     """
 
     def given(values: dict[str, Any]) -> dict[str, Any]:
@@ -341,12 +333,7 @@ def option_of(field: dataclasses.Field[Any]) -> str:
 
 
 def is_given(context: click.Context, name: str) -> bool:
-    """Test whether an option was given on the command line.
-
-    Args:
-        context: context of the command.
-        name: name of the option's parameter.
-    """
+    """Test whether an option was given on the command line."""
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
@@ -395,21 +382,12 @@ def input_path() -> FilePath:
 
 
 def vehicle(help: str) -> Callable[[F], F]:
-    """Add `--vehicle NAME|FILE`; the function gets `vehicle_name`, for `vehicle_named`.
-
-    Args:
-        help: of the option.
-    """
+    """Add `--vehicle NAME|FILE`; the function gets `vehicle_name`, for `vehicle_named`."""
     return click.option(
         "--vehicle", "vehicle_name", metavar="NAME|FILE", help=help, shell_complete=completion.vehicles
     )
 
 
 def settings(help: str, group: str = "") -> Callable[[F], F]:
-    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `set_values`.
-
-    Args:
-        help: of the option.
-        group: heading under which the help shows it.
-    """
+    """Add `--set PATH=VALUE`, which may be repeated; the function gets `settings`; see `set_values`."""
     return grouped.option("--set", "settings", group=group, multiple=True, metavar="PATH=VALUE", help=help)

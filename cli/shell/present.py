@@ -24,7 +24,6 @@ def echo(text: str, *, err: bool = False) -> None:
 
     Args:
         text: the line, which may have words of files and links.
-        err: print on stderr.
     """
     click.echo(one_line(text), err=err)
 
@@ -41,7 +40,6 @@ def plain(value: Any, *, digits: int | None = 6) -> str:
     """Format a value for reading: short floats, sequences without brackets, long ones summarised.
 
     Args:
-        value: to be formatted.
         digits: significant digits of floats; None for as many as identify them.
     """
     if value is None:

@@ -24,7 +24,6 @@ class ProgressLines:
     Args:
         name: of the output, at the start of each line.
         clock: time that never decreases [s].
-        write: prints one line.
     """
 
     def __init__(
@@ -74,9 +73,6 @@ def shown_progress(common: Common) -> Iterator[Progress]:
 
     The callback takes (done, total); a total of at most 1 means that it is unknown. With --quiet it shows
     nothing, and with --json no bar.
-
-    Args:
-        common: the shared options.
     """
     is_terminal = sys.stderr.isatty()
     if common.quiet or (common.json and is_terminal):

@@ -38,8 +38,6 @@ class Route(NamedTuple):
         """Make the link to an address; nothing is sent yet.
 
         Args:
-            address: of the vehicle.
-            vehicle: the vehicle file.
             more: further fields of `LinkOptions`.
         """
         from alula.schemas.artifacts.signing_key import read_key
@@ -60,11 +58,7 @@ class Route(NamedTuple):
         return open_link(address, of_link)
 
     def parameters(self, address: str) -> dict[str, Any]:
-        """What a log or a file records of the link.
-
-        Args:
-            address: of the vehicle.
-        """
+        """What a log or a file records of the link."""
         return {"link": address, "yaw_deg": self.yaw, "origin_m": list(self.origin)}
 
 

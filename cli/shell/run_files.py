@@ -29,10 +29,8 @@ def write_run(
     """Write the log and the record, both or neither; the record also describes the machine.
 
     Args:
-        output: file of the log.
         record: record of the run, without measured times.
         timing: measured times [s] and counts by name.
-        write_log: function that writes the log to a binary file.
 
     Raises:
         OutputError: a file cannot be written.

@@ -34,7 +34,6 @@ def input_ref(role: str, path: Path, name: str = "") -> InputRef:
     The hash of an artifact in parts is that of its index, which has the hashes of the parts.
 
     Args:
-        role: role of the input, such as "scene".
         path: the file, or the folder of an artifact in parts.
         name: to record in place of the file's own.
 
@@ -86,12 +85,8 @@ def run_stage(
     """Run a stage with an array artifact as its output, unless the output is already current.
 
     Args:
-        common: the shared options.
-        kind: kind of the output.
         config: configuration of the stage; its fields are the recorded parameters.
         inputs: role to path of all files that the output depends on.
-        build: function from a progress callback to the artifact.
-        seed: the seed, when the output depends on one.
         begin: called with the provenance of the output before `build`.
         names: role to name of inputs that are recorded by another name than the file's own.
 
@@ -118,10 +113,6 @@ def run_stage(
 def check_array_name(output: Path, kind: Kind) -> None:
     """Refuse a name that readers would not recognise as an array artifact.
 
-    Args:
-        output: the file to write.
-        kind: of the artifact.
-
     Raises:
         UsageError: the name does not end in .npz.
     """
@@ -145,14 +136,11 @@ def run(
     """Produce one output of any kind, a file or a folder.
 
     Args:
-        common: the shared options.
         schema: kind of the output; with `version` it is part of the provenance.
-        version: version of that kind.
         parameters: all parameters that the output depends on, as plain JSON values.
         inputs: role to path of all files that the output depends on.
         make: function from the provenance to record and a progress callback to a function that writes the
             file atomically, and the summary to print.
-        seed: the seed, when the output depends on one.
         mark: name of the file with the provenance in an output that is a folder; empty for a file.
         members: regular expression of the names of the other files of that folder; a folder with any other
             file is not replaced.
@@ -224,24 +212,14 @@ def run_beside(
 
 
 def write_depfile(common: Common, written: Path, inputs: Iterable[Path]) -> None:
-    """Write the file of Make dependencies, if it is asked for and this is no dry run.
-
-    Args:
-        common: the shared options.
-        written: the target.
-        inputs: what it depends on.
-    """
+    """Write the file of Make dependencies, if it is asked for and this is no dry run."""
     if common.depfile is not None and not common.dry_run:
         prerequisites = " ".join(["", *(make_escape(index_of(path)) for path in inputs)])
         write_text(common.depfile, make_escape(written, " \t#:*?[%") + f":{prerequisites}\n")
 
 
 def state_of(path: Path) -> tuple[int, ...]:
-    """Attributes that change when a file is written to or replaced; empty where it does not exist.
-
-    Args:
-        path: the file.
-    """
+    """Attributes that change when a file is written to or replaced; empty where it does not exist."""
     try:
         found = path.stat()
     except OSError:
@@ -278,7 +256,6 @@ def current(output: Path, provenance: Provenance, *, force: bool) -> Provenance 
     """Recorded provenance of an existing output that is current; None when it must be made.
 
     Args:
-        output: the file.
         provenance: provenance that the output must have.
         force: allow the replacement of a file with other provenance.
 
@@ -298,7 +275,6 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
     """Refuse an output that cannot be written, before any work is done.
 
     Args:
-        output: the file to write.
         inputs: role to path of the inputs, which the output must not replace.
 
     Raises:
@@ -330,7 +306,6 @@ def _check_folder(folder: Path, mark: Path, members: str) -> None:
     """Refuse to replace a folder that is no output, whatever --force says.
 
     Args:
-        folder: that exists.
         mark: its file with the provenance, which an output has.
         members: regular expression of the names of its other files.
 
@@ -355,7 +330,6 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     """Print the result on stdout, as one JSON object or a line per figure; notes go to stderr.
 
     Args:
-        common: the shared options.
         status: written, unchanged or dry-run.
         summary: figures by name; `notes` is a list of sentences. For people, counts of outcomes and of steps
             of which there were none are left out.
@@ -404,10 +378,5 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def make_escape(path: Path, special: str = " \t#:*?[") -> str:
-    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not.
-
-    Args:
-        path: the file.
-        special: characters to escape.
-    """
+    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not."""
     return re.sub(rf"(\\*)([{re.escape(special)}])", r"\1\1\\\2", str(path)).replace("$", "$$")

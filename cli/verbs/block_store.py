@@ -22,9 +22,6 @@ class FolderStore:
     """Covers as files: `block-LEVEL-X-Y-Z.cover.npz` before the last merges, `part-N.cover.npz` after them.
 
     A damaged file counts as missing.
-
-    Args:
-        folder: that exists.
     """
 
     def __init__(self, folder: Path, inputs: Sequence[InputRef]) -> None:

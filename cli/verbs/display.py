@@ -7,12 +7,7 @@ from html import escape
 
 
 def table(title: str, facts: Mapping[str, str], notes: Sequence[str] = ()) -> str:
-    """A small table for a notebook.
-
-    Args:
-        title: of the table.
-        notes: sentences below it.
-    """
+    """A small table for a notebook."""
     style = "style='text-align:left'"
     rows = "".join(
         f"<tr><td {style}>{escape(name.replace('_', ' '))}</td><td {style}>{escape(value)}</td></tr>"

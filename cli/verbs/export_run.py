@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 def export_bag(log: Path, common: Common) -> None:
     """Write the messages of a run as a bag of ROS 2, a folder; of a truncated flight those that can be read.
 
-    Args:
-        log: of the run.
-        common: common options of commands.
-
     Raises:
         UsageError: rosbags is not installed, or the output is a folder of other files.
         ArtifactError: the input is no run.
@@ -92,7 +88,6 @@ def export_layout(log: Path | None, common: Common) -> None:
 
     Args:
         log: of a run, whose channels and fields it shows; None for all that a run can have.
-        common: common options of commands.
 
     Raises:
         UsageError: the output does not end in .json.

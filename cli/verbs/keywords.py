@@ -25,7 +25,6 @@ def keywords(config: type[Any], *, without: tuple[str, ...] = ()) -> Callable[[F
     begins with `**fields`.
 
     Args:
-        config: the dataclass.
         without: fields that are no arguments.
     """
     shown = [one for one in dataclasses.fields(config) if one.name not in without]
@@ -65,8 +64,6 @@ def configured(name: str, config: type[C], fields: Mapping[str, Any]) -> C:
 
     Args:
         name: of the function, for the messages.
-        config: the dataclass.
-        fields: values by name.
 
     Raises:
         TypeError: there is no such keyword argument.

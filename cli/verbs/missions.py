@@ -42,7 +42,6 @@ def scenario_of(
     Args:
         source: scenario (.toml), cover, scene or plan.
         map_path: cover or scene to fly in.
-        scene_path: scene beside a cover.
         vehicle: name of a built-in vehicle, or a file.
         given: other values, by the path of their key.
 

@@ -88,10 +88,6 @@ class Way:
 def folder_of(splat: Path, output: Path | None) -> Path:
     """The folder to write, which must be new or empty.
 
-    Args:
-        splat: file or folder of the first splat.
-        output: given by the user.
-
     Raises:
         OutputError: it cannot be made.
         UsageError: it has files.
@@ -124,10 +120,8 @@ def look(
         splats: its files and folders, in one frame.
         colmap: COLMAP model with cameras in its frame.
         up: axis that points up, such as "+z".
-        metres_per_unit: scale.
         height_m: height of all that is shown, instead of the scale [m].
         lod: level of detail of a streamed splat; the finest if None.
-        jobs: threads; 0 is all processors.
 
     Raises:
         UsageError: the scale is out of range or given twice.
@@ -214,9 +208,6 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
 
     Args:
         folder: new or empty.
-        splats: files and folders.
-        chosen: see `look`.
-        trials: number of random flights.
 
     Raises:
         OutputError: a file cannot be written.
@@ -437,11 +428,8 @@ def undisturbed_way(
     Start and goal of a larger margin have more room. Where the filter always acts it is the first.
 
     Args:
-        cover: to fly in.
         scale: metres per unit, for messages.
         assumed: sentences by subject; one about the distance is added.
-        is_scale_known: somebody gave the scale.
-        jobs: threads; 0 is all processors.
 
     Raises:
         InfeasibleError: no way through the scene was found.

@@ -405,9 +405,6 @@ def on_disk(name: str = "alula-") -> Iterator[Path]:
 def source_of(given: Result | _Path) -> Result | File:
     """A result itself, or the file at a path, which is read when it is needed.
 
-    Args:
-        given: a result or the path of a file.
-
     Raises:
         TypeError: it is neither.
     """

@@ -119,9 +119,6 @@ class Run:
     def read(cls, path: Path) -> Run:
         """Read a log.
 
-        Args:
-            path: the file.
-
         Raises:
             InputError: it cannot be read or is not the log of a run.
         """
@@ -211,9 +208,6 @@ class Run:
 
 def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialResult]) -> None:
     """Refuse flights behind filters that touched what does not move, and plans that were not flown.
-
-    Args:
-        name: of the run, for the message.
 
     Raises:
         CheckError: there is one.

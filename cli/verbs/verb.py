@@ -83,7 +83,6 @@ def verb(
     list them.
 
     Args:
-        config: the dataclass, if there is one.
         without: fields that are no arguments.
     """
 

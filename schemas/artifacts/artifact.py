@@ -63,11 +63,7 @@ class Artifact:
 
 
 def array_hash(array: NDArray[Any]) -> str:
-    """SHA-256 of an array's C-order bytes, in hexadecimal.
-
-    Args:
-        array: of any type and shape.
-    """
+    """SHA-256 of an array's C-order bytes, in hexadecimal."""
     return hashlib.sha256(_bytes_of(array)).hexdigest()
 
 
@@ -115,7 +111,6 @@ def describe_arrays(
     """Describe arrays for a manifest.
 
     Args:
-        frame: name of the frame.
         unit: unit of lengths; it replaces the unit "frame" of the kind's rules.
         hashes: `array_hashes` of the arrays, when known.
     """

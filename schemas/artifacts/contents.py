@@ -165,7 +165,6 @@ def check(table: dict[str, Any] | None, kind: type[msgspec.Struct], name: str) -
 
     Args:
         table: the table; None passes.
-        name: of the table, for the message.
 
     Raises:
         ValueError: an entry has another type, or is out of range.

@@ -24,11 +24,7 @@ def let_go(*arrays: NDArray[Any]) -> None:
 
 
 def owned(array: NDArray[_Value]) -> NDArray[_Value]:
-    """A copy of a mapped array, whose memory is let go; another array itself.
-
-    Args:
-        array: of any type and shape.
-    """
+    """A copy of a mapped array, whose memory is let go; another array itself."""
     if _mapping(array) is None:
         return array
     copy = np.array(array)

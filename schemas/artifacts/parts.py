@@ -140,11 +140,7 @@ class Parts:
 
     @classmethod
     def of(cls, artifact: Artifact, path: Path = Path()) -> Parts:
-        """An artifact as one part.
-
-        Args:
-            path: of its file, for messages.
-        """
+        """An artifact as one part."""
         return cls(path, artifact.kind, artifact.manifest, (), artifact)
 
     @property
@@ -292,11 +288,7 @@ def _within(part: Artifact, domain: Sequence[Sequence[int]]) -> bool:
 
 
 def whole_arrays(kind: Kind, manifests: Sequence[Manifest]) -> dict[str, ArraySpec]:
-    """Arrays of the whole, from the manifests of its parts; see `PartsIndex.whole`.
-
-    Args:
-        manifests: of all parts, in their order.
-    """
+    """Arrays of the whole, from the manifests of its parts; see `PartsIndex.whole`."""
     whole = {}
     for rule in kind.arrays:
         specs = [manifest.arrays[rule.name] for manifest in manifests if rule.name in manifest.arrays]
@@ -318,12 +310,7 @@ def is_parts(path: Path) -> bool:
 
 
 def encode_index(of: Kind, whole: Manifest, parts: Sequence[PartRef], requires: Sequence[str] = ()) -> bytes:
-    """Text of `index.json`, with its own hash.
-
-    Args:
-        parts: in their order.
-        requires: features that a reader must support.
-    """
+    """Text of `index.json`, with its own hash."""
     index = {
         "schema": PARTS_SCHEMA,
         "version": PARTS_VERSION,

@@ -117,11 +117,7 @@ class PartsWriter:
         return [part.manifest for part in self._parts]
 
     def take(self, part: WrittenPart) -> None:
-        """Append a part to the whole.
-
-        Args:
-            part: as `write_part` or `kept_part` returned it.
-        """
+        """Append a part to the whole."""
         self._parts.append(part)
 
     def whole(self, provenance: Provenance, **fields: Any) -> Manifest:
@@ -143,9 +139,6 @@ class PartsWriter:
 
     def finish(self, whole: Manifest) -> None:
         """Write the index and give the folder its name; a dry run writes nothing.
-
-        Args:
-            whole: as `whole` returned it.
 
         Raises:
             OutputError: the index cannot be written, or the folder cannot be renamed.

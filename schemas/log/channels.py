@@ -207,12 +207,7 @@ def struct_of(topic: str) -> type[msgspec.Struct]:
 
 
 def decoded(topic: str, data: bytes) -> msgspec.Struct:
-    """Read a message of a channel; its errors are those of `json_decoder`.
-
-    Args:
-        topic: of the channel.
-        data: JSON text.
-    """
+    """Read a message of a channel; its errors are those of `json_decoder`."""
     return json_decoder(struct_of(topic)).decode(data)
 
 

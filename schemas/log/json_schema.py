@@ -27,9 +27,6 @@ def json_schema(struct: type[msgspec.Struct]) -> Schema:
     """JSON Schema of a channel's messages; do not change it.
 
     All fields of Foxglove's types are required. Of alula's own Structs a log leaves out unknown values.
-
-    Args:
-        struct: of the messages.
     """
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": schema_name(struct)}
     return schema | _of(inspect.type_info(struct))

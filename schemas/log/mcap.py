@@ -76,9 +76,6 @@ def messages(file: BinaryIO, topics: Collection[str] | None = None) -> Iterator[
 def timed_messages(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
     """Topic, log time [ns] and contents of each message of a whole log.
 
-    Args:
-        file: the log, at its start.
-
     Raises:
         ValueError: as `messages`.
     """
@@ -90,10 +87,6 @@ def timed_messages(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
 
 def metadata(file: BinaryIO, name: str) -> list[dict[str, str]]:
     """Metadata of one name in a whole log, without reading its chunks.
-
-    Args:
-        file: the log, at its start.
-        name: of the metadata.
 
     Raises:
         ValueError: as `messages`.
@@ -110,7 +103,6 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
     """Messages and metadata in the order of the file, then an entry `end` at the footer of a whole log.
 
     Args:
-        file: the log, at its start.
         chunks: also read messages in chunks, and check their CRC.
 
     Yields:

@@ -324,12 +324,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
         Args:
             provenance: that of the command; the record's also holds the summary.
-            name: of the run.
-            filter: its name.
             vehicle: in words.
-            trials: verdicts, in their order.
-            summary: numbers over all trials.
-            guarantee: statement and claims.
         """
         return cls(
             schema=RUN_SCHEMA,

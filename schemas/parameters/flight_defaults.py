@@ -36,7 +36,6 @@ def planned_interface(
     Args:
         filters: names; None: as `filter_in`, also for `none` alone.
         kind_of: kind of command of a filter, by its name.
-        roles: of the maps, see `filter_in`.
 
     Raises:
         UsageError: there is no such filter.

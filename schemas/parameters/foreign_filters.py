@@ -39,7 +39,6 @@ def foreign_filter(name: str, known: Sequence[str] = ()) -> Any:
     """Import what an entry point in the group `alula.filters` names: a callable (world, parameters).
 
     Args:
-        name: of the filter.
         known: names of all filters, for the message.
 
     Raises:
@@ -60,10 +59,6 @@ def kind_of(name: str, factory: Any) -> str:
     """The kind of command that a filter takes and gives, before it is built.
 
     It is the attribute `kind` of its factory: a class of filters has it, a function needs it.
-
-    Args:
-        name: of the filter.
-        factory: what makes it.
 
     Raises:
         UsageError: there is no such attribute.

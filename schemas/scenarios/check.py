@@ -50,7 +50,6 @@ def refusal(scenario: WorldScenario, vehicle: Vehicle, others: Mapping[str, str]
     """Say why a scenario makes no sense, and what would work instead; None where it does.
 
     Args:
-        scenario: as read.
         vehicle: of the scenario, without its deviations.
         others: command of filters of other packages, by name; a filter that is not named is not checked.
 

@@ -20,7 +20,6 @@ def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
     """Vehicle that a scenario names, without the scenario's deviations from it.
 
     Args:
-        scenario: any.
         folder: of the scenario's file.
 
     Raises:

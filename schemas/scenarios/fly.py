@@ -41,7 +41,6 @@ def flown_files(scenario: WorldScenario, folder: Path) -> dict[str, Path]:
     """Files of a real flight by role.
 
     Args:
-        scenario: any.
         folder: of the scenario's file.
     """
     named = {role: _value(scenario, key) for role, key in _FILES.items()}
@@ -70,7 +69,6 @@ def flown_settings(read: Read, name: str) -> dict[str, Any]:
     flight. `world.confidence` is left to the caller.
 
     Args:
-        read: as read.
         name: of the filter that is flown, whose parameters are those of its table.
 
     Raises:
@@ -97,7 +95,6 @@ def flown_vehicle(scenario: WorldScenario, vehicle: Vehicle) -> Vehicle:
     """Vehicle of a real flight: with the radius, the lag and the delay that the scenario gives it.
 
     Args:
-        scenario: any.
         vehicle: that the scenario or the user names.
 
     Raises:

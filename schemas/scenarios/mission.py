@@ -126,11 +126,7 @@ def read_mission(path: Path) -> Mission:
 
 
 def complaint(mission: Mission) -> str | None:
-    """What is wrong with a mission beyond the types of its values, in one line; None if nothing is.
-
-    Args:
-        mission: of a file or of options.
-    """
+    """What is wrong with a mission beyond the types of its values, in one line; None if nothing is."""
     if wrong := _heading_complaint(mission, "$"):
         return wrong
     for i, each in enumerate(mission.passes):

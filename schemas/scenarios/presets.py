@@ -29,11 +29,7 @@ _INDOORS = ("crazyflie21",)  # vehicles that fly in rooms
 
 
 def preset_of(tree: Mapping[str, Any]) -> str | None:
-    """Name of the preset of a scenario; None where nothing moves, so that none has an effect.
-
-    Args:
-        tree: plain values of the scenario.
-    """
+    """Name of the preset of a scenario; None where nothing moves, so that none has an effect."""
     if not tree.get("world", {}).get("moving"):
         return None
     given = tree.get("estimation", {}).get("preset")
@@ -43,11 +39,7 @@ def preset_of(tree: Mapping[str, Any]) -> str | None:
 
 
 def with_preset(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill in the values of a preset where a scenario has none.
-
-    Args:
-        tree: plain values of the scenario.
-    """
+    """Fill in the values of a preset where a scenario has none."""
     name = preset_of(tree)
     if name not in PRESETS:
         return dict(tree)
@@ -55,11 +47,7 @@ def with_preset(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def preset_values(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a scenario's preset; those for filters are left out where a compared method flies.
-
-    Args:
-        tree: plain values of the scenario.
-    """
+    """The values of a scenario's preset; those for filters are left out where a compared method flies."""
     values = dict(PRESETS.get(preset_of(tree) or "", {}))
     if not _COMPARED.isdisjoint(tree.get("safety", {}).get("filters", ())):
         values.pop("safety", None)

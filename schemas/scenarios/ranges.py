@@ -58,7 +58,6 @@ def require(good: bool, where: str, words: str) -> None:
     """Refuse a value unless it is good.
 
     Args:
-        good: whether it is.
         where: path of its key.
         words: the rest of the sentence after the path.
 
@@ -82,7 +81,6 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
     """Refuse numbers that are not finite, but infinity where it stands for no limit.
 
     Args:
-        table: a scenario, or a table of it.
         path: of the table, with a dot at its end.
 
     Raises:
@@ -219,7 +217,6 @@ def check_safety_table(table: SafetyTable, dt_s: float) -> None:
     """Check the list of filters, and parameters that depend on each other or on the time step.
 
     Args:
-        table: of a scenario.
         dt_s: duration of a time step [s].
 
     Raises:

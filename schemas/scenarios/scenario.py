@@ -134,7 +134,6 @@ def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldSce
     """Read a scenario.
 
     Args:
-        path: the file.
         changes: values that replace those of the file, by their keys with dots between:
             `safety.cone-backup.horizon_s`, `world.moving.0.radius_m`. Tables that the file does not have are
             made. Names of files are relative to the folder of the scenario. Where one of two keys
@@ -152,7 +151,6 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     """Read a scenario as `read_world` does, and say where its values come from.
 
     Args:
-        path: the file.
         changes: as of `read_world`.
 
     Raises:
@@ -239,7 +237,6 @@ def value_at(tree: Any, path: str) -> Any:
     """Plain value at a path, None where there is none.
 
     Args:
-        tree: plain values.
         path: of a key, with dots; a number is the place in a list.
     """
     for part in path.split("."):

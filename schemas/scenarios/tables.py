@@ -209,7 +209,6 @@ def default_shield_map(*, has_ellipsoids: bool, has_hulls: bool) -> Literal["ell
     """What a shield certifies against where nothing else is chosen: all that flights are judged against.
 
     Args:
-        has_ellipsoids: whether there is a scene.
         has_hulls: whether there are hulls, of a cover, of walls or of unseen space.
     """
     if not has_ellipsoids:

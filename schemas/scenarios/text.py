@@ -44,8 +44,6 @@ def values_of(read: Read, vehicle: Vehicle, file: str) -> list[Value]:
     """All values of a scenario that take part in its run, in the order of the tables.
 
     Args:
-        read: as read.
-        vehicle: of the scenario.
         file: name of the scenario's file, for the sources.
     """
     full = completed(read.scenario, vehicle)

@@ -33,7 +33,6 @@ def about(description: str, **limits: Any) -> Meta:
 
     Args:
         description: a phrase; it says what None stands for.
-        limits: of the value, as of `msgspec.Meta`.
     """
     return Meta(description=description, **limits)
 

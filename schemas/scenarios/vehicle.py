@@ -426,11 +426,7 @@ FASTBRIDGE = Vehicle(
 
 
 def contents(table: msgspec.Struct) -> dict[str, Any]:
-    """Convert a vehicle to plain JSON values, including the defaults that its file may omit.
-
-    Args:
-        table: the vehicle or a table of it.
-    """
+    """Convert a vehicle to plain JSON values, including the defaults that its file may omit."""
     values = {
         name: contents(value) if isinstance(value, msgspec.Struct) else value
         for name, value in msgspec.structs.asdict(table).items()
@@ -443,7 +439,6 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
     """Write a vehicle as the text of its file; `read_vehicle` reads the same vehicle from it.
 
     Args:
-        vehicle: the vehicle.
         comments: lines at the beginning.
     """
     values = msgspec.to_builtins(vehicle)

@@ -57,12 +57,7 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
 
 
 def located(provenance: Provenance, artifact: Artifact) -> Provenance:
-    """Provenance whose summary has `map_origin_m`, if the map has an origin of its own in the world.
-
-    Args:
-        provenance: of an export.
-        artifact: that is exported.
-    """
+    """Provenance whose summary has `map_origin_m`, if the map has an origin of its own in the world."""
     origin = map_origin(artifact.manifest)
     if origin is None:
         return provenance

@@ -45,7 +45,6 @@ def foxglove_layout(frame: str, present: Present | None = None) -> dict[str, Any
     """Layout, as a JSON value.
 
     Args:
-        frame: name of the frame of the map.
         present: fields by topic; None shows all that a run can have.
     """
 

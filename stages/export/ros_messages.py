@@ -64,11 +64,6 @@ class RosMessages:
     def of(self, topic: str, data: bytes, time_ns: int) -> Iterator[RosMessage]:
         """Messages of ROS 2 for one of the log.
 
-        Args:
-            topic: of the log.
-            data: its JSON text.
-            time_ns: its log time [ns].
-
         Raises:
             ValueError: the text is not of the documented form.
         """

@@ -28,9 +28,7 @@ def written_losses(scene: Artifact, format_name: str, written: bytes) -> dict[st
     The file is decoded again, as a reader does, in the order of the scene.
 
     Args:
-        scene: an `alula/scene`.
         format_name: `ply`, `splat` or `spz`.
-        written: the whole file.
 
     Returns:
         `position_error` [unit of the scene], the distance between centres; `scale_shorter` and

@@ -20,10 +20,7 @@ def cloud_message(scene: Artifact, paths: list[FloatArray], frame: str, time_ns:
     """Gaussians nearest to the paths.
 
     Args:
-        scene: an `alula/scene`.
         paths: flown or planned positions, each of shape (T, 3) [m].
-        frame: name of the frame of all positions.
-        time_ns: log time [ns].
     """
     shown = nearest(scene, 0.0, paths, SHOWN_POINTS)
     points = np.empty(len(shown), POINT)
@@ -44,10 +41,8 @@ def nearest(scene: Artifact, sigma: float, paths: list[FloatArray], most: int) -
     nearest, not with all: what is farther than the nearest so far is passed over.
 
     Args:
-        scene: an `alula/scene`.
         sigma: level of the ellipsoids; 0 for the centres.
         paths: each of shape (T, 3) [m].
-        most: maximum number.
     """
     from scipy.spatial import cKDTree
 

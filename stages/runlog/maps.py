@@ -29,10 +29,7 @@ def map_message(
 
     Args:
         flown_through: an `alula/cover` or an `alula/scene`.
-        summary: that of the run.
         paths: flown positions, each of shape (T, 3) [m].
-        frame: name of the frame of all positions.
-        time_ns: log time [ns].
     """
     if flown_through.kind is SCENE:
         shape = _ellipsoids(flown_through, float(summary["sigma"]), paths)
@@ -55,11 +52,8 @@ def world_message(
     Args:
         hulls: of cover and walls; None without any.
         scene: with ellipsoids; None without one.
-        sigma: their level.
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d [m].
         paths: flown positions, each of shape (T, 3) [m].
-        frame: name of the frame of all positions.
-        time_ns: log time [ns].
     """
     entities = _fence(faces, paths, frame, time_ns)
     if hulls is not None:

@@ -43,11 +43,7 @@ _VEHICLE_COLOR = Color(0.98, 0.82, 0.16, 0.9)
 
 
 def number(value: Any) -> float | None:
-    """Round to six digits after the point; None for a value that is not finite.
-
-    Args:
-        value: anything that `float` takes.
-    """
+    """Round to six digits after the point; None for a value that is not finite."""
     scalar = float(value)
     # Adding zero turns a rounded -0.0 into 0.0.
     return round(scalar, DECIMALS) + 0.0 if math.isfinite(scalar) else None
@@ -112,9 +108,7 @@ def transform_message(pose: Pose, frame: str, time_ns: int) -> FrameTransform:
     """T_frame_body of the vehicle.
 
     Args:
-        pose: of the vehicle in the frame.
         frame: name of the parent frame.
-        time_ns: log time [ns].
     """
     return FrameTransform(Time.of(time_ns), frame, BODY_FRAME, pose.position, pose.orientation)
 
@@ -124,8 +118,6 @@ def path_message(points: FloatArray, frame: str, time_ns: int) -> PosesInFrame:
 
     Args:
         points: shape (T, 3) [m].
-        frame: name of their frame.
-        time_ns: log time [ns].
     """
     return PosesInFrame(Time.of(time_ns), frame, [Pose(xyz(point)) for point in points])
 
@@ -134,8 +126,6 @@ def verdict_message(words: str, time_ns: int, *, is_good: bool, collided: bool) 
     """Line about a trial.
 
     Args:
-        words: the line.
-        time_ns: log time [ns].
         is_good: the trial ended well; otherwise the line is a warning.
         collided: the line is an error and says so.
     """
@@ -149,9 +139,6 @@ def entity(name: str, frame: str, time_ns: int, **shapes: Any) -> SceneEntity:
     """Shapes that stay until they are replaced.
 
     Args:
-        name: of the entity.
-        frame: name of its frame.
-        time_ns: log time [ns].
         shapes: lists of `SceneEntity`, by name.
     """
     return SceneEntity(timestamp=Time.of(time_ns), frame_id=frame, id=name, **shapes)
@@ -168,7 +155,6 @@ def triangle_list(points: FloatArray, triangles: NDArray[Any], color: Color) -> 
     Args:
         points: corners, shape (V, 3), in the frame of the entity [m].
         triangles: their indices, shape (T, 3), counter-clockwise from outside.
-        color: of all of them.
     """
     indices = triangles.ravel().tolist()
     return TriangleListPrimitive(ORIGIN, [xyz(point) for point in points], color, [], indices)
@@ -183,8 +169,6 @@ def obstacle_message(
         obstacles: true positions, shape (n, 3), world frame [m].
         tracks: shape (n, 3), NaN without a track [m].
         radii_m: of the obstacles [m].
-        frame: name of the frame.
-        time_ns: log time [ns].
     """
     is_tracked = [bool(np.isfinite(track).all()) for track in tracks]
     true = [_ball(p, r, _OBSTACLE_COLOR) for p, r in zip(obstacles, radii_m, strict=True)]
@@ -200,7 +184,6 @@ def vehicle_message(radius_m: float, time_ns: int) -> SceneUpdate:
 
     Args:
         radius_m: of the vehicle [m].
-        time_ns: log time [ns].
     """
     ball = _ball(np.zeros(3), radius_m, _VEHICLE_COLOR)
     return SceneUpdate(entities=[entity("vehicle", BODY_FRAME, time_ns, spheres=[ball])])

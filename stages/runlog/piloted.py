@@ -17,10 +17,6 @@ def pilot_fields(flight: WorldFlight, i: int) -> dict[str, Any]:
 
     `fence_distance_m` is the minimum true distance to the fence since the sample before, less the vehicle's
     radius, h_m the filter's h_I, and lambda the pilot's part of the command.
-
-    Args:
-        flight: samples.
-        i: number of the sample.
     """
     figure = flight.rows("figure")
     if not figure.shape[1]:

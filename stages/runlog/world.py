@@ -73,18 +73,12 @@ def write_world_log(
     moving obstacles.
 
     Args:
-        stream: binary stream to write to.
-        record: summary of all trials.
         flights: samples of those that are shown.
-        frame: name of the frame of all positions.
         dt_s: duration of a tick [s].
         interface: what the vehicle is commanded by.
-        filters: names, in their order.
         radii_m: of the moving obstacles [m].
-        radius_m: of the vehicle [m].
         hulls: of cover and walls; None without any.
         scene: with ellipsoids; None without one.
-        sigma: their level.
         faces: of the fence, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
     """
     each = filters if len(filters) > 1 else []

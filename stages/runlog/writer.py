@@ -27,7 +27,6 @@ class LogWriter:
     """MCAP log that is being written; equal calls give equal bytes.
 
     Args:
-        stream: binary stream to write to.
         topics: of `CHANNELS`, in the order in which the file lists its channels.
         chunk_bytes: bytes that are written together; a crash loses those that are not written yet.
     """
@@ -45,32 +44,15 @@ class LogWriter:
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
 
     def send(self, topic: str, time_ns: int, message: msgspec.Struct) -> None:
-        """Add a message.
-
-        Args:
-            topic: one of the channels.
-            time_ns: log time: nanoseconds since 1970-01-01 UTC.
-            message: of its Struct.
-        """
+        """Add a message."""
         self._writer.add_message(self._channels[topic], time_ns, msgspec.json.encode(message), time_ns)
 
     def note(self, name: str, texts: Mapping[str, str]) -> None:
-        """Add metadata, at once.
-
-        Args:
-            name: of the metadata.
-            texts: values by key.
-        """
+        """Add metadata, at once."""
         self._writer.add_metadata(name, dict(texts))
 
     def attach(self, name: str, time_ns: int, data: bytes) -> None:
-        """Add a file.
-
-        Args:
-            name: of the file.
-            time_ns: log time: nanoseconds since 1970-01-01 UTC.
-            data: its bytes.
-        """
+        """Add a file."""
         self._writer.add_attachment(time_ns, time_ns, name, "application/octet-stream", data)
 
     def close(self) -> None:
@@ -78,11 +60,7 @@ class LogWriter:
         self._writer.finish()
 
     def finish(self, record: RunRecord) -> None:
-        """Add the record without its measured times, and its provenance, as metadata; close the log.
-
-        Args:
-            record: of the run.
-        """
+        """Add the record without its measured times, and its provenance, as metadata; close the log."""
         bare = msgspec.structs.replace(record, timing=None)
         texts = {"record": bare, "provenance": bare.provenance}
         encoded = {key: msgspec.json.encode(value, order="sorted").decode() for key, value in texts.items()}

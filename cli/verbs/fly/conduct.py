@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 def stop(number: int, frame: object) -> None:
-    """Interrupt the program before the loop runs: parameters are restored, and nothing has to land.
-
-    Args:
-        number: of the signal.
-        frame: unused.
-    """
+    """Interrupt the program before the loop runs: parameters are restored, and nothing has to land."""
     raise KeyboardInterrupt
 
 
@@ -31,22 +26,13 @@ class Interrupts:
         self.number = 0
 
     def count(self, number: int, frame: object) -> None:
-        """Count a signal.
-
-        Args:
-            number: of the signal.
-            frame: unused.
-        """
+        """Count a signal."""
         self.number += 1
 
 
 @contextmanager
 def signals(handler: Any) -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and a closed terminal by a function.
-
-    Args:
-        handler: the function.
-    """
+    """Handle Ctrl-C, SIGTERM and a closed terminal by a function."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -73,11 +59,7 @@ def priority() -> Iterator[None]:
 
 
 def failed_checks(loop: ControlLoop) -> AlulaError:
-    """Error of a flight whose pre-flight checks do not hold.
-
-    Args:
-        loop: that has ended.
-    """
+    """Error of a flight whose pre-flight checks do not hold."""
     from alula.stages.flight.loop.supervisor import Event
 
     words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
@@ -86,11 +68,7 @@ def failed_checks(loop: ControlLoop) -> AlulaError:
 
 
 def is_of_vehicle(loop: ControlLoop) -> bool:
-    """Whether the vehicle or its link ended a flight.
-
-    Args:
-        loop: that has ended.
-    """
+    """Whether the vehicle or its link ended a flight."""
     from alula.stages.flight.loop.supervisor import Event
 
     of_vehicle = (

@@ -48,10 +48,7 @@ def fly(
     """Fly a mission over a link.
 
     Args:
-        mission: to fly.
         link: to the vehicle; not yet open.
-        provenance: of the log and the record.
-        common: common options of commands.
         live: port of the live view; None for none.
         foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.

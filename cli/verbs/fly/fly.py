@@ -40,19 +40,15 @@ def fly(
 
     Args:
         source: a plan, or a scenario with one.
-        common: the shared options.
         fields: of `FlyConfig`, those that are given; they take precedence over those of the scenario.
-        route: to the vehicle.
         map: cover, tiles or scene to fly in.
         key: that must have signed the tiles.
         scene: beside a cover.
         within: seen space to stay in.
         vehicle_name: of a built-in vehicle, or a file.
-        link: address of the vehicle.
         settings: parameters of a filter, by name.
         live: port of the live view.
         foxglove: port of the server for Foxglove.
-        start_time: of the log.
 
     Raises:
         UsageError, InputError: files and options do not go together.

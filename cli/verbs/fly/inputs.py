@@ -20,9 +20,6 @@ def inputs_of(
     Args:
         source: scenario or plan.
         map_path: cover, tiles or scene of --map.
-        scene: scene of --scene.
-        vehicle: file of --vehicle.
-        within: seen space of --within.
 
     Raises:
         WrongKindError: a file is of another kind.
@@ -55,7 +52,6 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     The filter `none` takes the cover if there is one.
 
     Args:
-        name: of the filter.
         paths: files by role.
 
     Raises:

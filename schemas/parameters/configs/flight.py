@@ -68,12 +68,6 @@ class FlightConfig:
 def require_between(option: str, value: float, low: float, high: float) -> None:
     """Refuse a value that is out of range or not finite.
 
-    Args:
-        option: for the message.
-        value: given.
-        low: smallest value allowed.
-        high: largest value allowed.
-
     Raises:
         UsageError: it is.
     """

@@ -18,9 +18,6 @@ NEAR_HELP = (
 def require_min_near(fraction: float) -> None:
     """Refuse a minimum fraction of near points that is none.
 
-    Args:
-        fraction: value of --min-near.
-
     Raises:
         UsageError: it is not between 0 and 1.
     """

@@ -16,7 +16,6 @@ def with_tables(page: str, structs: dict[str, Struct]) -> str:
     Args:
         page: Markdown; `<!-- parameters: NAME NAME -->` and `<!-- end of parameters -->` enclose a table of
             the parameters of these files of the source, in this order.
-        structs: the source.
     """
 
     def table(match: re.Match[str]) -> str:

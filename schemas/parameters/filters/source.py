@@ -128,9 +128,6 @@ class Struct:
 def load(folder: Path) -> dict[str, Struct]:
     """Read all files of a folder.
 
-    Args:
-        folder: the folder with the TOML files.
-
     Returns:
         The structs by the names of their files; a part stands before what it is a part of.
 

@@ -57,11 +57,7 @@ class Entry(NamedTuple):
 
 @cache
 def entries(options: type[Options]) -> Mapping[str, Entry]:
-    """The parameters of a struct by name, without nested tables.
-
-    Args:
-        options: a struct of `alula.schemas.parameters.filter_options`.
-    """
+    """The parameters of a struct by name, without nested tables."""
     hints = get_type_hints(options, include_extras=True)
     found = {}
     for item in msgspec.structs.fields(options):
@@ -75,34 +71,20 @@ def entries(options: type[Options]) -> Mapping[str, Entry]:
 
 
 def defaults(options: type[Options]) -> dict[str, Any]:
-    """The defaults of all parameters of a struct, vectors as lists.
-
-    Args:
-        options: a struct of `alula.schemas.parameters.filter_options`.
-    """
+    """The defaults of all parameters of a struct, vectors as lists."""
     values = ((name, entry.default) for name, entry in entries(options).items())
     return {name: list(value) if isinstance(value, tuple) else value for name, value in values}
 
 
 def limits(meta: msgspec.Meta) -> tuple[float, float]:
-    """The lower and upper limit of a number, infinite where it has none.
-
-    Args:
-        meta: of an `Entry`.
-    """
+    """The lower and upper limit of a number, infinite where it has none."""
     low = next((x for x in (meta.ge, meta.gt) if x is not None), -math.inf)
     high = next((x for x in (meta.le, meta.lt) if x is not None), math.inf)
     return low, high
 
 
 def config_field(options: type[Options], name: str, **metadata: Any) -> Any:
-    """The field of a configuration dataclass that takes a parameter: its default and its help.
-
-    Args:
-        options: a struct of `alula.schemas.parameters.filter_options`.
-        name: the parameter.
-        metadata: further metadata of the field, such as `option`.
-    """
+    """The field of a configuration dataclass that takes a parameter: its default and its help."""
     entry = entries(options)[name]
     return dataclasses.field(default=entry.default, metadata={"help": entry.help, **metadata})
 
@@ -111,7 +93,6 @@ def complaint(entry: Entry, value: Any) -> str | None:
     """Why a value cannot be a parameter's, as the end of a sentence after its name; None when it can.
 
     Args:
-        entry: the parameter.
         value: any value of JSON or TOML; a whole number is a number, too.
     """
     if not _fits(entry, value):
