@@ -27,10 +27,9 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.parts_output import PartsWriter
     from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.parameters.keywords import ScaleAlignFields
-    from alula.stages.alignment.align_parts import PartsAligner
     from alula.stages.alignment.evidence import Correspondences
     from alula.stages.alignment.nerfstudio import TrainingFrame
-    from alula.stages.alignment.scale_align import Evidence
+    from alula.stages.alignment.scale_align import Aligner, Evidence
 
 
 @verb(ScaleAlignConfig, without=("distances",))
@@ -154,12 +153,12 @@ class Files:
             return scale_align(config, found, evidence_of(config, self), seed, report)
 
         def into(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
-            from alula.stages.alignment.align_parts import PartsAligner
+            from alula.stages.alignment.scale_align import Aligner
             from alula.stages.progress import share
 
             parts = source.parts(SCENE)
             known, begun = (config, parts, evidence_of(config, self), seed), share(progress, 0, 0.5)
-            aligner = PartsAligner(*known, report, jobs, begun)
+            aligner = Aligner(*known, report, jobs, begun)
             _align_parts(aligner, parts, writer, jobs, share(progress, 0.5, 1))
             return writer.whole(recorded, **aligner.whole(writer.manifests))
 
@@ -168,7 +167,7 @@ class Files:
 
 
 def _align_parts(
-    aligner: PartsAligner, parts: Parts, writer: PartsWriter, jobs: int, progress: Progress | None
+    aligner: Aligner, parts: Parts, writer: PartsWriter, jobs: int, progress: Progress | None
 ) -> None:
     """Map and write each part that an interrupted run has not finished."""
     from alula.schemas.artifacts.artifact import Artifact, file_hash

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reconstruction.formats.splats import Level
     from alula.stages.reconstruction.formats.splats import Splats as Read
-    from alula.stages.reconstruction.import_parts import Nothing
-    from alula.stages.reconstruction.import_splat import Screened
+    from alula.stages.reconstruction.import_splat import NothingLeftError, Screened
     from alula.stages.reconstruction.pieces import Piece
 
 
@@ -127,7 +126,8 @@ class Splats:
 
         def into(writer: PartsWriter, recorded: Provenance, progress: Progress) -> Manifest:
             from alula.stages.distribute import distribute
-            from alula.stages.reconstruction.import_parts import Nothing, check_parted, whole_scene
+            from alula.stages.reconstruction.import_parts import check_parted, whole_scene
+            from alula.stages.reconstruction.import_splat import NothingLeftError
             from alula.stages.reconstruction.pieces import levels_of, pieces_of
 
             levels = levels_of(self.found)
@@ -136,13 +136,13 @@ class Splats:
             by_role = {ref.role: ref for ref in recorded.inputs}
             own = [[by_role[role] for role in of_file] for of_file in inputs_of(self.found)]
 
-            def work(piece: Piece) -> list[WrittenPart | Nothing]:
+            def work(piece: Piece) -> list[WrittenPart | NothingLeftError]:
                 return _imported(config, piece, own[piece.file], levels, part_gaussians, writer.folder)
 
-            nothing: list[Nothing] = []
+            nothing: list[NothingLeftError] = []
             for done, made in enumerate(distribute(work, pieces, jobs=jobs)):
                 for one in made:
-                    if isinstance(one, Nothing):
+                    if isinstance(one, NothingLeftError):
                         nothing.append(one)
                     else:
                         writer.take(one)
@@ -182,7 +182,7 @@ def _imported(
     levels: Sequence[Level],
     most: int,
     folder: Path | None,
-) -> list[WrittenPart | Nothing]:
+) -> list[WrittenPart | NothingLeftError]:
     """Import and write the parts of one piece, unless an interrupted run has done so."""
     import msgspec
 
@@ -190,16 +190,17 @@ def _imported(
     from alula.schemas.artifacts.kinds import SCENE
     from alula.schemas.artifacts.manifest import SceneManifest
     from alula.schemas.artifacts.parts_output import kept_part, part_name, write_part
-    from alula.stages.reconstruction.import_parts import Nothing, import_piece
+    from alula.stages.reconstruction.import_parts import import_piece
+    from alula.stages.reconstruction.import_splat import NothingLeftError
 
     kept = kept_part(folder, part_name(SCENE, piece.file, piece.number, 0), SCENE)
     if kept is not None:
         assert isinstance(kept.manifest, SceneManifest)
         if piece.rows is not None or kept.manifest.source["rows"] < most:  # else there may be further parts
             return [kept]
-    made: list[WrittenPart | Nothing] = []
+    made: list[WrittenPart | NothingLeftError] = []
     for at, scene in enumerate(import_piece(config, piece, levels, most)):
-        if isinstance(scene, Nothing):
+        if isinstance(scene, NothingLeftError):
             made.append(scene)
             continue
         manifest = msgspec.structs.replace(scene.manifest, inputs=_refs_of(piece, refs))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,13 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact, make_artifact
 from alula.schemas.artifacts.kinds import SCENE
-from alula.schemas.artifacts.manifest import Guarantee, SceneManifest, Similarity, map_origin
+from alula.schemas.artifacts.manifest import Guarantee, Manifest, SceneManifest, Similarity, map_origin
+from alula.schemas.artifacts.parts import Parts
 from alula.schemas.artifacts.provenance import parameters_of
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
+from alula.schemas.progress import Progress
 from alula.stages.alignment.cloud import Cloud
 from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences
@@ -26,12 +28,14 @@ from alula.stages.alignment.levelling import level_by_direction, level_by_floor
 from alula.stages.alignment.model_frame import ModelFrame, model_frame
 from alula.stages.alignment.similarity import compose, transform_points
 from alula.stages.alignment.uncertainty import CONFIDENCE, mapped_corners
-from alula.stages.coordinates import nearer_origin
+from alula.stages.coordinates import nearer_origin, spacing
+from alula.stages.distribute import distribute
 from alula.stages.reconstruction.formats.splats import rounded_up
 from alula.stages.rotation import quat_wxyz_from_matrix
 
 __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
+MOST_POINTS = 2**22  # centres of several parts in memory at once: 100 MB
 _CHUNK = 2**15  # rows; their temporary arrays stay in the cache
 _SAME_SCALE = 1e-6  # a larger change of the scale of a scene in metres causes a warning
 _CORRECTION = 0.05  # a larger one is taken for a mistake
@@ -72,66 +76,202 @@ def scale_align(
         UsageError: a gate needs a figure that the evidence does not provide, or levelling is requested
             although the evidence fixes the rotation.
     """
-    manifest = scene.manifest
-    assert isinstance(manifest, SceneManifest)
-    box = bounds(scene["mean"], scene["scale"])
-
-    def means() -> FloatArray:
-        return np.asarray(scene["mean"], np.float64)
-
-    def visible() -> FloatArray:
-        return np.asarray(scene["mean"][scene["opacity"] >= VISIBLE], np.float64)
-
-    found = solved(config, manifest, box, means, visible, evidence, seed)
-    arrays, rounding = mapped(scene, found.similarity)
-    return aligned(config, alignment_of(config, manifest, found, rounding, report), manifest, arrays)
+    return Aligner(config, Parts.of(scene), evidence, seed, report).part(0)
 
 
-def solved(
-    config: ScaleAlignConfig,
-    manifest: SceneManifest,
-    box: tuple[FloatArray, FloatArray],
-    means: Callable[[], FloatArray],
-    visible: Callable[[], FloatArray],
-    evidence: Evidence | None,
-    seed: int,
-) -> Estimate:
-    """Estimate the similarity and level its frame.
+class Aligner:
+    """Alignment of a scene of one or several parts by one similarity; see `scale_align`.
+
+    A floor, or a cloud, is compared with every n-th Gaussian of several parts, where n keeps their number
+    below `MOST_POINTS`; the record has n. The rounding of an only part is measured. That of several, which
+    are mapped one by one, is bounded by the spacing of single precision at the farthest corner of their box.
 
     Args:
-        means: function that returns centres, shape (n, 3), scene units; called for a floor.
-        visible: the same of Gaussians with an opacity of at least `VISIBLE`; called for a cloud, or for the
-            cameras of a model with 3D points.
+        report: called with the record of the alignment before the gates are applied.
 
     Raises:
         InputError, CheckError, UsageError: see `scale_align`.
     """
-    if config.levels and isinstance(evidence, Correspondences | Cloud):
-        raise UsageError("--up and --floor turn the frame, but the evidence fixes its rotation already")
-    if evidence is None:
-        if manifest.unit != "m":
-            raise UsageError(
-                "--up and --floor alone are for scenes in metres; give a way to align too (--scale ...)"
+
+    def __init__(
+        self,
+        config: ScaleAlignConfig,
+        scene: Parts,
+        evidence: Evidence | None,
+        seed: int,
+        report: Callable[[dict[str, Any]], None] | None = None,
+        jobs: int = 0,
+        progress: Progress | None = None,
+    ) -> None:
+        assert isinstance(scene.manifest, SceneManifest)
+        self._config, self._scene, self._manifest = config, scene, scene.manifest
+        self._step = -(-scene.count // MOST_POINTS) if scene.is_folder else 1
+        boxes, centres = [], []
+        for done, (box, centre) in enumerate(distribute(self._boxes, range(len(scene)), jobs=jobs)):
+            boxes.append(box)
+            centres.append(centre)
+            if progress is not None:
+                progress(done + 1, len(scene))
+        self._is_sampled = False
+        found = self._solved(_around(boxes), evidence, seed)
+        if self._is_sampled:
+            found.record["every_gaussian"] = self._step
+        self._similarity = found.similarity
+        self._only = None if scene.is_folder else _mapped(scene[0], found.similarity)
+        if self._only is None:
+            farthest = np.abs(mapped_corners(found.similarity, *_around(centres))).max(axis=0)
+            units = spacing(np.nextafter(farthest.astype(np.float32), np.float32(np.inf)))
+            rounding = float(np.linalg.norm(units / 2))
+        else:
+            rounding = self._only[1]
+        self._check(found, rounding, report)
+
+    def part(self, number: int) -> Artifact:
+        """Aligned part.
+
+        Raises:
+            InputError: the part is damaged, or a value does not fit single precision.
+        """
+        part = self._scene[number]
+        assert isinstance(part.manifest, SceneManifest)
+        arrays, _ = _mapped(part, self._similarity) if self._only is None else self._only
+        columns = arrays["mean"].T  # several times as fast as extremes along an axis
+        ends = [float(column.min()) for column in columns], [float(column.max()) for column in columns]
+        summary = {"gaussians": len(arrays["mean"]), **self._figures(*ends)}
+        fields = self._fields(part.manifest)
+        return make_artifact(SCENE, arrays, parameters=parameters_of(self._config), **fields, summary=summary)
+
+    def whole(self, parts: list[Manifest]) -> dict[str, Any]:
+        """Fields of the manifest of the whole."""
+        lower = np.min([part.summary["lower_m"] for part in parts], axis=0).tolist()
+        upper = np.max([part.summary["upper_m"] for part in parts], axis=0).tolist()
+        summary = {"gaussians": self._scene.count, "parts": len(parts), **self._figures(lower, upper)}
+        return {**self._fields(self._manifest), "summary": summary}
+
+    def _boxes(self, number: int) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """Boxes of the ellipsoids and of the centres of a part."""
+        mean = self._scene[number]["mean"]
+        ends = mean.min(axis=0).astype(np.float64), mean.max(axis=0).astype(np.float64)
+        return _bounds(mean, self._scene[number]["scale"]), ends
+
+    def _sampled(self, min_opacity: float = 0.0) -> FloatArray:
+        """Centres of every n-th Gaussian of all parts that is opaque enough, shape (k, 3), scene units."""
+        self._is_sampled = self._step > 1
+        found, first = [], 0
+        for part in self._scene:
+            rows = np.arange(-first % self._step, len(part["mean"]), self._step)
+            rows = rows[part["opacity"][rows] >= np.float32(min_opacity)]
+            found.append(np.asarray(part["mean"][rows], np.float64))
+            first += len(part["mean"])
+        return np.concatenate(found)
+
+    def _solved(self, box: tuple[FloatArray, FloatArray], evidence: Evidence | None, seed: int) -> Estimate:
+        """Estimate the similarity and level its frame."""
+        config, manifest = self._config, self._manifest
+        visible = partial(self._sampled, VISIBLE)
+        if config.levels and isinstance(evidence, Correspondences | Cloud):
+            raise UsageError("--up and --floor turn the frame, but the evidence fixes its rotation already")
+        if evidence is None:
+            if manifest.unit != "m":
+                raise UsageError(
+                    "--up and --floor alone are for scenes in metres; give a way to align too (--scale ...)"
+                )
+            evidence = Given(scale_only(1.0), "level", ())
+        evidence, frame = _in_scene_frame(config, evidence, visible)
+        found = estimate(config, visible, evidence, seed, box)
+        if found.position_error is not None:
+            added = found.similarity.scale * frame.position_error(*box)
+            found = dataclasses.replace(found, position_error=found.position_error + added)
+            if frame.fit is not None:
+                found.record["model_frame"]["position_error_m"] = added
+        if config.levels:
+            known = manifest.frame == "world" or isinstance(evidence, Similarity)
+            found = _levelled(config, found, self._sampled, box, frame_is_known=known)
+        if (former := map_origin(manifest)) is not None:
+            words = " ".join(f"{c:.12g}" for c in former)
+            found.record["warnings"] = [
+                *found.record["warnings"],
+                f"the map's origin of the former alignment, ({words}) m, is not kept: the new alignment "
+                "moves the map; align once, with all options",
+            ]
+        return _from_map_origin(config, found, self._sampled, box)
+
+    def _check(
+        self, found: Estimate, rounding: float, report: Callable[[dict[str, Any]], None] | None
+    ) -> None:
+        """Record an estimate and check it against the gates."""
+        similarity = found.similarity
+        matrix = np.eye(4)
+        matrix[:3, :3] = similarity.scale * np.array(similarity.rotation)
+        matrix[:3, 3] = similarity.translation_m
+        q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
+        error = None if found.position_error is None else found.position_error + rounding
+        warnings = list(found.record["warnings"])
+        if rounding > _COARSE_M:
+            warnings.append(
+                f"coordinates are so large that single precision moves Gaussians by up to {rounding:.2g} m; "
+                "put the map's origin nearer to the scene (--map-origin)"
             )
-        evidence = Given(scale_only(1.0), "level", ())
-    evidence, frame = _in_scene_frame(config, evidence, visible)
-    found = estimate(config, visible, evidence, seed, box)
-    if found.position_error is not None:
-        added = found.similarity.scale * frame.position_error(*box)
-        found = dataclasses.replace(found, position_error=found.position_error + added)
-        if frame.fit is not None:
-            found.record["model_frame"]["position_error_m"] = added
-    if config.levels:
-        known = manifest.frame == "world" or isinstance(evidence, Similarity)
-        found = _levelled(config, found, means, box, frame_is_known=known)
-    if (former := map_origin(manifest)) is not None:
-        words = " ".join(f"{c:.12g}" for c in former)
-        found.record["warnings"] = [
-            *found.record["warnings"],
-            f"the map's origin of the former alignment, ({words}) m, is not kept: the new alignment moves "
-            "the map; align once, with all options",
-        ]
-    return _from_map_origin(config, found, means, box)
+        scale = similarity.scale
+        if self._manifest.unit == "m" and abs(scale - 1.0) > _SAME_SCALE:
+            warnings.append(f"the scene was in metres already; a metre of it becomes {scale:.6g} m")
+        alignment = {
+            "from_frame": self._manifest.frame,
+            "from_unit": self._manifest.unit,
+            "to_frame": "world",
+            "to_unit": "m",
+            "scale": similarity.scale,
+            "q_world_scene_wxyz": q_world_scene.tolist(),
+            "translation_m": list(similarity.translation_m),
+            "matrix": matrix.tolist(),
+            "determinant": float(np.linalg.det(np.array(similarity.rotation))),
+            "rounding_m": rounding,
+            "position_error_m": error,
+            **found.record,
+            "warnings": warnings,
+        }
+        if report is not None:
+            report(alignment)
+        _check_gates(self._config, alignment)
+
+        whole = similarity
+        inflation = error if error is not None else rounding if rounding > _COARSE_M else 0.0
+        if self._manifest.world_from_scene is not None:
+            whole = compose(similarity, self._manifest.world_from_scene)
+            inflation += similarity.scale * self._manifest.suggested_inflation_m
+            alignment["previous"] = self._manifest.alignment
+        self._record, self._world_from_scene = alignment, whole
+        self._inflation, self._error = inflation, error
+
+    def _figures(self, lower: list[float], upper: list[float]) -> dict[str, Any]:
+        """Summary of an aligned scene without its number of Gaussians; the box is that of the centres [m]."""
+        record = self._record
+        figures = (
+            *("method", "scale", "scale_sigma", "scale_interval", "map_origin_m", "count", "inliers"),
+            *("fitness", "rms_m", "max_m", "rms_deg", "position_error_m"),
+        )
+        summary = {
+            **{key: record[key] for key in figures if record.get(key) is not None},
+            "lower_m": lower,
+            "upper_m": upper,
+            "suggested_inflation_m": self._inflation,
+        }
+        if record["warnings"]:
+            summary["warnings"] = record["warnings"]
+        return summary
+
+    def _fields(self, manifest: SceneManifest) -> dict[str, Any]:
+        """Fields of the manifest of an aligned scene that follow from the alignment."""
+        return {
+            "frame": "world",
+            "unit": "m",
+            "guarantee": _guarantee(manifest, self._error, self._inflation),
+            "source": manifest.source,
+            "requires": manifest.requires,
+            "world_from_scene": self._world_from_scene,
+            "alignment": self._record,
+            "suggested_inflation_m": self._inflation,
+        }
 
 
 def _from_map_origin(
@@ -184,139 +324,7 @@ def _in_scene_frame(
     return dataclasses.replace(evidence, facts=facts, warnings=(*evidence.warnings, *frame.warnings)), frame
 
 
-@dataclass(frozen=True, slots=True)
-class Alignment:
-    """A checked alignment of a scene.
-
-    Attributes:
-        record: as the manifest holds it.
-        world_from_scene: composition with earlier alignments.
-        inflation: suggested radius [m].
-        error: bound of the error of positions [m]; None where it is not known.
-    """
-
-    record: dict[str, Any]
-    world_from_scene: Similarity
-    inflation: float
-    error: float | None
-
-
-def alignment_of(
-    config: ScaleAlignConfig,
-    manifest: SceneManifest,
-    found: Estimate,
-    rounding: float,
-    report: Callable[[dict[str, Any]], None] | None = None,
-) -> Alignment:
-    """Record an estimate and check it against the gates.
-
-    Args:
-        rounding: bound of the shift of a centre by its rounding to single precision [m].
-        report: called with the record before the gates are applied.
-
-    Raises:
-        CheckError: a gate does not hold, or a scene in metres would have another scale.
-    """
-    similarity = found.similarity
-    matrix = np.eye(4)
-    matrix[:3, :3] = similarity.scale * np.array(similarity.rotation)
-    matrix[:3, 3] = similarity.translation_m
-    q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
-    error = None if found.position_error is None else found.position_error + rounding
-    warnings = list(found.record["warnings"])
-    if rounding > _COARSE_M:
-        warnings.append(
-            f"coordinates are so large that single precision moves Gaussians by up to {rounding:.2g} m; put "
-            "the map's origin nearer to the scene (--map-origin)"
-        )
-    scale = similarity.scale
-    if manifest.unit == "m" and abs(scale - 1.0) > _SAME_SCALE:
-        warnings.append(f"the scene was in metres already; a metre of it becomes {scale:.6g} m")
-    alignment = {
-        "from_frame": manifest.frame,
-        "from_unit": manifest.unit,
-        "to_frame": "world",
-        "to_unit": "m",
-        "scale": similarity.scale,
-        "q_world_scene_wxyz": q_world_scene.tolist(),
-        "translation_m": list(similarity.translation_m),
-        "matrix": matrix.tolist(),
-        "determinant": float(np.linalg.det(np.array(similarity.rotation))),
-        "rounding_m": rounding,
-        "position_error_m": error,
-        **found.record,
-        "warnings": warnings,
-    }
-    if report is not None:
-        report(alignment)
-    _check_gates(config, alignment)
-
-    whole = similarity
-    inflation = error if error is not None else rounding if rounding > _COARSE_M else 0.0
-    if manifest.world_from_scene is not None:
-        whole = compose(similarity, manifest.world_from_scene)
-        inflation += similarity.scale * manifest.suggested_inflation_m
-        alignment["previous"] = manifest.alignment
-    return Alignment(alignment, whole, inflation, error)
-
-
-def aligned(
-    config: ScaleAlignConfig, alignment: Alignment, manifest: SceneManifest, arrays: dict[str, Any]
-) -> Artifact:
-    """Aligned scene."""
-    columns = arrays["mean"].T  # several times as fast as extremes along an axis
-    lower, upper = [float(column.min()) for column in columns], [float(column.max()) for column in columns]
-    summary = align_summary(alignment, len(arrays["mean"]), lower, upper)
-    return make_artifact(
-        SCENE,
-        arrays,
-        parameters=parameters_of(config),
-        **aligned_fields(alignment, manifest),
-        summary=summary,
-    )
-
-
-def align_summary(
-    alignment: Alignment, gaussians: int, lower: list[float], upper: list[float]
-) -> dict[str, Any]:
-    """Summary of an aligned scene.
-
-    Args:
-        lower: lowest coordinates of centres [m].
-        upper: highest ones [m].
-    """
-    record = alignment.record
-    figures = (
-        *("method", "scale", "scale_sigma", "scale_interval", "map_origin_m", "count", "inliers", "fitness"),
-        *("rms_m", "max_m", "rms_deg", "position_error_m"),
-    )
-    summary = {
-        "gaussians": gaussians,
-        **{key: record[key] for key in figures if record.get(key) is not None},
-        "lower_m": lower,
-        "upper_m": upper,
-        "suggested_inflation_m": alignment.inflation,
-    }
-    if record["warnings"]:
-        summary["warnings"] = record["warnings"]
-    return summary
-
-
-def aligned_fields(alignment: Alignment, manifest: SceneManifest) -> dict[str, Any]:
-    """Fields of the manifest of an aligned scene that follow from the alignment."""
-    return {
-        "frame": "world",
-        "unit": "m",
-        "guarantee": _guarantee(manifest, alignment.error, alignment.inflation),
-        "source": manifest.source,
-        "requires": manifest.requires,
-        "world_from_scene": alignment.world_from_scene,
-        "alignment": alignment.record,
-        "suggested_inflation_m": alignment.inflation,
-    }
-
-
-def bounds(mean: NDArray[np.floating[Any]], scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+def _bounds(mean: NDArray[np.floating[Any]], scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
     """Bounding box of the ellipsoids that the error bound covers.
 
     Args:
@@ -411,7 +419,7 @@ def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
         )
 
 
-def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], float]:
+def _mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], float]:
     """Arrays in the new frame, and the largest shift of a mean by its rounding [m].
 
     Args:
@@ -446,3 +454,7 @@ def mapped(scene: Artifact, similarity: Similarity) -> tuple[dict[str, Any], flo
         now[:, 1:] += _SINGLE * (1 + now[:, 1:])  # a unit quaternion turns by twice its own error
         arrays["loss"] = rounded_up(now)
     return arrays, rounding
+
+
+def _around(boxes: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from alula.schemas.artifacts.artifact import Artifact
@@ -14,36 +13,25 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.parameters.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.stages.reconstruction.faint import FAINT
 from alula.stages.reconstruction.formats.capture import lacking, level_facts
-from alula.stages.reconstruction.formats.splats import LOSSES, Level, Properties
+from alula.stages.reconstruction.formats.splats import LOSSES, Level
 from alula.stages.reconstruction.import_splat import (
     NOTABLE,
     SCALE_FLOOR,
     NothingLeftError,
     check_whole,
-    import_guarantee,
+    cut_note,
+    faint_note,
     import_splat,
+    loss_notes,
+    nothing_left,
     property_notes,
+    scene_fields,
     zero_notes,
 )
 from alula.stages.reconstruction.pieces import Piece, decode_piece, sliced
 
 _NOTES = 10  # maximum number of notes of the whole
 _LISTED = 3  # maximum number of reasons of an unbounded loss
-
-
-@dataclass(frozen=True, slots=True)
-class Nothing:
-    """Rows of a piece of which no Gaussian is left.
-
-    Attributes:
-        rows: their number.
-        removed: number of rows that each rule removed.
-        levels: levels of detail that they come from.
-    """
-
-    rows: int
-    removed: Mapping[str, int]
-    levels: tuple[Level, ...] = ()
 
 
 def check_parted(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
@@ -63,7 +51,7 @@ def check_parted(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
 
 def import_piece(
     config: ImportSplatConfig, piece: Piece, levels: Sequence[Level], most: int
-) -> Iterator[Artifact | Nothing]:
+) -> Iterator[Artifact | NothingLeftError]:
     """Import a piece of a file; see `import_splat`.
 
     Args:
@@ -72,7 +60,7 @@ def import_piece(
         most: maximum number of Gaussians of a part.
 
     Yields:
-        An `alula/scene` of at most `most` rows of the file, or `Nothing` where no Gaussian of them is left.
+        An `alula/scene` of at most `most` rows of the file, or the error where no Gaussian of them is left.
 
     Raises:
         ArtifactError, InputError: the file is damaged or cannot be read, or a value is not finite.
@@ -84,7 +72,7 @@ def import_piece(
         try:
             yield import_splat(config, rows)
         except NothingLeftError as error:
-            yield Nothing(len(rows), error.removed, rows.levels)
+            yield error.with_traceback(None)  # which would keep the rows in memory
         except InputError as error:
             raise InputError(f"{piece.found.path}: {error}") from error
 
@@ -92,7 +80,7 @@ def import_piece(
 def whole_scene(
     config: ImportSplatConfig,
     manifests: Sequence[Manifest],
-    nothing: Sequence[Nothing],
+    nothing: Sequence[NothingLeftError],
     levels: Sequence[Level],
 ) -> dict[str, Any]:
     """Fields of the manifest of a whole scene, from those of its parts.
@@ -103,78 +91,48 @@ def whole_scene(
     Raises:
         InputError: no Gaussian is left.
     """
-    parts = [manifest for manifest in manifests if isinstance(manifest, SceneManifest)]
+    sources = [manifest.source for manifest in manifests if isinstance(manifest, SceneManifest)]
     removed: Counter[str] = Counter()
-    for table in (*(part.source["removed"] for part in parts), *(one.removed for one in nothing)):
+    for table in (*(one["removed"] for one in sources), *(one.removed for one in nothing)):
         removed.update(table)
-    rows = sum(part.source["rows"] for part in parts) + sum(one.rows for one in nothing)
-    if not parts:
-        reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
-        raise InputError(f"no Gaussian is left of {rows}: removed {reasons or 'none'}")
-    sources = [part.source for part in parts]
-    lacks = (
-        lacking(levels) if levels else list(dict.fromkeys(what for one in sources for what in one["lacks"]))
-    )
-    lower = [min(one["bounds"]["lower"][axis] for one in sources) for axis in range(3)]
-    upper = [max(one["bounds"]["upper"][axis] for one in sources) for axis in range(3)]
-    loss = _loss([one["loss"] for one in sources])
-    properties = Properties(
-        *(
-            tuple(dict.fromkeys(what for one in sources for what in one[key]))
-            for key in ("applied", "unknown_properties")
-        )
-    )
-    format_ = " + ".join(dict.fromkeys(one["format"] for one in sources))
-    frames = list(dict.fromkeys(one["frame"]["file"] for one in sources))
-    frame = frames[0] if len(frames) == 1 else "several"
-    notes = [f"the scene is not the whole capture: it lacks {'; '.join(lacks)}"] if lacks else []
-    if len(frames) > 1:
-        notes.append(f"the files state different frames ({', '.join(frames)}); none was turned")
-    notes += [*zero_notes(dict(removed), rows), *property_notes(properties), *_notes(config, sources, loss)]
-    kept = sum(one["kept"] for one in sources)
-    summary = {
-        "gaussians": kept,
-        "parts": len(parts),
-        "rows": rows,
+    if not sources:
+        raise nothing_left(dict(removed))
+    frames = _distinct(one["frame"]["file"] for one in sources)
+    source = {
+        "format": " + ".join(_distinct(one["format"] for one in sources)),
+        "rows": sum(one["rows"] for one in sources) + sum(sum(one.removed.values()) for one in nothing),
+        "kept": sum(one["kept"] for one in sources),
         "removed": dict(removed),
-        "format": format_,
-        "frame": f"that of the file ({frame}), "
-        + (f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"),
-        "lower": lower,
-        "upper": upper,
-        "scale_max": max(part.summary["scale_max"] for part in parts),
-    }
-    requires = sorted({need for part in parts for need in part.requires})
-    if SPLAT_LOSS in requires:
-        summary["loss"] = {key: loss[key] for key in LOSSES}
-    if lacks:
-        summary["lacks"] = lacks
-    if notes:
-        summary["notes"] = notes
-    return {
-        "frame": "scene",
-        "unit": "arbitrary",
-        "summary": summary,
-        "guarantee": import_guarantee(config, dict(removed), loss, lacks, properties),
-        "requires": requires,
-        "source": {
-            "format": format_,
-            "rows": rows,
-            "kept": kept,
-            "removed": dict(removed),
-            "rules": {},
-            "levels_of_detail": level_facts(levels),
-            "lacks": lacks,
-            "applied": list(properties.applied),
-            "unknown_properties": list(properties.unknown),
-            "scale_floor": SCALE_FLOOR,
-            "scale_floored": sum(one["scale_floored"] for one in sources),
-            "bounds": {"lower": lower, "upper": upper},
-            "loss": loss,
-            "frame": {"file": frame, "turn": config.turn},
-            "notes": notes,
+        "rules": {},
+        "levels_of_detail": level_facts(levels),
+        "lacks": lacking(levels) if levels else _distinct(what for one in sources for what in one["lacks"]),
+        "applied": _distinct(what for one in sources for what in one["applied"]),
+        "unknown_properties": _distinct(what for one in sources for what in one["unknown_properties"]),
+        "scale_floor": SCALE_FLOOR,
+        "scale_floored": sum(one["scale_floored"] for one in sources),
+        "bounds": {
+            "lower": [min(one["bounds"]["lower"][axis] for one in sources) for axis in range(3)],
+            "upper": [max(one["bounds"]["upper"][axis] for one in sources) for axis in range(3)],
         },
+        "loss": _loss([one["loss"] for one in sources]),
+        "frame": {"file": frames[0] if len(frames) == 1 else "several", "turn": config.turn},
     }
+    notes = [
+        *zero_notes(source),
+        *property_notes(source),
+        *_notes(config, sources),
+        *loss_notes(source["loss"]),
+    ]
+    if len(frames) > 1:
+        notes.insert(0, f"the files state different frames ({', '.join(frames)}); none was turned")
+    largest = {"scale_max": max(manifest.summary["scale_max"] for manifest in manifests)}
+    is_lossy = any(SPLAT_LOSS in manifest.requires for manifest in manifests)
+    fields = scene_fields(config, source, largest, notes, is_lossy=is_lossy, parts=len(sources))
+    return fields | {"source": source | {"notes": fields["summary"].get("notes", [])}}
+
+
+def _distinct(items: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(items))
 
 
 def _loss(losses: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -191,7 +149,7 @@ def _loss(losses: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]], loss: dict[str, Any]) -> list[str]:
+def _notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]]) -> list[str]:
     """Notes about the whole; those of a file with the number of the first part that has it."""
     found: dict[str, list[int]] = {}
     for number, source in enumerate(sources):
@@ -203,8 +161,7 @@ def _notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]], loss: d
     ]
     if (more := len(words) - _NOTES) > 0:
         words = [*words[:_NOTES], f"{more} more notes are in the parts"]
-    unsure = [f"no certain bound of {what}: {why}" for what, why in loss["unbounded"].items()]
-    return [*_opacity_notes(config, sources), *words, *unsure]
+    return [*_opacity_notes(config, sources), *words]
 
 
 def _opacity_notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]]) -> list[str]:
@@ -222,12 +179,4 @@ def _opacity_notes(config: ImportSplatConfig, sources: Sequence[dict[str, Any]])
         f"{gaussians} of {rows} Gaussians ({gaussians / rows:.0%}), which alone mark {share:.0%} of the "
         f"volume of the {len(volumes)} parts that have any"
     )
-    if limit == config.min_opacity:
-        return [
-            f"--min-opacity {limit:g} removed {words}; obstacles are missing unless all of it is haze: "
-            f"--min-opacity {DRAWN:g} keeps all that renderers draw"
-        ]
-    return [
-        f"an opacity below {limit:g} have {words}; they count as obstacles, and if they are haze, "
-        f"--min-opacity {limit:g} removes them"
-    ]
+    return [cut_note(limit, words) if limit == config.min_opacity else faint_note(words)]

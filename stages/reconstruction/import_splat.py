@@ -23,7 +23,7 @@ from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.properties import unknown_words
-from alula.stages.reconstruction.formats.splats import LOSSES, Level, Loss, Properties, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import LOSSES, Level, Loss, Splats, loss_bound
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ZERO = "zero_rotation"
@@ -127,13 +127,15 @@ def screened(config: ImportSplatConfig, splats: Splats) -> Screened:
             f"{int(np.argmax(removal == 1 + _REASONS.index(_ZERO)))}: the file is damaged, or was not "
             "written to its end; --drop-nan leaves them out"
         )
-    _check_some_left(removal, removed)
+    if removal.all():
+        raise nothing_left(removed)
 
     volume = _volume(config, splats, removal)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
         removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
-        _check_some_left(removal, removed)
+        if removal.all():
+            raise nothing_left(removed)
     return Screened(config, splats, removal, removed, rules, volume)
 
 
@@ -146,66 +148,81 @@ def scene_of(screened: Screened) -> Artifact:
     loss = _loss(splats, removal, kept)
     if loss["bound"] is not None:
         arrays["loss"] = loss["bound"]
-    bounds = {"lower": list(figures["lower"]), "upper": list(figures["upper"])}
-    summary = {
-        "gaussians": kept,
-        "rows": len(splats),
-        "removed": removed,
+    lossy, properties = loss["figures"], splats.properties
+    source = {
         "format": splats.format,
-        "frame": f"that of the file ({splats.tags.get('frame', 'unnamed')}), "
-        + (f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"),
-        "lower": bounds["lower"],
-        "upper": bounds["upper"],
-        "opacity_median": figures["opacity_median"],
-        "scale_median": figures["scale_median"],
-        "scale_max": figures["scale_max"],
+        "rows": len(splats),
+        "kept": kept,
+        "removed": removed,
+        "rules": screened.rules,
+        "opacity": None if volume is None else dataclasses.asdict(volume),
+        "levels_of_detail": level_facts(splats.levels),
+        "lacks": lacking(splats.levels),
+        "applied": list(properties.applied),
+        "unknown_properties": list(properties.unknown),
+        "scale_floor": SCALE_FLOOR,
+        "scale_floored": figures["floored"],
+        "bounds": {"lower": list(figures["lower"]), "upper": list(figures["upper"])},
+        "loss": lossy,
+        "frame": {"file": splats.tags.get("frame", "unnamed"), "turn": config.turn},
+        "comments": list(splats.comments),
+        "tags": splats.tags,
+        "notes": list(splats.notes),
     }
-    if arrays.get("loss") is not None:
-        summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
-    unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
-    lacks, properties = lacking(splats.levels), splats.properties
     notes = [
-        *zero_notes(removed, len(splats)),
+        *zero_notes(source),
         *_opacity_notes(config, volume, removed, len(splats)),
-        *property_notes(properties),
+        *property_notes(source),
         *splats.notes,
-        *unsure,
+        *loss_notes(lossy),
     ]
-    if lacks:
-        notes.insert(0, f"the scene is not the whole capture: it lacks {'; '.join(lacks)}")
+    medians = {name: figures[name] for name in ("opacity_median", "scale_median", "scale_max")}
+    fields = scene_fields(config, source, medians, notes, is_lossy="loss" in arrays)
+    return make_artifact(SCENE, arrays, parameters=parameters_of(config), **fields)
+
+
+def scene_fields(
+    config: ImportSplatConfig,
+    source: dict[str, Any],
+    figures: dict[str, Any],
+    notes: list[str],
+    *,
+    is_lossy: bool,
+    parts: int | None = None,
+) -> dict[str, Any]:
+    """Fields of the manifest of a scene that follow from the record of its source.
+
+    Args:
+        source: `source` of the manifest.
+        figures: further figures of the summary, such as `scale_max`.
+        notes: all but that on what the scene lacks.
+        is_lossy: whether the scene has an array `loss`.
+        parts: number of parts of a scene in parts.
+    """
+    turned = f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"
+    summary = {
+        "gaussians": source["kept"],
+        **({} if parts is None else {"parts": parts}),
+        **{key: source[key] for key in ("rows", "removed", "format")},
+        "frame": f"that of the file ({source['frame']['file']}), {turned}",
+        **source["bounds"],
+        **figures,
+    }
+    if is_lossy:
+        summary["loss"] = {key: source["loss"][key] for key in LOSSES}
+    if lacks := source["lacks"]:
+        notes = [f"the scene is not the whole capture: it lacks {'; '.join(lacks)}", *notes]
         summary["lacks"] = lacks
     if notes:
         summary["notes"] = notes
-    return make_artifact(
-        SCENE,
-        arrays,
-        frame="scene",
-        unit="arbitrary",
-        parameters=parameters_of(config),
-        summary=summary,
-        guarantee=import_guarantee(config, removed, loss["figures"], lacks, properties),
-        requires=[SPLAT_LOSS] if "loss" in arrays else [],
-        source={
-            "format": splats.format,
-            "rows": len(splats),
-            "kept": kept,
-            "removed": removed,
-            "rules": screened.rules,
-            "opacity": None if volume is None else dataclasses.asdict(volume),
-            "levels_of_detail": level_facts(splats.levels),
-            "lacks": lacks,
-            "applied": list(properties.applied),
-            "unknown_properties": list(properties.unknown),
-            "scale_floor": SCALE_FLOOR,
-            "scale_floored": figures["floored"],
-            "bounds": bounds,
-            "loss": loss["figures"],
-            "frame": {"file": splats.tags.get("frame", "unnamed"), "turn": config.turn},
-            "comments": list(splats.comments),
-            "tags": splats.tags,
-            "notes": list(splats.notes),
-        },
-    )
+    return {
+        "frame": "scene",
+        "unit": "arbitrary",
+        "summary": summary,
+        "guarantee": _guarantee(config, source),
+        "requires": [SPLAT_LOSS] if is_lossy else [],
+        "source": source,
+    }
 
 
 def check_whole(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
@@ -306,16 +323,24 @@ def _opacity_notes(
         f"{volume.edge:.3g} file units)"
     )
     if limit is at:
-        return [
-            f"--min-opacity {at.limit:g} removed {words}; obstacles are missing unless all of it is haze: "
-            f"--min-opacity {DRAWN:g} keeps all that renderers draw"
-        ]
-    if faint.gaussians > at.gaussians and volume.share(faint) >= NOTABLE:
-        return [
-            f"an opacity below {FAINT:g} have {words}; they count as obstacles, and if they are haze, "
-            f"--min-opacity {FAINT:g} removes them"
-        ]
-    return []
+        return [cut_note(at.limit, words)]
+    return [faint_note(words)] if faint.gaussians > at.gaussians and volume.share(faint) >= NOTABLE else []
+
+
+def cut_note(limit: float, words: str) -> str:
+    """Note about Gaussians, in words, that a minimum opacity removed."""
+    return (
+        f"--min-opacity {limit:g} removed {words}; obstacles are missing unless all of it is haze: "
+        f"--min-opacity {DRAWN:g} keeps all that renderers draw"
+    )
+
+
+def faint_note(words: str) -> str:
+    """Note about Gaussians, in words, of an opacity below `FAINT`."""
+    return (
+        f"an opacity below {FAINT:g} have {words}; they count as obstacles, and if they are haze, "
+        f"--min-opacity {FAINT:g} removes them"
+    )
 
 
 def with_rounding(splats: Splats) -> Splats:
@@ -397,19 +422,9 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
     return {"bound": bound if bound.any() else None, "figures": figures}
 
 
-def import_guarantee(
-    config: ImportSplatConfig,
-    removed: dict[str, int],
-    loss: dict[str, Any],
-    lacks: list[str],
-    properties: Properties,
-) -> Guarantee:
-    """Guarantee of an imported scene.
-
-    Args:
-        loss: the entry `loss` of the scene's `source`.
-        lacks: phrases that name what the scene lacks of its capture.
-    """
+def _guarantee(config: ImportSplatConfig, source: dict[str, Any]) -> Guarantee:
+    removed, loss, lacks = source["removed"], source["loss"], source["lacks"]
+    unknown = source["unknown_properties"]
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
     figures = ", ".join(f"{name} {at_most(loss[name])}" for name in (*LOSSES, "opacity") if loss[name])
@@ -421,16 +436,16 @@ def import_guarantee(
     for quantity, why in loss["unbounded"].items():
         lossy += f" The bound of {quantity} is not certain: {why}."
     whole = f" The files are not the whole capture, which also has {'; '.join(lacks)}." if lacks else ""
-    ellipsoids = "".join(f" Of the file, {sentence}." for sentence in properties.applied)
-    if properties.unknown:
-        ellipsoids += f" Not read: {unknown_words(properties.unknown)}."
+    ellipsoids = "".join(f" Of the file, {sentence}." for sentence in source["applied"])
+    if unknown:
+        ellipsoids += f" Not read: {unknown_words(unknown)}."
     return Guarantee(
         statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
         f"out: {removals}.{lossy}{ellipsoids}{whole}",
         claims={
             "lacks": lacks,
-            "applied": list(properties.applied),
-            "unknown_properties": list(properties.unknown),
+            "applied": source["applied"],
+            "unknown_properties": unknown,
             "left_out": left_out,
             "min_opacity": config.min_opacity,
             "crop": list(config.crop) if config.crop is not None else None,
@@ -443,26 +458,32 @@ def import_guarantee(
     )
 
 
-def zero_notes(removed: dict[str, int], rows: int) -> list[str]:
+def zero_notes(source: dict[str, Any]) -> list[str]:
     """Note about rows without a rotation, which are left out."""
-    if not (zero := removed.get(_ZERO, 0)):
+    if not (zero := source["removed"].get(_ZERO, 0)):
         return []
     return [
-        f"{zero} of {rows} Gaussians have a quaternion of length zero and were left out; no viewer draws "
-        "them, but what they stood for is missing"
+        f"{zero} of {source['rows']} Gaussians have a quaternion of length zero and were left out; no viewer "
+        "draws them, but what they stood for is missing"
     ]
 
 
-def property_notes(properties: Properties) -> list[str]:
+def property_notes(source: dict[str, Any]) -> list[str]:
     """Notes about further properties of the files."""
-    unknown = [
-        f"{unknown_words(properties.unknown)}; not read: if one of them changes the shape of Gaussians, the "
-        "scene is wrong"
-    ]
-    return [*properties.applied, *(unknown if properties.unknown else [])]
+    if not (unknown := source["unknown_properties"]):
+        return list(source["applied"])
+    words = unknown_words(unknown)
+    note = f"{words}; not read: if one of them changes the shape of Gaussians, the scene is wrong"
+    return [*source["applied"], note]
 
 
-def _check_some_left(removal: NDArray[np.uint8], removed: dict[str, int]) -> None:
-    if removal.all():
-        reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
-        raise NothingLeftError(f"no Gaussian is left of {len(removal)}: removed {reasons or 'none'}", removed)
+def loss_notes(loss: dict[str, Any]) -> list[str]:
+    """Notes about losses without a bound."""
+    return [f"no certain bound of {what}: {why}" for what, why in loss["unbounded"].items()]
+
+
+def nothing_left(removed: dict[str, int]) -> NothingLeftError:
+    """Error where each row was removed by a rule."""
+    reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
+    rows = sum(removed.values())
+    return NothingLeftError(f"no Gaussian is left of {rows}: removed {reasons or 'none'}", removed)

@@ -10,7 +10,7 @@ from alula.schemas.artifacts.artifact import read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.artifacts.parts_join import read_whole
-from alula.stages.alignment import align_parts
+from alula.stages.alignment import scale_align
 from support.parted import scene_of, write_parts
 
 
@@ -77,13 +77,13 @@ def test_parts_are_mapped_like_the_whole(tmp_path, city, evidence):
 
 
 def test_the_floor_is_found_from_an_even_sample_and_the_record_says_so(tmp_path, city, monkeypatch):
-    monkeypatch.setattr(align_parts, "MOST_POINTS", 500)
+    monkeypatch.setattr(scale_align, "MOST_POINTS", 500)
     words = ["--scale", 1, "--up", "0 0 1", "--floor"]
     assert run("scale-align", city, "-o", tmp_path / "m.scene", "-q", *words) == 0
     manifest = open_parts(tmp_path / "m.scene").manifest
     assert manifest.alignment["every_gaussian"] == 3
     assert manifest.world_from_scene.translation_m[2] == pytest.approx(-1, abs=0.01)
-    aligner = align_parts.PartsAligner.__new__(align_parts.PartsAligner)
+    aligner = scale_align.Aligner.__new__(scale_align.Aligner)
     aligner._scene, aligner._step = open_parts(city), 3
     every = np.concatenate([part["mean"] for part in aligner._scene])[::3]
     np.testing.assert_array_equal(aligner._sampled(0.0), np.float64(every))
