@@ -114,10 +114,5 @@ def command(
     if status == "dry-run":
         print_json({**answer, "alignment": shown[0]})
         return
-    manifest = open_parts(common.output, SCENE).manifest
-    print_json({**answer, "summary": manifest.summary, "alignment": _recorded(manifest)})
-
-
-def _recorded(manifest: Any) -> dict[str, Any]:
-    found: dict[str, Any] = manifest.alignment
-    return found
+    manifest: Any = open_parts(common.output, SCENE).manifest
+    print_json({**answer, "summary": manifest.summary, "alignment": manifest.alignment})

@@ -15,10 +15,10 @@ from alula.schemas.artifacts.kinds import COVER
 from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.artifacts.parts_output import part_name
 from alula.schemas.errors import InputError, LinkError, OutputError
-from alula.stages.compression.merge_blocks import CoverStore, MemoryStore
+from alula.stages.compression.merge_blocks import CoverStore
 
 
-class FolderStore:
+class FolderStore(CoverStore):
     """Covers as files: `block-LEVEL-X-Y-Z.cover.npz` before the last merges, `part-N.cover.npz` after them.
 
     A damaged file counts as missing.
@@ -77,7 +77,7 @@ def covers_kept_in(folder: Path | None, inputs: Sequence[InputRef]) -> Iterator[
         InterruptedWithAdvice: the command was interrupted, and the folder allows it to continue.
     """
     if folder is None:
-        yield MemoryStore()
+        yield CoverStore()
         return
     try:
         folder.mkdir(exist_ok=True)

@@ -21,7 +21,7 @@ from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE, SEEN, VOXELS, Kind
 from alula.schemas.artifacts.manifest import CoverManifest, InputRef, LevelManifest, Manifest
 from alula.schemas.artifacts.parts import Parts, open_parts
 from alula.schemas.artifacts.parts_join import read_whole
-from alula.schemas.artifacts.provenance import Provenance
+from alula.schemas.artifacts.provenance import of_manifest
 from alula.schemas.errors import InfeasibleError, InputError, OutputError, WrongKindError
 
 _Ints = NDArray[np.signedinteger[Any]]
@@ -163,7 +163,7 @@ class Result:
         inputs = self._inputs or {}
         runner.check_output(target, {role: one.path for role, one in inputs.items() if isinstance(one, File)})
         artifact = self._stamped()
-        if runner.current(target, _provenance(artifact.manifest), force=force) is None:
+        if runner.current(target, of_manifest(artifact.manifest), force=force) is None:
             write_artifact(target, artifact)
         self.artifact, self._inputs, self._file = artifact, None, File.at(target)
         return self
@@ -434,14 +434,3 @@ def _path(given: _Path) -> Path:
     if not isinstance(given, str | Path):
         raise TypeError(f"a path or a result is needed, not {type(given).__name__}")
     return Path(given).expanduser()
-
-
-def _provenance(manifest: Manifest) -> Provenance:
-    return Provenance(
-        schema=manifest.schema,
-        version=manifest.version,
-        producer=manifest.producer,
-        parameters=manifest.parameters,
-        seed=manifest.seed,
-        inputs=manifest.inputs,
-    )

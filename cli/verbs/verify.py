@@ -73,12 +73,14 @@ def verify(
         CheckError: something is not proven; the message names the first failure.
         UsageError: the files do not go together.
     """
+    from alula.schemas.artifacts.tiles import TILES, WHOLE, is_tiles
+
     found = source_of(proven)
-    is_tiles = isinstance(found, File) and _is_tiles(found.path)
-    if is_tiles:
+    tiles = found.path if isinstance(found, File) and is_tiles(found.path) else None
+    if tiles is not None:
         if map is not None or within is not None:
             raise UsageError("tiles are proven against --voxels, --scene and --cover; leave out other files")
-        cover = _whole_of(found) if cover is None else cover
+        cover = tiles / WHOLE if cover is None else cover
     elif key is not None:
         raise UsageError("--key is for tiles")
     given = {"has_map": map is not None, "has_cover": cover is not None, "has_source": source is not None}
@@ -109,14 +111,12 @@ def verify(
             raise UsageError(f"{_name(at)} is a scene; --scene is for plans that are proven against a cover")
         map, scene = None, map
     named = "cover" if role in ("part", "parts") else role
-    inputs: dict[str, Result | File] = {named: found}
-    if is_tiles:
-        inputs = {"map": _index_of(found)}
+    inputs: dict[str, Result | File] = {named: found} if tiles is None else {"map": File.at(tiles / TILES)}
     against = {"cover": map if map is not None else cover, "within": within, "voxels": voxels, "scene": scene}
     inputs |= {name: source_of(one) for name, one in against.items() if one is not None}
     inputs |= {} if source is None else {"source": source_of(source)}
     key_path, listed = (None if one is None else Path(one).expanduser() for one in (key, certificate))
-    role = "tiles" if is_tiles else role
+    role = role if tiles is None else "tiles"
     return Proving(role, found, inputs, key_path, listed, allow_other_map, scheduler, jobs)
 
 
@@ -364,26 +364,6 @@ def _map_role(map: Result | File) -> str:
     if not isinstance(map, Cover | Scene):
         raise WrongKindError(f"a result is {map.KIND.name}, but {COVER.name} or {SCENE.name} is needed")
     return map.KIND.name.removeprefix("alula/")
-
-
-def _is_tiles(path: Path) -> bool:
-    from alula.schemas.artifacts.tiles import is_tiles
-
-    return is_tiles(path)
-
-
-def _whole_of(tiles: Result | File) -> Path:
-    from alula.schemas.artifacts.tiles import WHOLE
-
-    assert isinstance(tiles, File)
-    return tiles.path / WHOLE
-
-
-def _index_of(tiles: Result | File) -> File:
-    from alula.schemas.artifacts.tiles import TILES
-
-    assert isinstance(tiles, File)
-    return File.at(tiles.path / TILES)
 
 
 def _has_domains(cover: Result | File) -> bool:

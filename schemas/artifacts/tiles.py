@@ -18,6 +18,7 @@ from typing import Annotated, overload
 
 import msgspec
 
+from alula.schemas.artifacts import merkle
 from alula.schemas.artifacts.artifact import file_hash
 from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.decode import MalformedError, decode_json
@@ -168,22 +169,12 @@ class TileFiles:
     is_verified: bool
 
 
-def merkle_root(leaves: Sequence[bytes]) -> bytes:
-    """Root of the hash tree of RFC 6962 over digests: SHA-256 of 0 and a leaf, and of 1 and two nodes.
+def merkle_root(tiles: Sequence[Tile]) -> str:
+    """Root of the hash tree over the SHA-256 of the images, in hexadecimal; see `merkle.root`.
 
     With the root alone and a path of log2(n) hashes, one tile can be checked without the index.
-
-    Args:
-        leaves: SHA-256 of each image, at least one.
     """
-    level = [hashlib.sha256(b"\0" + leaf).digest() for leaf in leaves]
-    while len(level) > 1:
-        pairs = [
-            hashlib.sha256(b"\1" + left + right).digest()
-            for left, right in zip(level[::2], level[1::2], strict=False)
-        ]
-        level = pairs + level[2 * len(pairs) :]  # a node without a partner moves up
-    return level[0]
+    return merkle.root([merkle.leaf(bytes.fromhex(tile.sha256)) for tile in tiles])
 
 
 def key_id(key: bytes | None) -> str:
@@ -230,7 +221,7 @@ def read_tiles_index(folder: Path) -> TilesIndex:
         raise DamagedError(f"{path}: its tiles are not those of its grid")
     if 2 * index.hysteresis > index.tile:
         raise DamagedError(f"{path}: its hysteresis is more than half of a tile")
-    if merkle_root([bytes.fromhex(one.sha256) for one in index.tiles]).hex() != index.merkle_root:
+    if merkle_root(index.tiles) != index.merkle_root:
         raise DamagedError(f"{path}: its Merkle root is not that of its tiles")
     return index
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,19 @@ class Tally:
             self.max_overlap = max(self.max_overlap, int(overlap.max()))
             self.lower = np.minimum(self.lower, index.min(axis=0)).tolist()
             self.upper = np.maximum(self.upper, index.max(axis=0)).tolist()
+
+
+def figures_of(tally: Tally, size: float) -> dict[str, Any]:
+    """Figures of voxels of an edge [m] for a summary."""
+    return {
+        "voxels": tally.voxels,
+        "dropped_by_min_overlap": tally.below,
+        "volume_m3": tally.voxels * size**3,
+        "mean_overlap": tally.overlaps / max(tally.voxels, 1),
+        "max_overlap": tally.max_overlap,
+        "lower_m": [c * size for c in tally.lower],
+        "upper_m": [(c + 1) * size for c in tally.upper],
+    }
 
 
 def crop_of(block: Block, size: float, crop: Sequence[float] | None) -> Box:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -41,46 +41,29 @@ from alula.stages.progress import WHOLE
 _JOIN_SHARE = 0.15  # time of a join over that of covering the same voxels
 
 
-class CoverStore(Protocol):
-    """Finished covers of blocks and of cubes of blocks, by (level, x, y, z)."""
+class CoverStore:
+    """Finished covers of blocks and of cubes of blocks by (level, x, y, z), of regions by (number,).
 
-    def has(self, key: tuple[int, ...]) -> bool:
-        """Whether there is an undamaged cover."""
-        ...
-
-    def get(self, key: tuple[int, ...]) -> Artifact:
-        """Return a cover that is there."""
-        ...
-
-    def put(self, key: tuple[int, ...], cover: Artifact) -> None:
-        """Keep a cover."""
-        ...
-
-    def drop(self, key: tuple[int, ...]) -> None:
-        """Forget a cover that is not needed any more."""
-        ...
-
-
-class MemoryStore:
-    """Covers in memory."""
+    They are kept in memory; a class that is derived may keep them elsewhere.
+    """
 
     def __init__(self) -> None:
         self._covers: dict[tuple[int, ...], Artifact] = {}
 
     def has(self, key: tuple[int, ...]) -> bool:
-        """See `CoverStore`."""
+        """Whether there is an undamaged cover."""
         return key in self._covers
 
     def get(self, key: tuple[int, ...]) -> Artifact:
-        """See `CoverStore`."""
+        """Return a cover that is there."""
         return self._covers[key]
 
     def put(self, key: tuple[int, ...], cover: Artifact) -> None:
-        """See `CoverStore`."""
+        """Keep a cover."""
         self._covers[key] = cover
 
     def drop(self, key: tuple[int, ...]) -> None:
-        """See `CoverStore`."""
+        """Forget a cover that is not needed any more."""
         self._covers.pop(key, None)
 
 
@@ -185,7 +168,7 @@ def merge_blocks(
         UsageError, LinkError: see `distribute`.
     """
     require_possible(config)
-    store = MemoryStore() if store is None else store
+    store = CoverStore() if store is None else store
     work = _Work(config, plan, jobs, scheduler, store, progress)
     missing = [number for number in range(len(plan.regions)) if not store.has((number,))]
     regions = [plan.regions[number] for number in missing]

@@ -26,6 +26,7 @@ from alula.stages.compression.forecast import (
     may_exceed,
     named,
 )
+from alula.stages.compression.lattice_blocks import Tally, figures_of
 from alula.stages.compression.level import mass_within
 from alula.stages.compression.limits import MERGE_VOXELS
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
@@ -124,12 +125,20 @@ def voxelize(
         "gaussians_outside_crop": int((marked.reach == 0).sum()),
         "gaussians_cut_by_crop": int((marked.reach == 2).sum()),
     }
+    tally = Tally()
+    tally.add(index, overlap, marked.below)
     return make_artifact(
         VOXELS,
         {"index": index, "overlap": overlap},
         parameters=parameters_of(config),
-        summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation)
-        | _notes(ellipsoids, rows, len(index)),
+        summary={
+            "gaussians": len(scene["mean"]),
+            **{name: left_out[name] for name in ("gaussians_below_opacity", "gaussians_outside_crop")},
+            **figures_of(tally, config.size_m),
+            "sigma": sigma,
+            "inflation_m": inflation,
+            **_notes(ellipsoids, rows, len(index)),
+        },
         **voxels_fields(config, manifest, left_out),
     )
 
@@ -258,16 +267,23 @@ def too_many(size_m: float, about: float, limit: int, remedies: list[str]) -> st
 def _notes(ellipsoids: Ellipsoids, rows: NDArray[np.intp], voxels: int) -> dict[str, Any]:
     """Note about a Gaussian that alone fills a large part of the voxels."""
     found = largest_share(ellipsoids, voxels)
-    if found is None or found[1] < _NOTABLE or len(rows) < _CROWD:
+    if found is None or not is_notable(found[1], len(rows)):
         return {}
     row, share = found
-    longest = float(ellipsoids.scale[row].max())
-    return {
-        "notes": [
-            f"Gaussian {rows[row]} of {len(rows)}, with a semi-axis of {longest:.3g} m, alone fills "
-            f"{share:.0%} of the voxels; if it is no obstacle, import-splat --max-scale removes it"
-        ]
-    }
+    return {"notes": [giant_note(f"{rows[row]} of {len(rows)}", float(ellipsoids.scale[row].max()), share)]}
+
+
+def is_notable(share: float, gaussians: int) -> bool:
+    """Whether a Gaussian that fills a fraction of the voxels is named among others."""
+    return share >= _NOTABLE and gaussians >= _CROWD
+
+
+def giant_note(which: str, longest: float, share: float) -> str:
+    """Note about a Gaussian, its longest semi-axis [m] and the fraction of the voxels that it fills."""
+    return (
+        f"Gaussian {which}, with a semi-axis of {longest:.3g} m, alone fills {share:.0%} of the voxels; if "
+        "it is no obstacle, import-splat --max-scale removes it"
+    )
 
 
 def rounded(number: float) -> str:
@@ -317,33 +333,6 @@ def _mark(
     except OverflowError as error:
         remedy = "a larger --tile, " if "tiles" in str(error) else ""
         raise InputError(f"{error}; use {remedy}--crop or a larger --size") from error
-
-
-def _summary(
-    config: VoxelizeConfig,
-    index: NDArray[np.int32],
-    overlap: NDArray[np.uint32],
-    gaussians: int,
-    left_out: dict[str, Any],
-    sigma: float,
-    inflation: float,
-) -> dict[str, Any]:
-    lower = index.min(axis=0) * config.size_m
-    upper = (index.max(axis=0).astype(np.float64) + 1) * config.size_m
-    return {
-        "gaussians": gaussians,
-        "gaussians_below_opacity": left_out["gaussians_below_opacity"],
-        "gaussians_outside_crop": left_out["gaussians_outside_crop"],
-        "voxels": len(index),
-        "dropped_by_min_overlap": left_out["voxels_below_min_overlap"],
-        "volume_m3": len(index) * config.size_m**3,
-        "mean_overlap": float(overlap.mean(dtype=np.float64)),
-        "max_overlap": int(overlap.max()),
-        "lower_m": lower.tolist(),
-        "upper_m": upper.tolist(),
-        "sigma": sigma,
-        "inflation_m": inflation,
-    }
 
 
 def _guarantee(

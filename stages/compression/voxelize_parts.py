@@ -24,12 +24,14 @@ from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import retained
 from alula.stages.compression.forecast import estimated_voxels, largest_volume, may_exceed
-from alula.stages.compression.lattice_blocks import Block, Corner, Tally, along_a_curve, crop_of
+from alula.stages.compression.lattice_blocks import Block, Corner, Tally, along_a_curve, crop_of, figures_of
 from alula.stages.compression.tiles import Ellipsoids, joined_tiles
 from alula.stages.compression.voxelize import (
     SURE,
     check_some,
     ellipsoids_of,
+    giant_note,
+    is_notable,
     level_for,
     rounded,
     voxels_fields,
@@ -42,8 +44,6 @@ BLOCK_ELLIPSOIDS = 2**20  # a block that more may touch is halved, unless its ed
 _LEAST_EDGE = 16  # voxels, of a block that is not halved any more
 ASSIGNED = 0.15  # fraction of the time in which ellipsoids are assigned to blocks
 _CACHED = 3  # parts of the scene that are kept
-_NOTABLE = 0.25  # fraction of the voxels; a Gaussian that fills more is named
-_CROWD = 100  # among fewer Gaussians a large one is nothing unusual
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,18 +325,8 @@ class BlockVoxelizer:
         }
 
     def _figures(self, tally: Tally) -> dict[str, Any]:
-        size = self.config.size_m
-        return {
-            "voxels": tally.voxels,
-            "dropped_by_min_overlap": tally.below,
-            "volume_m3": tally.voxels * size**3,
-            "mean_overlap": tally.overlaps / max(tally.voxels, 1),
-            "max_overlap": tally.max_overlap,
-            "lower_m": [c * size for c in tally.lower],
-            "upper_m": [(c + 1) * size for c in tally.upper],
-            "sigma": self._sigma,
-            "inflation_m": self._inflation,
-        }
+        level = {"sigma": self._sigma, "inflation_m": self._inflation}
+        return figures_of(tally, self.config.size_m) | level
 
     def whole(self, parts: int) -> dict[str, Any]:
         """Fields of the manifest of all voxels, after all blocks are counted in `tally`.
@@ -362,12 +352,8 @@ class BlockVoxelizer:
         }
         volume, longest, part, row = tally.largest
         share = volume / tally.voxels
-        if config.crop is None and share >= _NOTABLE and tally.retained >= _CROWD:
-            summary["notes"] = [
-                f"Gaussian {row} of part {part}, with a semi-axis of {longest:.3g} m, alone fills "
-                f"{min(share, 1.0):.0%} of the voxels; if it is no obstacle, import-splat --max-scale "
-                "removes it"
-            ]
+        if config.crop is None and is_notable(share, tally.retained):
+            summary["notes"] = [giant_note(f"{row} of part {part}", longest, min(share, 1.0))]
         return {"summary": summary, **voxels_fields(config, self._manifest, left_out)}
 
 

@@ -103,7 +103,7 @@ def with_image(path, number, image, key=KEY):
         old, bytes=len(image), crc32=zlib.crc32(image), sha256=hashlib.sha256(image).hexdigest()
     )
     tiles = [*index.tiles[:number], fresh, *index.tiles[number + 1 :]]
-    root = merkle_root([bytes.fromhex(tile.sha256) for tile in tiles]).hex()
+    root = merkle_root(tiles)
     index = msgspec.structs.replace(index, tiles=tiles, merkle_root=root)
     index = msgspec.structs.replace(index, sha256=hashlib.sha256(index.binary()).hexdigest())
     write_index(path, index, key)

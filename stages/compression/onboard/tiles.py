@@ -134,7 +134,7 @@ def cut_tiles(
         "lower": lower.tolist(),
         "upper": upper.tolist(),
         "cover_hash": (bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0")).hex(),
-        "merkle_root": merkle_root([bytes.fromhex(tile.sha256) for tile in tiles]).hex(),
+        "merkle_root": merkle_root(tiles),
         "tiles": tiles,
     }
 

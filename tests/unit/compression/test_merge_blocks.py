@@ -14,7 +14,7 @@ from alula.stages.compression import block_tree, merge_blocks
 from alula.stages.compression.block_budgets import Curve, divided
 from alula.stages.compression.block_tree import Block, block_rows, blocks_of, chosen_edge, regions_of
 from alula.stages.compression.merge import merge
-from alula.stages.compression.merge_blocks import MemoryStore, plan_blocks
+from alula.stages.compression.merge_blocks import CoverStore, plan_blocks
 from support.clusters import Cluster
 from support.covers import SIZE_M, assert_covers, cover_of, excess, furniture, rows, voxels_of
 from support.effort import examples
@@ -214,7 +214,7 @@ def test_blocks_are_chosen_for_many_voxels_alone(monkeypatch):
         assert max(block.voxels for block in blocks_of(grid, 2 * edge)) > most
 
 
-class Stopping(MemoryStore):
+class Stopping(CoverStore):
     """A store whose user is interrupted after so many covers."""
 
     left = 10**9
@@ -271,7 +271,7 @@ def test_a_cluster_gives_the_same_and_a_lost_worker_loses_nothing(tmp_path, monk
     (alone,) = blocked(SCENE, 6, hulls=50)
     cluster = Cluster(tmp_path, 2)
     try:
-        store = MemoryStore()
+        store = CoverStore()
         put, killed = store.put, []
 
         def kill_after_three(key, cover):

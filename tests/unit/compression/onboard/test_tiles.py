@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from alula.schemas.artifacts import merkle
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.provenance import Provenance
-from alula.schemas.artifacts.tiles import BINARY, SIGNATURE, WHOLE, merkle_root, read_tiles, read_tiles_index
+from alula.schemas.artifacts.tiles import BINARY, SIGNATURE, WHOLE, read_tiles, read_tiles_index
 from alula.schemas.errors import (
     ArtifactError,
     CheckError,
@@ -274,8 +275,8 @@ def test_every_tile_has_all_hulls_within_reach_and_walls_for_the_rest(data):
         assert (normal[near] == normal_whole[near]).all()
         assert (psi[~near] >= 0.1 * reach - 2e-3).all()
         assert (psi <= psi_whole).all()
-    hashes = [hashlib.sha256(image).digest() for image in made.images]
-    assert made.index["merkle_root"] == merkle_root(hashes).hex()
+    leaves = [merkle.leaf(hashlib.sha256(image).digest()) for image in made.images]
+    assert made.index["merkle_root"] == merkle.root(leaves)
 
 
 def test_a_shield_that_reads_the_tile_certifies_as_with_the_whole_map(field):
@@ -305,7 +306,7 @@ def test_the_root_is_that_of_rfc_6962():
 
     for count in (1, 2, 3, 5, 8, 11):
         leaves = [bytes([k]) * 32 for k in range(count)]
-        assert merkle_root(leaves) == plain(leaves)
+        assert merkle.root(list(map(merkle.leaf, leaves))) == plain(leaves).hex()
 
 
 def test_what_is_read_is_what_was_written_and_its_signature_is_checked(field, folder):
