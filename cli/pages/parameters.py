@@ -10,8 +10,8 @@ import typing
 from typing import Any
 
 from alula.cli.pages.tables import code, table
-from alula.cli.shell.options import option_of
 from alula.schemas.parameters import configs
+from alula.schemas.parameters.configs.config import flags_of
 from alula.schemas.parameters.filter_options import FILTERS, TABLES
 from alula.schemas.parameters.filters.values import Entry, entries
 from alula.schemas.scenarios.check import FILTER_COMMANDS
@@ -97,7 +97,7 @@ def _config(config: type[Any]) -> str:
     hints = typing.get_type_hints(config)
     rows = []
     for field in dataclasses.fields(config):
-        option = "" if field.metadata.get("internal") else option_of(field).split("/")[0]
+        option = "" if field.metadata.get("internal") else flags_of(field)[0]
         rows.append(
             (
                 code(field.name),

@@ -16,6 +16,7 @@ import click
 
 from alula.cli.shell import completion, grouped
 from alula.cli.shell.addresses import Address, is_address
+from alula.schemas.parameters.configs.config import flags_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -257,11 +258,7 @@ def _of_fields(
     handed: Callable[[dict[str, Any]], dict[str, Any]],
     groups: Mapping[str, str] | None = None,
 ) -> Callable[[F], F]:
-    """Decorator that adds one option per field of a configuration dataclass.
-
-    The metadata of a field can have `help`, `option`
-    (one name or several, when they differ from the field's name), `metavar` and `group`, the heading under
-    which the help shows the option.
+    """Decorator that adds one option per field of a configuration dataclass; see `configs.config.option`.
 
     Args:
         config: the dataclass; fields with the metadata `internal` get no option.
@@ -280,12 +277,10 @@ def _of_fields(
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)
         for field in reversed(fields):
-            names = field.metadata.get("option", option_of(field))
-            names = (names,) if isinstance(names, str) else names
-            keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
+            keywords: dict[str, Any] = {"help": field.metadata["help"], **_type_of(hints[field.name])}
             if field.name == "filter":
                 keywords["shell_complete"] = completion.filters
-            if "metavar" in field.metadata:
+            if field.metadata["metavar"]:
                 keywords["metavar"] = field.metadata["metavar"]
             if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
                 keywords["required"] = True
@@ -296,8 +291,8 @@ def _of_fields(
                     else typing.cast(Callable[[], Any], field.default_factory)()
                 )
                 keywords.update(default=default, show_default=default is not None and default != ())
-            group = (groups or {}).get(field.name, field.metadata.get("group", ""))
-            collect = grouped.option(*names, field.name, group=group, **keywords)(collect)
+            group = (groups or {}).get(field.name, field.metadata["group"])
+            collect = grouped.option(*flags_of(field), field.name, group=group, **keywords)(collect)
         return typing.cast(F, collect)
 
     return decorate
@@ -324,12 +319,6 @@ def _type_of(hint: Any) -> dict[str, Any]:
     if hint is Path:
         return {"type": PATH}
     return {"type": str}
-
-
-def option_of(field: dataclasses.Field[Any]) -> str:
-    """First name of a configuration field's option on the command line."""
-    names: str | tuple[str, ...] = field.metadata.get("option", "--" + field.name.replace("_", "-"))
-    return names if isinstance(names, str) else names[0]
 
 
 def is_given(context: click.Context, name: str) -> bool:

@@ -241,7 +241,7 @@ def test_geodetic_positions_agree_with_pycolmap():
         (["tiny.cover.npz", "-o", "x.geojson"], "GeoJSON needs --origin"),
         (["tiny.cover.npz", "-o", "x.bt"], "a cover is exported as"),
         (["tiny.voxels.npz", "-o", "x.xml"], "voxels are exported as octomap, ply, pcd, not as mjcf"),
-        (["tiny.cover.npz", "-o", "x.npz", "--spacing", "0"], "--spacing must be 0.001 to 1000 m"),
+        (["tiny.cover.npz", "-o", "x.npz", "--spacing", "0"], "--spacing must be between 0.001 and 1000"),
         (["tiny.cover.npz", "-o", "x.npz", "--spacing", "0.001"], "give a larger --spacing"),
         (["tiny.scene.npz", "-o", "x", "--format", "urdf"], "alula/scene"),
     ],

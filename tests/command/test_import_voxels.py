@@ -230,7 +230,7 @@ def test_an_obj_leads_to_a_plan_and_a_flight(tmp_path, capsys):
         (["--radius", "1e-9"], 2, "--margin must be 0, or between 1e-06 and 1000 m"),
         (["--min-points", "2"], 2, "--min-points is for clouds, and this is a mesh"),
         (["--unknown", "occupied"], 2, "--unknown is for octrees, and this is a mesh"),
-        (["--scale", "1e-10"], 2, "--scale must be between"),
+        (["--scale", "1e-10"], 2, "--scale must be between 1e-09 and"),
         (["--crop", "5 5 5 6 6 6"], 5, "nothing of the mesh touches the crop"),
         (["--scale", "1e4"], 3, "of --max-voxels, which merge can take; --size"),
         (["--max-voxels", "20"], 3, "more than the 20 of --max-voxels; --"),

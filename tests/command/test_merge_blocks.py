@@ -215,7 +215,7 @@ def test_what_makes_no_sense_is_refused(here, monkeypatch, capsys):
             2,
             "--scheduler sends blocks to workers; give --block",
         ),
-        (["v.voxels.npz", "-o", "d.cover.npz", "--block", "0"], 2, "--block must be more than 0"),
+        (["v.voxels.npz", "-o", "d.cover.npz", "--block", "0"], 2, "--block must be above 0"),
         (["v.voxels.npz", "-o", "d.cover.npz", "--per-block"], 2, "--per-block needs --block"),
         (["v.voxels.npz", "-o", "d.cover.npz", "--block", "1", "--max-planes", "5"], 5, "one hull needs 6"),
     ):

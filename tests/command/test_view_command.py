@@ -97,7 +97,7 @@ def test_options_of_other_outputs_are_refused(name, words, message, pipeline, tm
     [
         (["tiny.run.mcap", "--flight", "7"], "--flight 7: no log has the samples of that flight"),
         (["tiny.cover.npz", "tiny.cover.npz"], "tiny.cover.npz: is named twice"),
-        (["tiny.cover.npz", "--gaussians=-1"], "--gaussians must not be negative"),
+        (["tiny.cover.npz", "--gaussians=-1"], "--gaussians must be at least 0"),
         (["tiny.toml"], "tiny.toml: is not an artifact, a run, or a splat of a known format"),
     ],
 )

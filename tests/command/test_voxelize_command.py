@@ -67,7 +67,7 @@ def test_a_dry_run_writes_nothing(scene, tmp_path, capsys):
     [
         (["--min-overlap", "0"], 2, "--min-overlap must be at least 1"),
         (["--crop", "0", "0", "0", "1", "1", "0"], 2, "--crop needs XMIN < XMAX"),
-        (["--confidence", "1.5"], 2, "--confidence must be between 0 and 1"),
+        (["--confidence", "1.5"], 2, "--confidence must be above 0 and below 1"),
         (["--size", "nan"], 2, "not finite"),
         (["--min-opacity", "2"], 2, "--min-opacity must be between 0 and 1"),
         (["--tile", "0"], 2, "--tile must be more than 0"),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.config import Config, option
 
 SUFFIXES = {
     ".glb": "glb",
@@ -31,128 +32,112 @@ FOLDERS = ("urdf", "gazebo")  # formats of several files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExportConfig:
+class ExportConfig(Config):
     """Parameters of `export`."""
 
     format: Literal[
-        "auto", "glb", "obj", "json", "ply", "splat", "spz", "stl", "onboard", "c-header",
-        "mjcf", "usda", "urdf", "gazebo", "octomap", "pcd", "field", "geojson",
-    ] = field(
-        default="auto",
-        metadata={
-            "help": "Format to write; auto follows the output's suffix. urdf and gazebo write a folder."
-        },
-    )  # fmt: skip
-    target: Literal["none", "crazyflie", "teensy", "c"] = field(
-        default="none",
-        metadata={
-            "help": "Onboard map for a microcontroller: with an index, and a C header beside the image;"
-            " prints the worst time of a tick. A map that does not fit is refused; c has no limits."
-        },
+        "auto",
+        "glb",
+        "obj",
+        "json",
+        "ply",
+        "splat",
+        "spz",
+        "stl",
+        "onboard",
+        "c-header",
+        "mjcf",
+        "usda",
+        "urdf",
+        "gazebo",
+        "octomap",
+        "pcd",
+        "field",
+        "geojson",
+    ] = option("auto", "Format to write; auto follows the output's suffix. urdf and gazebo write a folder.")
+    target: Literal["none", "crazyflie", "teensy", "c"] = option(
+        "none",
+        "Onboard map for a microcontroller: with an index, and a C header beside the image; prints the "
+        "worst time of a tick. A map that does not fit is refused; c has no limits.",
     )
-    rate_hz: float | None = field(
-        default=None,
-        metadata={
-            "group": "Onboard maps",
-            "option": "--rate",
-            "help": "Rate at which the target calls polytope-cbf [Hz]; a map whose worst tick takes longer "
-            "than its period is refused with exit code 4; default: 100 on a crazyflie, no check elsewhere.",
-        },
+    rate_hz: float | None = option(
+        None,
+        "Rate at which the target calls polytope-cbf [Hz]; a map whose worst tick takes longer than its "
+        "period is refused with exit code 4; default: 100 on a crazyflie, no check elsewhere.",
+        group="Onboard maps",
+        gt=0,
+        le=1e6,
     )
-    largest_normal: int = field(
-        default=127,
-        metadata={
-            "group": "Onboard maps",
-            "metavar": "Q",
-            "help": "Onboard map: maximum component of a plane's integer normal, 1 to 127. Only 1 makes the"
-            " map smaller: 2 bytes per oblique plane, all in 26 directions.",
-        },
+    largest_normal: int = option(
+        127,
+        "Onboard map: maximum component of a plane's integer normal, 1 to 127. Only 1 makes the map "
+        "smaller: 2 bytes per oblique plane, all in 26 directions.",
+        group="Onboard maps",
+        metavar="Q",
+        within=(1, 127),
     )
 
-    tiles_m: float | None = field(
-        default=None,
-        metadata={
-            "option": "--tiles",
-            "metavar": "METRES",
-            "help": "Onboard map in tiles of this edge along x and y, a folder, of which a vehicle "
-            "holds two; requires --reach [m].",
-        },
+    tiles_m: float | None = option(
+        None,
+        "Onboard map in tiles of this edge along x and y, a folder, of which a vehicle holds two; requires "
+        "--reach [m].",
+        metavar="METRES",
+        gt=0,
+        le=1e6,
     )
-    reach_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Maps in tiles",
-            "option": "--reach",
-            "metavar": "METRES",
-            "help": "Tiles: each has all hulls within this distance of it; the filter must not depend on "
-            "others [m].",
-        },
+    reach_m: float | None = option(
+        None,
+        "Tiles: each has all hulls within this distance of it; the filter must not depend on others [m].",
+        group="Maps in tiles",
+        metavar="METRES",
+        gt=0,
+        le=1e6,
     )
-    hysteresis_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Maps in tiles",
-            "option": "--hysteresis",
-            "metavar": "METRES",
-            "help": "Tiles: a tile is valid up to this distance beyond its borders; default: an eighth of a "
-            "tile [m].",
-        },
+    hysteresis_m: float | None = option(
+        None,
+        "Tiles: a tile is valid up to this distance beyond its borders; default: an eighth of a tile [m].",
+        group="Maps in tiles",
+        metavar="METRES",
+        gt=0,
+        le=1e6,
     )
-    ros2: bool = field(
-        default=False,
-        metadata={
-            "help": "Write a run as a bag of ROS 2 (rosbag2 with MCAP), a folder; requires alula[ros2]."
-        },
+    ros2: bool = option(
+        False, "Write a run as a bag of ROS 2 (rosbag2 with MCAP), a folder; requires alula[ros2]."
     )
-    foxglove_layout: bool = field(
-        default=False,
-        metadata={
-            "help": "Write a layout for Foxglove (.json): for all runs, or for the channels of the INPUT."
-        },
+    foxglove_layout: bool = option(
+        False, "Write a layout for Foxglove (.json): for all runs, or for the channels of the INPUT."
     )
-    spacing_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Distance fields",
-            "option": "--spacing",
-            "metavar": "METRES",
-            "help": "Distance field: distance between samples [m]; default: the edge of a voxel.",
-        },
+    spacing_m: float | None = option(
+        None,
+        "Distance field: distance between samples [m]; default: the edge of a voxel.",
+        group="Distance fields",
+        metavar="METRES",
+        within=(1e-3, 1e3),
     )
-    pad_m: float = field(
-        default=1.0,
-        metadata={
-            "group": "Distance fields",
-            "option": "--pad",
-            "metavar": "METRES",
-            "help": "Distance field: how far it reaches beyond the hulls [m].",
-        },
+    pad_m: float = option(
+        1.0,
+        "Distance field: how far it reaches beyond the hulls [m].",
+        group="Distance fields",
+        metavar="METRES",
+        within=(0, 1e3),
     )
-    origin: tuple[float, float, float] | None = field(
-        default=None,
-        metadata={
-            "group": "Other formats",
-            "metavar": "LAT LON HEIGHT",
-            "help": "GeoJSON: latitude and longitude [degree] and WGS84 height [m] of the origin of the map, "
-            "whose x points east and y north.",
-        },
+    origin: tuple[float, float, float] | None = option(
+        None,
+        "GeoJSON: latitude and longitude [degree] and WGS84 height [m] of the origin of the map, whose x "
+        "points east and y north.",
+        group="Other formats",
+        metavar="LAT LON HEIGHT",
     )
-    spz_version: int = field(
-        default=3,
-        metadata={
-            "group": "Other formats",
-            "metavar": "V",
-            "help": "SPZ: version 2, 3 or 4. Nearly all programs read 3; 2 stores rotations less accurately;"
-            " 4 is newer.",
-        },
+    spz_version: int = option(
+        3,
+        "SPZ: version 2, 3 or 4. Nearly all programs read 3; 2 stores rotations less accurately; 4 is newer.",
+        group="Other formats",
+        metavar="V",
+        within=(2, 4),
     )
 
     def __post_init__(self) -> None:
-        """Refuse a bound that does not fit a signed byte, and unsupported versions."""
-        if not 1 <= self.largest_normal <= 127:
-            raise UsageError(f"--largest-normal must be 1 to 127, not {self.largest_normal}")
-        if self.rate_hz is not None and not 0 < self.rate_hz <= 1e6:
-            raise UsageError(f"--rate must be above 0 and at most 1e6 Hz, not {self.rate_hz:g}")
+        Config.__post_init__(self)
         if self.rate_hz is not None and self.target in ("none", "c"):
             raise UsageError("--rate goes with a --target whose clock is known: crazyflie or teensy")
         if (self.ros2 or self.foxglove_layout) and (self.format != "auto" or self.target != "none"):
@@ -160,20 +145,10 @@ class ExportConfig:
         self._check_tiles()
         if self.ros2 and self.foxglove_layout:
             raise UsageError("give --ros2 or --foxglove-layout, not both")
-        if self.spacing_m is not None and not 1e-3 <= self.spacing_m <= 1e3:
-            raise UsageError(f"--spacing must be 0.001 to 1000 m, not {self.spacing_m:g}")
-        if not 0 <= self.pad_m <= 1e3:
-            raise UsageError(f"--pad must be 0 to 1000 m, not {self.pad_m:g}")
         if self.origin is not None and not (abs(self.origin[0]) <= 89.9 and abs(self.origin[1]) <= 180):
             raise UsageError("--origin needs a latitude of -89.9 to 89.9 and a longitude of -180 to 180")
-        if self.spz_version not in (2, 3, 4):
-            raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
 
     def _check_tiles(self) -> None:
-        lengths = {"--tiles": self.tiles_m, "--reach": self.reach_m, "--hysteresis": self.hysteresis_m}
-        for name, value in lengths.items():
-            if value is not None and not 0 < value <= 1e6:
-                raise UsageError(f"{name} must be above 0 and at most 1e6 m, not {value:g}")
         if self.tiles_m is None:
             if self.reach_m is not None or self.hysteresis_m is not None:
                 raise UsageError("--reach and --hysteresis go with --tiles")

@@ -2,54 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from msgspec import Meta
 
 from alula.schemas.errors import UsageError
-from alula.schemas.parameters.configs.flight import FlightConfig, require_between
+from alula.schemas.parameters.configs.config import Config, box_option, internal, option, require_within
+from alula.schemas.parameters.configs.flight import FlightConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyConfig(FlightConfig):
     """Parameters of `identify`."""
 
-    box: tuple[float, float, float, float, float, float] = field(
-        metadata={
-            "help": "Box that is free, and that the vehicle must not leave, XMIN YMIN ZMIN XMAX YMAX ZMAX "
-            "[m]; the vehicle stands below its centre.",
-            "metavar": "BOX",
-        }
+    box: tuple[float, float, float, float, float, float] = box_option(
+        help="Box that is free, and that the vehicle must not leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; the "
+        "vehicle stands below its centre."
     )
-    rates: bool = field(
-        default=False,
-        metadata={"help": "Also fly steps of the body rates and of the thrust."},
+    rates: bool = option(False, "Also fly steps of the body rates and of the thrust.")
+    reserve_m: float = option(
+        0.5,
+        "Distance that a step keeps from the box beyond the vehicle's radius and its predicted travel and "
+        "braking [m].",
+        within=(0, 100),
     )
-    reserve_m: float = field(
-        default=0.5,
-        metadata={
-            "help": "Distance that a step keeps from the box beyond the vehicle's radius and its predicted "
-            "travel and braking [m].",
-            "option": "--reserve",
-        },
-    )
-    name: str = field(
-        default="", metadata={"help": "Name of the vehicle in its file; default: that of --vehicle."}
-    )
-    date: str = field(
-        default="", metadata={"help": "Date of the flight, to be recorded in the file; default: none."}
-    )
-    speeds_m_s: tuple[float, ...] = field(default=(0.5, 1.0, 2.0), metadata={"internal": True})
+    name: str = option("", "Name of the vehicle in its file; default: that of --vehicle.")
+    date: str = option("", "Date of the flight, to be recorded in the file; default: none.")
+    speeds_m_s: tuple[float, ...] = internal((0.5, 1.0, 2.0))
 
     def __post_init__(self) -> None:
-        """Refuse values that are out of range."""
-        FlightConfig.__post_init__(self)
-        if not all(self.box[i] < self.box[i + 3] for i in range(3)):
-            raise UsageError("--box needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
-        for option, value, low, high in (
-            ("--reserve", self.reserve_m, 0.0, 100.0),
-            ("--rate", self.rate_hz, 20.0, 500.0),
-            *(("--speeds", speed, 0.1, 15.0) for speed in self.speeds_m_s),
-        ):
-            require_between(option, value, low, high)
+        Config.__post_init__(self)
+        require_within("--rate", self.rate_hz, Meta(ge=20))
+        for speed in self.speeds_m_s:
+            require_within("--speeds", speed, Meta(ge=0.1, le=15))
         if len(set(self.speeds_m_s)) < 2 or len(set(self.speeds_m_s)) != len(self.speeds_m_s):
             raise UsageError(
                 "--speeds needs at least two different speeds, for a lag that grows with the speed"

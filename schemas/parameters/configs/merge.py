@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.config import Config, option
 
 DEFAULT_HULLS = 300
 KDOPS = (6, 14, 18, 26)
 BOX_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
 _MAX_PLANES = 10**6
-_LONGEST_BLOCK_M = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MergeConfig:
+class MergeConfig(Config):
     """Parameters of `merge`; without any of the four limits, `hulls` is `DEFAULT_HULLS`.
 
     `hulls`, `max_planes` and `max_bytes` are budgets: merging stops as soon as they hold. `max_growth`
@@ -26,82 +25,53 @@ class MergeConfig:
     has a budget of planes or bytes, or no limit at all.
     """
 
-    hulls: int | None = field(
-        default=None,
-        metadata={"help": f"Maximum number of hulls; {DEFAULT_HULLS} when no limit is given."},
+    hulls: int | None = option(
+        None, f"Maximum number of hulls; {DEFAULT_HULLS} when no limit is given.", ge=1
     )
-    max_planes: int | None = field(
-        default=None, metadata={"help": "Maximum number of half-planes of all hulls together."}
+    max_planes: int | None = option(None, "Maximum number of half-planes of all hulls together.", ge=1)
+    max_bytes: int | None = option(None, "Maximum size as an onboard map (see export) [bytes].", ge=1)
+    max_growth: float | None = option(
+        None, "Maximum volume of the cover over that of the voxels (1.1: +10 %).", ge=1
     )
-    max_bytes: int | None = field(
-        default=None, metadata={"help": "Maximum size as an onboard map (see export) [bytes]."}
+    facet_cap: str | int | None = option(
+        None,
+        "Replace hulls by outer polytopes of at most F planes; auto distributes --max-planes or "
+        "--max-bytes to where planes remove most volume, and with --hulls saves the planes without which "
+        "the volume is no larger, in two to three times the time. It is the default with --max-planes or "
+        "--max-bytes, and when no limit is given.",
+        metavar="F|auto|none",
     )
-    max_growth: float | None = field(
-        default=None, metadata={"help": "Maximum volume of the cover over that of the voxels (1.1: +10 %)."}
+    kdop: int | None = option(
+        None, "Replace hulls by polytopes with this many planes of fixed normals.", metavar="6|14|18|26"
     )
-    facet_cap: str | int | None = field(
-        default=None,
-        metadata={
-            "metavar": "F|auto|none",
-            "help": "Replace hulls by outer polytopes of at most F planes; auto distributes --max-planes or "
-            "--max-bytes to where planes remove most volume, and with --hulls saves the planes without which "
-            "the volume is no larger, in two to three times the time. It is the default with --max-planes or "
-            "--max-bytes, and when no limit is given.",
-        },
+    cluster_radius: int = option(
+        1, "Start from clusters of voxels up to this many voxels apart.", within=(0, 8)
     )
-    kdop: int | None = field(
-        default=None,
-        metadata={
-            "metavar": "6|14|18|26",
-            "help": "Replace hulls by polytopes with this many planes of fixed normals.",
-        },
+    block_m: float | None = option(
+        None,
+        "Cover blocks of this edge on their own, then join their hulls [m]. Without it, more than "
+        "16,777,216 voxels get blocks of at most 1,048,576 voxels.",
+        group="Blocks",
+        gt=0,
+        le=1e6,
     )
-    cluster_radius: int = field(
-        default=1, metadata={"help": "Start from clusters of voxels up to this many voxels apart."}
+    per_block: bool = option(
+        False, "The limits hold for each block, and blocks are not joined; needs --block.", group="Blocks"
     )
-    block_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Blocks",
-            "option": "--block",
-            "help": "Cover blocks of this edge on their own, then join their hulls [m]. Without it, more "
-            "than 16,777,216 voxels get blocks of at most 1,048,576 voxels.",
-        },
-    )
-    per_block: bool = field(
-        default=False,
-        metadata={
-            "group": "Blocks",
-            "help": "The limits hold for each block, and blocks are not joined; needs --block.",
-        },
-    )
-    method: Literal["default", "paper"] = field(
-        default="default",
-        metadata={
-            "help": "default: merge where the excess volume grows least, tighten, and divide voxels between "
-            "neighbours anew; paper: the published rule. At equal hulls default mostly has 15 to 35 % less "
-            "excess than paper, in 1 to 2.6 times the time."
-        },
+    method: Literal["default", "paper"] = option(
+        "default",
+        "default: merge where the excess volume grows least, tighten, and divide voxels between neighbours "
+        "anew; paper: the published rule. At equal hulls default mostly has 15 to 35 % less excess than "
+        "paper, in 1 to 2.6 times the time.",
     )
 
     def __post_init__(self) -> None:
-        """Refuse values out of range and choose the default limit."""
+        """Check the values, and choose the default limit."""
         limits = (self.hulls, self.max_planes, self.max_bytes, self.max_growth)
         is_free = all(limit is None for limit in limits)
         if is_free:
             object.__setattr__(self, "hulls", DEFAULT_HULLS)
-        if self.hulls is not None and self.hulls < 1:
-            raise UsageError(f"--hulls must be at least 1, not {self.hulls}")
-        if self.max_planes is not None and self.max_planes < 1:
-            raise UsageError(f"--max-planes must be at least 1, not {self.max_planes}")
-        if self.max_bytes is not None and self.max_bytes < 1:
-            raise UsageError(f"--max-bytes must be at least 1, not {self.max_bytes}")
-        if self.max_growth is not None and not (1 <= self.max_growth < math.inf):
-            raise UsageError(f"--max-growth must be at least 1, not {self.max_growth}")
-        if not (0 <= self.cluster_radius <= 8):
-            raise UsageError(f"--cluster-radius must be between 0 and 8, not {self.cluster_radius}")
-        if self.block_m is not None and not (0 < self.block_m <= _LONGEST_BLOCK_M):
-            raise UsageError(f"--block must be more than 0 and at most 1e6 m, not {self.block_m}")
+        Config.__post_init__(self)
         if self.per_block and self.block_m is None:
             raise UsageError("--per-block needs --block, the edge of the blocks")
         object.__setattr__(self, "facet_cap", self._resolved_cap(is_free))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.config import Config, box_option, option
 from alula.schemas.parameters.flight_defaults import PlannedInterface
 
 MARGIN_M = 0.1  # that filters keep beyond the vehicle's radius in flight, for errors of tracking and state
@@ -21,275 +22,180 @@ Gate = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AlongPlanConfig:
+class AlongPlanConfig(Config):
     """Parameters of flights along a plan, simulated or real."""
 
-    via_tolerance_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Flight",
-            "help": "Distance within which a via point of a plan counts as passed [m]; default: the "
-            "vehicle's radius, at least 0.1.",
-            "option": "--via-tolerance",
-        },
+    via_tolerance_m: float | None = option(
+        None,
+        "Distance within which a via point of a plan counts as passed [m]; default: the vehicle's radius, "
+        "at least 0.1.",
+        group="Flight",
+        within=(1e-6, 1e3),
     )
-    allow_tight: bool = field(
-        default=False,
-        metadata={
-            "group": "Flight",
-            "help": "Fly a plan although it is nearer to the map than the filter lets the vehicle be.",
-        },
+    allow_tight: bool = option(
+        False,
+        "Fly a plan although it is nearer to the map than the filter lets the vehicle be.",
+        group="Flight",
     )
-    beyond_map_m: float = field(
-        default=0.0, metadata={"group": "Flight", "help": BEYOND_MAP_HELP, "option": "--beyond-map"}
+    beyond_map_m: float = option(0.0, BEYOND_MAP_HELP, group="Flight", within=(0, LARGEST_BEYOND_M))
+    allow_other_map: bool = option(
+        False, "Fly a plan in a map that it was not made in, nor in one of the same scene.", group="Flight"
     )
-    allow_other_map: bool = field(
-        default=False,
-        metadata={
-            "group": "Flight",
-            "help": "Fly a plan in a map that it was not made in, nor in one of the same scene.",
-        },
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse values out of range."""
-        if not (0 <= self.beyond_map_m <= LARGEST_BEYOND_M):
-            raise UsageError(
-                f"--beyond-map must be between 0 and {LARGEST_BEYOND_M:g}, not {self.beyond_map_m:g}"
-            )
-        if self.via_tolerance_m is not None and not (1e-6 <= self.via_tolerance_m <= 1e3):
-            raise UsageError(f"--via-tolerance must be between 1e-06 and 1000, not {self.via_tolerance_m:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanConfig:
+class PlanConfig(Config):
     """Parameters of `plan`; points in the world frame [m]."""
 
-    start: Point | None = field(
-        default=None, metadata={"help": "First point of the flight [m].", "metavar": "POINT"}
+    start: Point | None = option(None, "First point of the flight [m].", metavar="POINT")
+    goal: Point | None = option(None, "Last point of the flight [m].", metavar="POINT")
+    via: tuple[Point, ...] = option(
+        (), "Intermediate point to fly through [m]; may be repeated.", metavar="POINT"
     )
-    goal: Point | None = field(
-        default=None, metadata={"help": "Last point of the flight [m].", "metavar": "POINT"}
+    radius_m: float | None = option(
+        None,
+        "Minimum distance to every obstacle [m]; default: the radius of the --vehicle, --margin, and "
+        "--inflate where obstacles have not grown by it.",
+        within=(1e-3, 1e3),
     )
-    via: tuple[Point, ...] = field(
-        default=(),
-        metadata={"help": "Intermediate point to fly through [m]; may be repeated.", "metavar": "POINT"},
+    margin_m: float | None = option(
+        None,
+        f"Distance that the filter will keep beyond the vehicle's radius, as --margin of fly "
+        f"[m]; default: {MARGIN_M}. Hulls already contain the error of the alignment.",
+        within=(0, 100),
     )
-    radius_m: float | None = field(
-        default=None,
-        metadata={
-            "help": "Minimum distance to every obstacle [m]; default: the radius of the --vehicle, "
-            "--margin, and --inflate where obstacles have not grown by it.",
-            "option": "--radius",
-        },
+    speed_m_s: float = option(1.0, "Maximum speed [m/s].", within=(1e-3, 1e3))
+    acceleration_m_s2: float = option(
+        3.0, "Maximum acceleration [m/s^2].", group="Limits of the motion", within=(1e-3, 1e4)
     )
-    margin_m: float | None = field(
-        default=None,
-        metadata={
-            "help": f"Distance that the filter will keep beyond the vehicle's radius, as --margin of fly "
-            f"[m]; default: {MARGIN_M}. Hulls already contain the error of the alignment.",
-            "option": "--margin",
-        },
+    jerk_m_s3: float | None = option(
+        None,
+        "Maximum jerk [m/s^3]; default: what the body rates and rotors of the vehicle allow.",
+        flag="--max-jerk",
+        group="Limits of the motion",
+        within=(1e-3, 1e6),
     )
-    speed_m_s: float = field(default=1.0, metadata={"help": "Maximum speed [m/s].", "option": "--speed"})
-    acceleration_m_s2: float = field(
-        default=3.0,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "Maximum acceleration [m/s^2].",
-            "option": "--acceleration",
-        },
+    snap_m_s4: float | None = option(
+        None,
+        "Maximum snap [m/s^4]; default: what the rotors of the vehicle allow.",
+        flag="--max-snap",
+        group="Limits of the motion",
+        within=(1e-3, 1e8),
     )
-    jerk_m_s3: float | None = field(
-        default=None,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "Maximum jerk [m/s^3]; default: what the body rates and rotors of the vehicle allow.",
-            "option": "--max-jerk",
-        },
+    tilt_rad: float | None = option(
+        None,
+        "Maximum tilt of the thrust [rad]; default: 0.8 of that of the vehicle.",
+        group="Limits of the motion",
+        within=(1e-3, 1.5),
     )
-    snap_m_s4: float | None = field(
-        default=None,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "Maximum snap [m/s^4]; default: what the rotors of the vehicle allow.",
-            "option": "--max-snap",
-        },
+    body_rate_rad_s: float | None = option(
+        None,
+        "Maximum rate of the thrust axis [rad/s]; default: 0.8 of that of the vehicle, or less for its "
+        "rotors.",
+        group="Limits of the motion",
+        within=(1e-3, 1e3),
     )
-    tilt_rad: float | None = field(
-        default=None,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "Maximum tilt of the thrust [rad]; default: 0.8 of that of the vehicle.",
-            "option": "--tilt",
-        },
+    interface: PlannedInterface | None = option(
+        None,
+        "What the vehicle will be commanded by; default: as fly commands it behind --filter, or without "
+        "one behind its default filter in this map. A plan for accelerations or velocities keeps to the "
+        "accelerations and the jerk with which the vehicle's own autopilot follows them.",
+        group="Limits of the motion",
     )
-    body_rate_rad_s: float | None = field(
-        default=None,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "Maximum rate of the thrust axis [rad/s]; default: 0.8 of that of the vehicle, or less "
-            "for its rotors.",
-            "option": "--body-rate",
-        },
+    filter: str | None = option(
+        None,
+        "Filters behind which the plan will be flown, as --filter of simulate: where they would act it is "
+        "slower and keeps farther away; none: a plan for flights without one; default: for a quadrotor the "
+        "default filter of fly in this map, none with --straight or in an onboard map.",
+        metavar="NAME,…",
     )
-    interface: PlannedInterface | None = field(
-        default=None,
-        metadata={
-            "group": "Limits of the motion",
-            "help": "What the vehicle will be commanded by; default: as fly commands it behind --filter, or "
-            "without one behind its default filter in this map. A plan for accelerations or velocities keeps "
-            "to the accelerations and the jerk with which the vehicle's own autopilot follows them.",
-        },
+    smooth: float = option(
+        1.0,
+        "Fly this many times the minimum time, at least 1, and minimise snap instead.",
+        group="Search",
+        within=(1, 100),
     )
-    filter: str | None = field(
-        default=None,
-        metadata={
-            "help": "Filters behind which the plan will be flown, as --filter of simulate: where they would "
-            "act it is slower and keeps farther away; none: a plan for flights without one; default: for a "
-            "quadrotor the default filter of fly in this map, none with --straight or in an onboard map.",
-            "metavar": "NAME,…",
-        },
+    straight: bool = option(
+        False,
+        "Fly straight from start to goal, from rest to rest by a polynomial of degree 7 in time: the "
+        "reference of FastBridge.",
+        group="Search",
     )
-    smooth: float = field(
-        default=1.0,
-        metadata={
-            "group": "Search",
-            "help": "Fly this many times the minimum time, at least 1, and minimise snap instead.",
-        },
+    allow_blocked: bool = option(
+        False,
+        "With --straight, also write a plan that is not proven: for flights behind a filter.",
+        group="Search",
     )
-    straight: bool = field(
-        default=False,
-        metadata={
-            "group": "Search",
-            "help": "Fly straight from start to goal, from rest to rest by a polynomial of degree 7 in time: "
-            "the reference of FastBridge.",
-        },
+    resolution_m: float | None = option(
+        None,
+        "Spacing of the search lattice [m]; default: by --radius and the size of the box.",
+        group="Search",
+        within=(1e-4, 1e3),
     )
-    allow_blocked: bool = field(
-        default=False,
-        metadata={
-            "group": "Search",
-            "help": "With --straight, also write a plan that is not proven: for flights behind a filter.",
-        },
+    bounds: tuple[float, float, float, float, float, float] | None = box_option(
+        None, "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the mapped box.", group="Search"
     )
-    resolution_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Search",
-            "help": "Spacing of the search lattice [m]; default: by --radius and the size of the box.",
-            "option": "--resolution",
-        },
+    beyond_map_m: float = option(0.0, BEYOND_MAP_HELP, group="Search", within=(0, LARGEST_BEYOND_M))
+    gate: tuple[Gate, ...] = option(
+        (),
+        "Hoop to fly through: centre [m], direction, radius of the opening [m]; may be repeated.",
+        group="Course",
+        metavar="CX CY CZ NX NY NZ R",
     )
-    bounds: tuple[float, float, float, float, float, float] | None = field(
-        default=None,
-        metadata={
-            "group": "Search",
-            "help": "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the mapped box.",
-            "metavar": "BOX",
-        },
+    loops: int = option(1, "Laps: fly via points or gates so many times.", group="Course", within=(1, 100))
+    yaw: str = option(
+        "0",
+        "Heading: constant [rad], `along` the motion, or `towards:X,Y,Z`, a point [m].",
+        group="Course",
+        metavar="HEADING",
     )
-    beyond_map_m: float = field(
-        default=0.0, metadata={"group": "Search", "help": BEYOND_MAP_HELP, "option": "--beyond-map"}
-    )
-    gate: tuple[Gate, ...] = field(
-        default=(),
-        metadata={
-            "group": "Course",
-            "help": "Hoop to fly through: centre [m], direction, radius of the opening [m]; may be repeated.",
-            "metavar": "CX CY CZ NX NY NZ R",
-        },
-    )
-    loops: int = field(
-        default=1, metadata={"group": "Course", "help": "Laps: fly via points or gates so many times."}
-    )
-    yaw: str = field(
-        default="0",
-        metadata={
-            "group": "Course",
-            "help": "Heading: constant [rad], `along` the motion, or `towards:X,Y,Z`, a point [m].",
-            "metavar": "HEADING",
-        },
-    )
-    yaw_rate_rad_s: float | None = field(
-        default=None,
-        metadata={
-            "group": "Course",
-            "help": "Maximum rate of the heading [rad/s]; default: 2, or what the vehicle can do.",
-            "option": "--yaw-rate",
-        },
+    yaw_rate_rad_s: float | None = option(
+        None,
+        "Maximum rate of the heading [rad/s]; default: 2, or what the vehicle can do.",
+        group="Course",
+        within=(1e-3, 1e3),
     )
     # What the obstacles are, and points that are not free.
-    sigma: float = field(
-        default=1.0,
-        metadata={
-            "group": "Obstacles of a scene",
-            "help": "Level of a scene's ellipsoids as obstacles, in standard deviations.",
-        },
+    sigma: float = option(
+        1.0,
+        "Level of a scene's ellipsoids as obstacles, in standard deviations.",
+        group="Obstacles of a scene",
+        within=(0.01, 100),
     )
-    confidence: float | None = field(
-        default=None,
-        metadata={
-            "group": "Obstacles of a scene",
-            "help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution.",
-        },
+    confidence: float | None = option(
+        None,
+        "Probability inside the ellipsoid; sets sigma by the chi-square distribution.",
+        group="Obstacles of a scene",
+        gt=0,
+        lt=1,
     )
-    inflation_m: float | None = field(
-        default=None,
-        metadata={
-            "group": "Obstacles of a scene",
-            "help": "Distance that filters will add to radius and margin [m]; default: as suggested by the "
-            "scene's alignment, and for hulls what of that they have not grown by.",
-            "option": "--inflate",
-        },
+    inflation_m: float | None = option(
+        None,
+        "Distance that filters will add to radius and margin [m]; default: as suggested by the scene's "
+        "alignment, and for hulls what of that they have not grown by.",
+        flag="--inflate",
+        group="Obstacles of a scene",
+        within=(0, 100),
     )
-    nearest_free: bool = field(
-        default=False,
-        metadata={
-            "group": "Search",
-            "help": "Move points of the flight that are not free to the nearest free one.",
-        },
+    nearest_free: bool = option(
+        False, "Move points of the flight that are not free to the nearest free one.", group="Search"
     )
 
     def __post_init__(self) -> None:
-        """Refuse values out of range and points that cannot be flown through."""
-        for option, value, low, high in (
-            ("--radius", self.radius_m, 1e-3, 1e3),
-            ("--margin", self.margin_m, 0.0, 100.0),
-            ("--speed", self.speed_m_s, 1e-3, 1e3),
-            ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
-            ("--max-jerk", self.jerk_m_s3, 1e-3, 1e6),
-            ("--max-snap", self.snap_m_s4, 1e-3, 1e8),
-            ("--tilt", self.tilt_rad, 1e-3, 1.5),
-            ("--body-rate", self.body_rate_rad_s, 1e-3, 1e3),
-            ("--yaw-rate", self.yaw_rate_rad_s, 1e-3, 1e3),
-            ("--smooth", self.smooth, 1.0, 100.0),
-            ("--resolution", self.resolution_m, 1e-4, 1e3),
-            ("--sigma", self.sigma, 0.01, 100.0),
-            ("--inflate", self.inflation_m, 0.0, 100.0),
-            ("--beyond-map", self.beyond_map_m, 0.0, LARGEST_BEYOND_M),
-        ):
-            if value is not None and not (low <= value <= high):
-                raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
+        Config.__post_init__(self)
         self.heading  # noqa: B018  # refuses what is none
-        if not (1 <= self.loops <= 100):
-            raise UsageError(f"--loops must be between 1 and 100, not {self.loops}")
         if self.straight and (self.via or self.gate or self.loops > 1):
             raise UsageError("--straight leads from --start to --goal; leave out --via, --gate and --loops")
         if self.straight and "look_at_m" in self.heading:
             raise UsageError("--straight has one heading: an angle in radians, or along")
         if self.allow_blocked and not self.straight:
             raise UsageError("--allow-blocked is for plans with --straight; all others are proven")
-        if self.confidence is not None and not (0 < self.confidence < 1):
-            raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         points = self.points
         for before, after in pairwise(points) if self.via else ():
             if before == after:
                 raise UsageError("two consecutive points of the flight are the same")
         if self.bounds is not None:
             lower, upper = self.bounds[:3], self.bounds[3:]
-            if not all(a < b for a, b in zip(lower, upper, strict=True)):
-                raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
             for point in points:
                 if not all(a <= x <= b for a, x, b in zip(lower, point, upper, strict=True)):
                     raise UsageError(f"the point {' '.join(f'{x:g}' for x in point)} is outside --bounds")

@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.config import Config, option
 
 FORMATS = ("html", "md", "csv", "json", "tex", "pdf", "png")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReportConfig:
+class ReportConfig(Config):
     """Parameters of `report`."""
 
-    format: Literal["auto", "html", "md", "csv", "json", "tex", "pdf", "png"] = field(
-        default="auto",
-        metadata={
-            "help": "Format to write; auto follows the output's suffix. csv has a row per trial, json "
-            "everything as data, png the first screen. tex has a PDF for each figure beside it, as wide as a "
-            "column."
-        },
+    format: Literal["auto", "html", "md", "csv", "json", "tex", "pdf", "png"] = option(
+        "auto",
+        "Format to write; auto follows the output's suffix. csv has a row per trial, json everything as "
+        "data, png the first screen. tex has a PDF for each figure beside it, as wide as a column.",
     )
-    title: str = field(default="Flight report", metadata={"help": "Heading of the page.", "metavar": "TEXT"})
-    table: tuple[str, ...] = field(
-        default=(), metadata={"help": "Keep only this table (repeatable).", "metavar": "NAME"}
-    )
+    title: str = option("Flight report", "Heading of the page.", metavar="TEXT")
+    table: tuple[str, ...] = option((), "Keep only this table (repeatable).", metavar="NAME")
 
     def __post_init__(self) -> None:
-        """Refuse an empty title."""
+        Config.__post_init__(self)
         if not self.title.strip():
             raise UsageError("--title must not be empty")
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.parameters.configs.config import Config, option
 
 _SIDE_PX = (16, 4096)
 _MOST_PIXELS = 2**31  # of all frames, which are in memory at once: 6 GB
@@ -13,34 +14,26 @@ MOST_GAUSSIANS = 200_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ViewConfig:
+class ViewConfig(Config):
     """Parameters of `view`."""
 
-    title: str = field(default="", metadata={"help": "Heading; default: the names.", "metavar": "TEXT"})
-    flight: tuple[int, ...] = field(
-        default=(),
-        metadata={
-            "help": "Play only this flight of the logs, by its number (repeatable); default: the worst ones "
-            "of each log, the worst first.",
-            "metavar": "N",
-        },
+    title: str = option("", "Heading; default: the names.", metavar="TEXT")
+    flight: tuple[int, ...] = option(
+        (),
+        "Play only this flight of the logs, by its number (repeatable); default: the worst ones of each "
+        "log, the worst first.",
+        metavar="N",
     )
-    gaussians: int | None = field(
-        default=None,
-        metadata={
-            "help": "Show at most so many Gaussians, those that contribute most, however large the page; "
-            f"default: at most {MOST_GAUSSIANS}, and fewer where the page would be larger than 7 MB.",
-            "metavar": "N",
-        },
+    gaussians: int | None = option(
+        None,
+        "Show at most so many Gaussians, those that contribute most, however large the page; "
+        f"default: at most {MOST_GAUSSIANS}, and fewer where the page would be larger than 7 MB.",
+        metavar="N",
+        ge=0,
     )
-    up: Literal["+z", "-z", "+y", "-y", "+x", "-x"] = field(
-        default="+z", metadata={"help": "Axis that points up; most trainers write -y."}
+    up: Literal["+z", "-z", "+y", "-y", "+x", "-x"] = option(
+        "+z", "Axis that points up; most trainers write -y."
     )
-
-    def __post_init__(self) -> None:
-        """Refuse a negative number."""
-        if self.gaussians is not None and self.gaussians < 0:
-            raise UsageError(f"--gaussians must not be negative, not {self.gaussians}")
 
     @property
     def most_gaussians(self) -> int:
@@ -49,46 +42,36 @@ class ViewConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureConfig:
+class PictureConfig(Config):
     """Parameters of the pictures that `view` draws."""
 
-    camera: Literal["chase", "cockpit", "orbit", "fixed"] = field(
-        default="chase",
-        metadata={
-            "group": "Pictures",
-            "help": "Of moving pictures: chase is behind and above the vehicle, cockpit where it is; orbit "
-            "turns around the scene on the vehicle's side; fixed looks as the page does at first.",
-        },
+    camera: Literal["chase", "cockpit", "orbit", "fixed"] = option(
+        "chase",
+        "Of moving pictures: chase is behind and above the vehicle, cockpit where it is; orbit turns "
+        "around the scene on the vehicle's side; fixed looks as the page does at first.",
+        group="Pictures",
     )
-    size: str = field(
-        default="",
-        metadata={
-            "group": "Pictures",
-            "help": "Of pictures: columns and rows [px]; default: 1280x800, of moving ones 640x400.",
-            "metavar": "COLUMNSxROWS",
-        },
+    size: str = option(
+        "",
+        "Of pictures: columns and rows [px]; default: 1280x800, of moving ones 640x400.",
+        group="Pictures",
+        metavar="COLUMNSxROWS",
     )
-    frames_per_second: float = field(
-        default=12.0,
-        metadata={"group": "Pictures", "help": "Of moving pictures: frames per second.", "metavar": "FLOAT"},
+    frames_per_second: float = option(
+        12.0, "Of moving pictures: frames per second.", group="Pictures", metavar="FLOAT", gt=0, le=60
     )
-    seconds: float = field(
-        default=10.0,
-        metadata={
-            "group": "Pictures",
-            "help": "Of moving pictures: maximum time [s]; longer flights are shown faster.",
-            "metavar": "FLOAT",
-        },
+    seconds: float = option(
+        10.0,
+        "Of moving pictures: maximum time [s]; longer flights are shown faster.",
+        group="Pictures",
+        metavar="FLOAT",
+        gt=0,
+        le=600,
     )
 
     def __post_init__(self) -> None:
         """Refuse sizes and rates that make no picture, or one that does not fit into memory."""
-        for name, value, most in (
-            ("--frames-per-second", self.frames_per_second, 60),
-            ("--seconds", self.seconds, 600),
-        ):
-            if not 0 < value <= most:
-                raise UsageError(f"{name} must be more than 0 and at most {most}, not {value:g}")
+        Config.__post_init__(self)
         columns, rows = self.size_px((1, 1))
         if self.size and not _SIDE_PX[0] <= min(columns, rows) <= max(columns, rows) <= _SIDE_PX[1]:
             raise UsageError(f"--size must be from {_SIDE_PX[0]} to {_SIDE_PX[1]} each way, not {self.size}")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
+import operator
 import types
 from collections.abc import Mapping
 from functools import cache
@@ -76,17 +75,23 @@ def defaults(options: type[Options]) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in values}
 
 
-def limits(meta: msgspec.Meta) -> tuple[float, float]:
-    """The lower and upper limit of a number, infinite where it has none."""
-    low = next((x for x in (meta.ge, meta.gt) if x is not None), -math.inf)
-    high = next((x for x in (meta.le, meta.lt) if x is not None), math.inf)
-    return low, high
-
-
-def config_field(options: type[Options], name: str, **metadata: Any) -> Any:
-    """The field of a configuration dataclass that takes a parameter: its default and its help."""
-    entry = entries(options)[name]
-    return dataclasses.field(default=entry.default, metadata={"help": entry.help, **metadata})
+def beyond(meta: msgspec.Meta, value: float) -> str | None:
+    """Why a number is not within limits, as the end of a sentence after its name; None where it is."""
+    if meta.ge is not None and meta.le is not None:
+        words, is_good = f"between {meta.ge:.12g} and {meta.le:.12g}", meta.ge <= value <= meta.le
+    else:
+        limits = [
+            (f"{word} {limit:.12g}", fits(value, limit))
+            for word, limit, fits in (
+                ("at least", meta.ge, operator.ge),
+                ("above", meta.gt, operator.gt),
+                ("at most", meta.le, operator.le),
+                ("below", meta.lt, operator.lt),
+            )
+            if limit is not None
+        ]
+        words, is_good = " and ".join(text for text, _ in limits), all(good for _, good in limits)
+    return None if is_good else f"must be {words}, not {value:.12g}"
 
 
 def complaint(entry: Entry, value: Any) -> str | None:
@@ -97,20 +102,7 @@ def complaint(entry: Entry, value: Any) -> str | None:
     """
     if not _fits(entry, value):
         return f"must be {_wanted(entry)}, not {value!r}"
-    if entry.type not in (int, float):
-        return None
-    meta = entry.meta
-    words = [
-        f"{word} {limit:g}"
-        for word, limit, good in (
-            ("at least", meta.ge, meta.ge is None or value >= meta.ge),
-            ("above", meta.gt, meta.gt is None or value > meta.gt),
-            ("at most", meta.le, meta.le is None or value <= meta.le),
-            ("below", meta.lt, meta.lt is None or value < meta.lt),
-        )
-        if not good
-    ]
-    return f"must be {words[0]}, not {value:g}" if words else None
+    return beyond(entry.meta, value) if entry.type in (int, float) else None
 
 
 def _fits(entry: Entry, value: Any) -> bool:

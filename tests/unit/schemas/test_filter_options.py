@@ -170,7 +170,7 @@ def test_native_options_refuse_what_they_do_not_know():
 def test_a_value_beyond_its_limits_is_refused_with_the_limit():
     known = entries(FILTERS["cone-ecbf"])
     assert complaint(known["lambda_"], 0) == "must be above 0, not 0"
-    assert complaint(known["least_thrust"], 1.0) == "must be below 1, not 1"
+    assert complaint(known["least_thrust"], 1.0) == "must be at least 0 and below 1, not 1"
     assert complaint(known["count"], -1) == "must be a whole number from 0 to 2147483647, not -1"
     assert complaint(known["weight"], [1, 2]) == "must be 4 numbers, not [1, 2]"
     assert complaint(known["gate"], 1) == "must be true or false, not 1"

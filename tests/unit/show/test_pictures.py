@@ -298,8 +298,8 @@ def test_an_embedded_picture_is_bounded():
         ({"size": "-640x400"}, "--size must be like 640x400"),
         ({"size": "640x9"}, "--size must be from 16 to 4096 each way, not 640x9"),
         ({"size": "9999999999x400"}, "--size must be from 16 to 4096"),
-        ({"seconds": 0.0}, "--seconds must be more than 0 and at most 600, not 0"),
-        ({"frames_per_second": 61.0}, "--frames-per-second must be more than 0 and at most 60"),
+        ({"seconds": 0.0}, "--seconds must be above 0 and at most 600, not 0"),
+        ({"frames_per_second": 61.0}, "--frames-per-second must be above 0 and at most 60"),
         ({"size": "4096x4096", "seconds": 600.0}, "need too much memory"),
     ],
 )
