@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.scenarios.defaults import vehicle_of
-from alula.schemas.scenarios.scenario import WorldScenario, read_world
+from alula.schemas.scenarios.scenario import Scenario, read_scenario
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.reporting.statistics import ratio_estimate
@@ -79,7 +79,7 @@ class Tick:
     is_active: bool
 
 
-def record(scenario: WorldScenario, count: int, seed: int) -> list[list[Tick]]:
+def record(scenario: Scenario, count: int, seed: int) -> list[list[Tick]]:
     """Record all ticks of some trials, flown with DR-ACBF.
 
     Positions of tracks are those of the flight. Velocities and covariances are not recorded: velocities are
@@ -89,18 +89,18 @@ def record(scenario: WorldScenario, count: int, seed: int) -> list[list[Tick]]:
     return [list(_ticks(log, scenario)) for log in ready.fly(0, count)]
 
 
-def prepared(scenario: WorldScenario, **rules: int) -> PreparedRun:
+def prepared(scenario: Scenario, **rules: int) -> PreparedRun:
     """Make all parts of a run with other rules."""
     changed = msgspec.structs.replace(scenario, rules=msgspec.structs.replace(scenario.rules, **rules))
     return prepare(changed, vehicle_of(changed, SCENARIO.parent))
 
 
-def filter_options(scenario: WorldScenario) -> dict[str, float]:
+def filter_options(scenario: Scenario) -> dict[str, float]:
     """All options of the native filter."""
     return moving_options(prepared(scenario, trials=1).told, scenario.safety.dr_acbf)
 
 
-def _ticks(log: dict[str, Any], scenario: WorldScenario) -> Iterator[Tick]:
+def _ticks(log: dict[str, Any], scenario: Scenario) -> Iterator[Tick]:
     vehicle, tracks, sensor = log["state"], log["track"], scenario.estimation.sensor
     back, dt = 10, scenario.rules.dt_s
     for k in range(back, len(tracks)):
@@ -162,9 +162,7 @@ def backends() -> dict[str, Any]:
     return found
 
 
-def ticks_side_by_side(
-    scenario: WorldScenario, trials: list[list[Tick]], repeats: int, seconds: float
-) -> Figures:
+def ticks_side_by_side(scenario: Scenario, trials: list[list[Tick]], repeats: int, seconds: float) -> Figures:
     """Measure percentiles of every filter over the same active ticks, trial by trial in turns."""
     options = filter_options(scenario)
     filters = {_KEYS[name]: _core.moving_filter(name, options) for name in METHODS}
@@ -210,7 +208,7 @@ def saving(ours: list[float], theirs: list[float]) -> dict[str, float | None]:
     return {"value": 1 - found.value, "low": low, "high": high}
 
 
-def crowd(scenario: WorldScenario, obstacles: int, repeats: int, seed: int) -> float:
+def crowd(scenario: Scenario, obstacles: int, repeats: int, seed: int) -> float:
     """Median time of a tick with a warning among many approaching obstacles [us]."""
     rng = np.random.default_rng(seed)
     native = _core.moving_filter("dr_acbf", filter_options(scenario))
@@ -268,7 +266,7 @@ def _by_qp(programs: list[tuple[FloatArray, list[float]]], runs: int = 15) -> fl
     return float(np.median(took))
 
 
-def flights(scenario: WorldScenario, size: int, rounds: int, seconds: float) -> Figures:
+def flights(scenario: Scenario, size: int, rounds: int, seconds: float) -> Figures:
     """Measure trials per second with one and with two workers in turns, and the success of all trials."""
     wall = {1: 0.0, 2: 0.0}
     flown = 0
@@ -307,7 +305,7 @@ def flights(scenario: WorldScenario, size: int, rounds: int, seconds: float) -> 
 def run(options: argparse.Namespace) -> Figures:
     """Measure all figures."""
     start = time.perf_counter()
-    scenario = read_world(SCENARIO, {"rules.seed": options.seed})
+    scenario = read_scenario(SCENARIO, {"rules.seed": options.seed})
     recorded = record(scenario, options.recorded, options.seed)
     figures = ticks_side_by_side(scenario, recorded, options.repeats, options.tick_seconds)
     if options.ticks_only:

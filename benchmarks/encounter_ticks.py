@@ -11,7 +11,7 @@ from emulated import dr_acbf_inputs, replay, single
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.schemas.scenarios.scenario import read_world
+from alula.schemas.scenarios.scenario import read_scenario
 
 ENCOUNTER_TICKS, CROWD = 1500, 8
 FloatArray = NDArray[np.float64]
@@ -35,7 +35,7 @@ def measure(firmware: Path, work: Path) -> dict[str, Any]:
     """Measure recorded encounters and crowds; figures by name."""
     recorded: list[Asked] = [
         (single(t.position), single(t.velocity), t.tracks.astype(np.float32).astype(float), single(t.nominal))
-        for trial in record(read_world(SCENARIO), 3, 1)
+        for trial in record(read_scenario(SCENARIO), 3, 1)
         for t in trial
     ][:ENCOUNTER_TICKS]
     rng = np.random.default_rng(3)

@@ -34,7 +34,7 @@ from scenes import room, voxels_of
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.schemas.scenarios.defaults import vehicle_of
-from alula.schemas.scenarios.scenario import WorldScenario, decoded, plain, read_world
+from alula.schemas.scenarios.scenario import Scenario, decoded, plain, read_scenario
 from alula.stages.compression.merge import merge
 from alula.stages.simulation.judge import hits_static
 from alula.stages.simulation.prepare import prepare
@@ -82,9 +82,9 @@ def cover(gaussians: int, hulls: int) -> Artifact:
     return merge(MergeConfig(hulls=hulls), voxels_of(room(gaussians), 0.05))
 
 
-def combined(filters: tuple[str, ...], trials: int) -> WorldScenario:
+def combined(filters: tuple[str, ...], trials: int) -> Scenario:
     """The combined scenario behind a list of filters."""
-    tree = plain(read_world(SCENARIO))
+    tree = plain(read_scenario(SCENARIO))
     tree["world"]["cover"] = "room.cover.npz"
     tree["safety"]["filters"] = list(filters)
     tree["rules"] |= {"trials": trials, "logged": 0}

@@ -56,7 +56,7 @@ def documents() -> dict[str, bytes]:
     from alula.schemas.artifacts.tiles import TILES_SCHEMA, TILES_VERSION, TilesIndex
     from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.schemas.scenarios.mission import MISSION_SCHEMA, Mission
-    from alula.schemas.scenarios.scenario import WORLD_VERSION, WorldScenario
+    from alula.schemas.scenarios.scenario import SCENARIO_VERSION, Scenario
     from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
     from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, Vehicle
 
@@ -67,14 +67,14 @@ def documents() -> dict[str, bytes]:
         (CERTIFICATE_SCHEMA, CERTIFICATE_VERSION, CertificateFile),
         (REPORT_SCHEMA, REPORT_VERSION, Report),
         (TILES_SCHEMA, TILES_VERSION, TilesIndex),
-        (SCENARIO_SCHEMA, WORLD_VERSION, WorldScenario),
+        (SCENARIO_SCHEMA, SCENARIO_VERSION, Scenario),
         (VEHICLE_SCHEMA, VERSION, Vehicle),
         (MISSION_SCHEMA, VERSION, Mission),
     ]
     result = {}
     for name, version, struct in types:
         schema = msgspec.json.schema(struct)
-        if struct is WorldScenario:
+        if struct is Scenario:
             _open_to_others(schema)
         schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
         text = msgspec.json.format(msgspec.json.encode(schema, order="sorted"), indent=2) + b"\n"

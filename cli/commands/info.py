@@ -191,7 +191,7 @@ def _toml(path: Path) -> Explained:
     """Read a vehicle, recognised by its `model`, or else a scenario."""
     import msgspec
 
-    from alula.schemas.scenarios.scenario import plain, read_world
+    from alula.schemas.scenarios.scenario import plain, read_scenario
     from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
     from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, read_vehicle
     from alula.schemas.toml_file import read_tree
@@ -200,7 +200,7 @@ def _toml(path: Path) -> Explained:
     if "model" in read_tree(path):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
-    whole = plain(read_world(path))
+    whole = plain(read_scenario(path))
     del whole["schema"]
     return {**about(SCENARIO_SCHEMA, whole.pop("version")), **whole}, None
 

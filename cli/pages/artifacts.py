@@ -30,7 +30,7 @@ RECORDS: dict[str, tuple[str, str]] = {
     "report": ("alula-report", "a report as data (`alula report -o FILE.json`)"),
     "vehicle": ("alula-vehicle", "a vehicle file (`.toml`)"),
     "mission": ("alula-mission", "a mission file (`.toml`)"),
-    "scenario": ("alula-scenario-2", "a scenario of version 2.0 (`.toml`)"),
+    "scenario": ("alula-scenario-2", "a scenario (`.toml`)"),
 }
 """Pages of the kinds that are not arrays: the beginning of the schema's file name, and what the kind is."""
 FLY = {field.name: field.metadata.get("help", "") for field in dataclasses.fields(FlyConfig)}

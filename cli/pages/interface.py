@@ -58,7 +58,7 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
             "schemas.log.flights.Flight",
             "schemas.scenarios.vehicle.read_vehicle",
             "schemas.scenarios.mission.read_mission",
-            "schemas.scenarios.scenario.read_world",
+            "schemas.scenarios.scenario.read_scenario",
             "schemas.scenarios.scenario.decoded",
         ),
     ),

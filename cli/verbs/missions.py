@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.manifest import InputRef, Manifest
     from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.log.run import RunRecord
-    from alula.schemas.scenarios.scenario import WorldScenario
+    from alula.schemas.scenarios.scenario import Scenario
     from alula.schemas.scenarios.vehicle import Vehicle
     from alula.stages.simulation.pairs import Pairs
     from alula.stages.simulation.simulate import WorldRun
@@ -36,7 +36,7 @@ def scenario_of(
     trials: int | None = None,
     seed: int | None = None,
     given: Mapping[str, Any] | None = None,
-) -> WorldScenario:
+) -> Scenario:
     """The scenario that a source and options describe; options replace its values, `given` replaces them all.
 
     Args:
@@ -49,7 +49,7 @@ def scenario_of(
         UsageError: options contradict one another, or a value is not one.
         InputError: a file cannot be read or is of another kind.
     """
-    from alula.schemas.scenarios.scenario import changed, read_world
+    from alula.schemas.scenarios.scenario import changed, read_scenario
     from alula.schemas.scenarios.source import source_tree, vehicle_table
 
     changes: dict[str, Any] = {}
@@ -79,7 +79,7 @@ def scenario_of(
             changes["safety.filters"] = filters
         if speed_m_s is not None:
             changes["mission.speed_m_s"] = speed_m_s
-        return read_world(source, changes | others)
+        return read_scenario(source, changes | others)
     from alula.cli.verbs.sources import source_files
     from alula.stages.filtering.registry import filter_kind
 
@@ -138,7 +138,7 @@ class Trials:
         pairs_run: record of that run.
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     vehicle: Vehicle
     parameters: dict[str, Any]
     seed: int
@@ -147,7 +147,7 @@ class Trials:
     pairs_run: RunRecord | None = None
 
     @classmethod
-    def of(cls, scenario: WorldScenario, source: Path) -> Trials:
+    def of(cls, scenario: Scenario, source: Path) -> Trials:
         """Read what the scenario names besides maps.
 
         Args:

@@ -23,7 +23,7 @@ from alula.schemas.log.run import PLAN_OUTCOMES, RUN_SCHEMA, RUN_SUFFIX, RUN_VER
 if TYPE_CHECKING:
     from alula.schemas.artifacts.artifact import Artifact
     from alula.schemas.log.flights import Flight
-    from alula.schemas.scenarios.scenario import WorldScenario
+    from alula.schemas.scenarios.scenario import Scenario
     from alula.stages.simulation.simulate import WorldRun
 
 
@@ -206,7 +206,7 @@ class Run:
         return table(repr(self), runner.facts(self.summary), self.summary.get("notes", ()))
 
 
-def check_trials(name: Path | str, scenario: WorldScenario, trials: list[TrialResult]) -> None:
+def check_trials(name: Path | str, scenario: Scenario, trials: list[TrialResult]) -> None:
     """Refuse flights behind filters that touched what does not move, and plans that were not flown.
 
     Raises:

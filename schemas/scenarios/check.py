@@ -1,4 +1,4 @@
-"""Which choices of parts make sense together: what a scenario of version 2.0 cannot fly, in one sentence."""
+"""Which choices of parts make sense together: what a scenario cannot fly, in one sentence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from alula.schemas.parameters.filter_options import ConeBackupParameters, ConeEc
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.defaults import completed
 from alula.schemas.scenarios.moving import ObstacleTable, interval
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import COMMANDS
 from alula.schemas.scenarios.vehicle import Vehicle
 
@@ -46,7 +46,7 @@ _LIMITS = {
 }
 
 
-def refusal(scenario: WorldScenario, vehicle: Vehicle, others: Mapping[str, str] | None = None) -> str | None:
+def refusal(scenario: Scenario, vehicle: Vehicle, others: Mapping[str, str] | None = None) -> str | None:
     """Say why a scenario makes no sense, and what would work instead; None where it does.
 
     Args:
@@ -71,7 +71,7 @@ def refusal(scenario: WorldScenario, vehicle: Vehicle, others: Mapping[str, str]
     return next((words for check in checks if (words := check()) is not None), None)
 
 
-def _wrong_interface(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_interface(scenario: Scenario, vehicle: Vehicle) -> str | None:
     interface, known = scenario.vehicle.interface, _INTERFACES[vehicle.model]
     if interface not in known:
         others = " or ".join(known)
@@ -87,7 +87,7 @@ def _wrong_interface(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     return None
 
 
-def _wrong_deviation(given: WorldScenario, full: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_deviation(given: Scenario, full: Scenario, vehicle: Vehicle) -> str | None:
     table = given.vehicle
     for key, models in _LIMITS.items():
         if getattr(table, key) is not None and vehicle.model not in models:
@@ -133,7 +133,7 @@ def _wrong_deviation(given: WorldScenario, full: WorldScenario, vehicle: Vehicle
     return None
 
 
-def _wrong_estimation(given: WorldScenario, full: WorldScenario) -> str | None:
+def _wrong_estimation(given: Scenario, full: Scenario) -> str | None:
     known = full.estimation
     if full.vehicle.interface != "sticks":
         loses = known.lost_share > 0 or known.lost_from_s is not None
@@ -156,7 +156,7 @@ def _is_set(value: Any) -> bool:
     return any(value) if isinstance(value, tuple) else bool(value)
 
 
-def _wrong_mission(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_mission(scenario: Scenario, vehicle: Vehicle) -> str | None:
     mission, world, kind = scenario.mission, scenario.world, scenario.mission.kind
     if kind == "pilot":
         if vehicle.throttle is None:
@@ -199,7 +199,7 @@ def _wrong_mission(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     return _wrong_guide(scenario)
 
 
-def _wrong_guide(scenario: WorldScenario) -> str | None:
+def _wrong_guide(scenario: Scenario) -> str | None:
     guide, interface = scenario.mission.controller.guide, scenario.vehicle.interface
     if guide == NO_FILTER:
         return None
@@ -217,7 +217,7 @@ def _wrong_guide(scenario: WorldScenario) -> str | None:
     return None
 
 
-def _wrong_filters(scenario: WorldScenario, vehicle: Vehicle, commands: Mapping[str, str]) -> str | None:
+def _wrong_filters(scenario: Scenario, vehicle: Vehicle, commands: Mapping[str, str]) -> str | None:
     names = [name for name in scenario.safety.filters if name in commands]
     ordered = sorted(names, key=lambda name: COMMANDS.index(commands[name]))
     if names != ordered:
@@ -245,7 +245,7 @@ def _wrong_filters(scenario: WorldScenario, vehicle: Vehicle, commands: Mapping[
     )
 
 
-def _interface_for(command: str, vehicle: Vehicle, scenario: WorldScenario) -> str:
+def _interface_for(command: str, vehicle: Vehicle, scenario: Scenario) -> str:
     """Say how the vehicle could be flown by a filter of a command."""
     if scenario.mission.kind == "pilot":
         return ", or another mission, as mission.kind=goal"
@@ -258,7 +258,7 @@ def _interface_for(command: str, vehicle: Vehicle, scenario: WorldScenario) -> s
     return f", or set vehicle.interface={command}"
 
 
-def _wrong_world(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_world(scenario: Scenario, vehicle: Vehicle) -> str | None:
     world = scenario.world
     hulls, ellipsoids, fence = world.has_hulls, world.scene is not None, world.fence is not None
     ladder = "acceleration" if vehicle.model == "double-integrator" else "wrench"
@@ -291,7 +291,7 @@ def _wrong_world(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     return None
 
 
-def _wrong_tiles(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_tiles(scenario: Scenario, vehicle: Vehicle) -> str | None:
     world, where = scenario.world, "`$.world.tiles`:"
     if world.tiles is None:
         unused = world.tile_load_s > 0
@@ -310,7 +310,7 @@ def _wrong_tiles(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     return None
 
 
-def _wrong_shield(scenario: WorldScenario, name: str) -> str | None:
+def _wrong_shield(scenario: Scenario, name: str) -> str | None:
     options: Any = scenario.safety.parameters(name)
     is_switched = isinstance(options, ConeBackupParameters | ConeEcbfParameters)
     if not isinstance(options, ShieldParameters) and not (is_switched and options.shield):
@@ -330,7 +330,7 @@ def _wrong_shield(scenario: WorldScenario, name: str) -> str | None:
     return None
 
 
-def _wrong_gain(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _wrong_gain(scenario: Scenario, vehicle: Vehicle) -> str | None:
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
     if vehicle.model == "quadrotor":
         return None
@@ -352,7 +352,7 @@ def _wrong_gain(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     return None
 
 
-def _same_trials(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
+def _same_trials(scenario: Scenario, vehicle: Vehicle) -> str | None:
     trials = scenario.rules.trials
     if trials is None or trials == 1 or is_random(scenario, vehicle):
         return None
@@ -365,7 +365,7 @@ def _same_trials(scenario: WorldScenario, vehicle: Vehicle) -> str | None:
     )
 
 
-def is_random(scenario: WorldScenario, vehicle: Vehicle) -> bool:
+def is_random(scenario: Scenario, vehicle: Vehicle) -> bool:
     """Whether the trials of a scenario can differ."""
     full = completed(scenario, vehicle)
     mission, known = full.mission, full.estimation

@@ -1,4 +1,4 @@
-"""Values of a scenario of version 2.0 that follow from its vehicle."""
+"""Values of a scenario that follow from its vehicle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import Interface
 from alula.schemas.scenarios.vehicle import Vehicle, read_vehicle
 from alula.schemas.scenarios.vehicles import DEFAULT_VEHICLE, VEHICLES
@@ -16,7 +16,7 @@ _NOISE = ("position_noise_m", "velocity_noise_m_s", "attitude_noise_rad", "rate_
 _ATTITUDE_LAG_S = 0.15  # of the attitude loop within a velocity loop
 
 
-def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
+def vehicle_of(scenario: Scenario, folder: Path) -> Vehicle:
     """Vehicle that a scenario names, without the scenario's deviations from it.
 
     Args:
@@ -31,7 +31,7 @@ def vehicle_of(scenario: WorldScenario, folder: Path) -> Vehicle:
     return VEHICLES[table.type or DEFAULT_VEHICLE.name]
 
 
-def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:
+def interface_of(scenario: Scenario, vehicle: Vehicle) -> Interface:
     """What a vehicle is commanded by: as the scenario says, else by its model and the mission."""
     if scenario.vehicle.interface is not None:
         return scenario.vehicle.interface
@@ -40,7 +40,7 @@ def interface_of(scenario: WorldScenario, vehicle: Vehicle) -> Interface:
     return "velocity" if vehicle.model == "single-integrator" else "acceleration"
 
 
-def has_autopilot(scenario: WorldScenario, vehicle: Vehicle) -> bool:
+def has_autopilot(scenario: Scenario, vehicle: Vehicle) -> bool:
     """Whether a vehicle follows velocities or accelerations as its own autopilot does."""
     table = scenario.vehicle
     if table.autopilot is not None:
@@ -49,7 +49,7 @@ def has_autopilot(scenario: WorldScenario, vehicle: Vehicle) -> bool:
     return by_autopilot and vehicle.velocities is not None and table.velocity_gain_per_s is None
 
 
-def completed(scenario: WorldScenario, vehicle: Vehicle) -> WorldScenario:
+def completed(scenario: Scenario, vehicle: Vehicle) -> Scenario:
     """Replace None by the values of the vehicle, where they apply to it."""
     table, own = scenario.vehicle, vehicle.disturbance
     measured, mission_kind = vehicle.velocities is not None, scenario.mission.kind

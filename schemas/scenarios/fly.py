@@ -1,4 +1,4 @@
-"""What a scenario of version 2.0 says of a real flight: its table `[fly]`, and keys of its other tables."""
+"""What a scenario says of a real flight: its table `[fly]`, and keys of its other tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 
 from alula.schemas.errors import UsageError
 from alula.schemas.parameters.flight_defaults import IN_A_COVER, NO_FILTER
-from alula.schemas.scenarios.scenario import Read, WorldScenario, value_at
+from alula.schemas.scenarios.scenario import Read, Scenario, value_at
 from alula.schemas.scenarios.vehicle import Vehicle
 
 _FILES = {
@@ -37,7 +37,7 @@ _FIELDS = {
 _SIMULATED = ("world.moving", "world.walls", "world.fence.faces", "world.onboard", "mission.controller.guide")
 
 
-def flown_files(scenario: WorldScenario, folder: Path) -> dict[str, Path]:
+def flown_files(scenario: Scenario, folder: Path) -> dict[str, Path]:
     """Files of a real flight by role.
 
     Args:
@@ -74,7 +74,7 @@ def flown_settings(read: Read, name: str) -> dict[str, Any]:
     Raises:
         UsageError: the scenario has what a real flight cannot have, such as walls.
     """
-    scenario, default = read.scenario, WorldScenario()
+    scenario, default = read.scenario, Scenario()
     for key in _SIMULATED:
         if _value(scenario, key) not in (None, _value(default, key), ()):
             raise UsageError(f"`$.{key}`: is for simulate alone; leave it out for a real flight")
@@ -91,7 +91,7 @@ def flown_settings(read: Read, name: str) -> dict[str, Any]:
     return {key: value for key, value in found.items() if value is not None}
 
 
-def flown_vehicle(scenario: WorldScenario, vehicle: Vehicle) -> Vehicle:
+def flown_vehicle(scenario: Scenario, vehicle: Vehicle) -> Vehicle:
     """Vehicle of a real flight: with the radius, the lag and the delay that the scenario gives it.
 
     Args:
@@ -115,7 +115,7 @@ def flown_vehicle(scenario: WorldScenario, vehicle: Vehicle) -> Vehicle:
     )
 
 
-def _value(scenario: WorldScenario, key: str) -> Any:
+def _value(scenario: Scenario, key: str) -> Any:
     """Value of a key; None where a table above it is absent."""
     found: Any = scenario
     for part in key.split("."):

@@ -1,4 +1,4 @@
-"""Ranges of a scenario of version 2.0 that depend on several of its keys."""
+"""Ranges of a scenario that depend on several of its keys."""
 
 from __future__ import annotations
 

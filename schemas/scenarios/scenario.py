@@ -1,4 +1,4 @@
-"""Scenarios of version 2.0, `alula/scenario`: a run is a choice of parts, one table a part.
+"""Scenarios, `alula/scenario`: a run is a choice of parts, one table a part.
 
     schema = "alula/scenario"
     version = "2.0"
@@ -67,7 +67,7 @@ from alula.schemas.scenarios.tables import (
 from alula.schemas.scenarios.types import Table, about
 from alula.schemas.toml_file import read_tree
 
-WORLD_VERSION = "2.0"
+SCENARIO_VERSION = "2.0"
 
 FILES = (
     *("vehicle.file", "world.cover", "world.tiles", "world.scene", "world.seen"),
@@ -98,11 +98,11 @@ ELSEWHERE = {
 """Parameters of filters, by table and name, that follow from other keys of the scenario."""
 
 
-class WorldScenario(Table, frozen=True, kw_only=True):
-    """A scenario of version 2.0; with the files that it names it determines the flights."""
+class Scenario(Table, frozen=True, kw_only=True):
+    """A scenario; with the files that it names it determines the flights."""
 
     schema: Annotated[Literal["alula/scenario"], about("kind of the file")] = SCENARIO_SCHEMA
-    version: Annotated[str, about("version of the format")] = WORLD_VERSION
+    version: Annotated[str, about("version of the format")] = SCENARIO_VERSION
     name: Annotated[str, about("name of the run, for reports", min_length=1)] = "run"
     vehicle: VehicleTable = VehicleTable()
     world: WorldTable = WorldTable()
@@ -122,7 +122,7 @@ class Read(NamedTuple):
         changed: keys that --set replaced, with dots between.
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     given: Mapping[str, Any]
     changed: Sequence[str]
 
@@ -130,7 +130,7 @@ class Read(NamedTuple):
 _NEW_PLANS = ("replan_after_s", "replans")
 
 
-def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldScenario:
+def read_scenario(path: Path, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario.
 
     Args:
@@ -148,13 +148,13 @@ def read_world(path: Path, changes: Mapping[str, Any] | None = None) -> WorldSce
 
 
 def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
-    """Read a scenario as `read_world` does, and say where its values come from.
+    """Read a scenario as `read_scenario` does, and say where its values come from.
 
     Args:
-        changes: as of `read_world`.
+        changes: as of `read_scenario`.
 
     Raises:
-        InputError, WrongKindError, VersionError, UsageError: as `read_world`.
+        InputError, WrongKindError, VersionError, UsageError: as `read_scenario`.
     """
     tree = read_tree(path)
     _check_version(path, tree)
@@ -162,13 +162,13 @@ def read_sources(path: Path, changes: Mapping[str, Any] | None = None) -> Read:
     return Read(changed(tree, str(path), changes), given, tuple(changes or ()))
 
 
-def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None = None) -> WorldScenario:
+def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Replace values of plain values, and convert and check them.
 
     Args:
         tree: as of TOML; changed in place.
         where: before the messages, such as the name of the file.
-        changes: as of `read_world`.
+        changes: as of `read_scenario`.
 
     Raises:
         UsageError: as `decoded`.
@@ -181,7 +181,7 @@ def changed(tree: dict[str, Any], where: str, changes: Mapping[str, Any] | None 
     return decoded(tree, where, known | _filters(tree))
 
 
-def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | None = None) -> WorldScenario:
+def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | None = None) -> Scenario:
     """Convert and check plain values.
 
     Args:
@@ -198,7 +198,7 @@ def decoded(tree: dict[str, Any], where: str = "scenario", known: set[str] | Non
         _gather(safety, where, _filters(tree) if known is None else known)
     try:
         tree = with_preset(tree)
-        scenario = _completed(convert(tree, WorldScenario), tree)
+        scenario = _completed(convert(tree, Scenario), tree)
         ranges.check_finite(scenario)
         _check(scenario)
     except (MalformedError, UsageError) as error:
@@ -218,7 +218,7 @@ def _refuse_new_plans(tree: Mapping[str, Any], where: str) -> None:
                 )
 
 
-def plain(scenario: WorldScenario) -> dict[str, Any]:
+def plain(scenario: Scenario) -> dict[str, Any]:
     """Plain values of a scenario as its file has them; keys without a value are left out."""
     tree: dict[str, Any] = _without_none(msgspec.to_builtins(scenario))
     tree["safety"] |= tree["safety"].pop("others")
@@ -257,14 +257,14 @@ def _check_version(path: Path, tree: Mapping[str, Any]) -> None:
     if version is None:
         raise VersionError(
             f'{path}: has no `version`; a scenario begins with schema = "{SCENARIO_SCHEMA}" and version = '
-            f'"{WORLD_VERSION}"'
+            f'"{SCENARIO_VERSION}"'
         )
     try:
         major, _ = parse_version(str(version))
     except ValueError as error:
         raise UsageError(f"{path}: `$.version`: {error}") from error
-    if major != parse_version(WORLD_VERSION)[0]:
-        raise VersionError(f"{path}: is {SCENARIO_SCHEMA} of version {version}; {WORLD_VERSION} is read")
+    if major != parse_version(SCENARIO_VERSION)[0]:
+        raise VersionError(f"{path}: is {SCENARIO_SCHEMA} of version {version}; {SCENARIO_VERSION} is read")
 
 
 def _filters(tree: Mapping[str, Any]) -> set[str]:
@@ -287,7 +287,7 @@ def _gather(safety: dict[str, Any], where: str, known: set[str]) -> None:
         safety.setdefault("others", {})[name] = safety.pop(name)
 
 
-def _completed(scenario: WorldScenario, tree: Mapping[str, Any]) -> WorldScenario:
+def _completed(scenario: Scenario, tree: Mapping[str, Any]) -> Scenario:
     """Fill in the parameters of filters that follow from the rest of the scenario."""
     given: Mapping[str, Any] = tree.get("safety", {})
     for (name, key), other in ELSEWHERE.items():
@@ -350,7 +350,7 @@ def _remove(tree: Mapping[str, Any], key: str) -> None:
         tree[table].pop(name, None)
 
 
-def _check(scenario: WorldScenario) -> None:
+def _check(scenario: Scenario) -> None:
     """Refuse values that contradict each other."""
     ranges.require(bool(scenario.name.strip()), "name", "must not be empty")
     ranges.check_vehicle_table(scenario.vehicle)

@@ -1,4 +1,4 @@
-"""The parts of a scenario of version 2.0, one table each: keys, defaults, limits, descriptions.
+"""The parts of a scenario, one table each: keys, defaults, limits, descriptions.
 
 None stands for a value of the vehicle, of the plan or of the world, or for something that the run does not
 have; the description says which.

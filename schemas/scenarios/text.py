@@ -1,4 +1,4 @@
-"""A scenario of version 2.0 as TOML with all of its values and their sources, and the list of all keys."""
+"""A scenario as TOML with all of its values and their sources, and the list of all keys."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from alula.schemas.parameters.filter_options import TABLES
 from alula.schemas.scenarios.defaults import completed
 from alula.schemas.scenarios.presets import preset_values
 from alula.schemas.scenarios.ranges import USED
-from alula.schemas.scenarios.scenario import ELSEWHERE, FILES, Read, WorldScenario, plain, value_at
+from alula.schemas.scenarios.scenario import ELSEWHERE, FILES, Read, Scenario, plain, value_at
 from alula.schemas.scenarios.tables import FlyTable
 from alula.schemas.scenarios.types import LARGEST
 from alula.schemas.scenarios.vehicle import Vehicle
@@ -63,7 +63,7 @@ def values_of(read: Read, vehicle: Vehicle, file: str) -> list[Value]:
     return [Value(path, value, source(path)) for path, value in _walk(_used(full, read), "")]
 
 
-def _used(scenario: WorldScenario, read: Read) -> dict[str, Any]:
+def _used(scenario: Scenario, read: Read) -> dict[str, Any]:
     """Plain values of a scenario without tables and keys that have no effect in it and that nobody gave."""
     tree = plain(scenario)
     mission, safety = scenario.mission, scenario.safety
@@ -166,9 +166,9 @@ def keys_of(part: str = "") -> list[Key]:
         UsageError: there is none.
     """
     part = part.replace("[", ".").replace("]", "")
-    found = [key for key in _keys(WorldScenario, "") if _is_within(key.path, part)]
+    found = [key for key in _keys(Scenario, "") if _is_within(key.path, part)]
     if not found:
-        parts = ", ".join(item.encode_name for item in msgspec.structs.fields(WorldScenario))
+        parts = ", ".join(item.encode_name for item in msgspec.structs.fields(Scenario))
         raise UsageError(f"no part or key is called {part!r}; parts are {parts}")
     return found
 

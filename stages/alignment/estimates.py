@@ -44,7 +44,7 @@ Evidence = Correspondences | Cloud | Sequence[Distance] | Similarity | Given
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Alignment:
     """An estimated similarity.
 
     Attributes:
@@ -65,7 +65,7 @@ def estimate(
     evidence: Evidence,
     seed: int,
     box: tuple[FloatArray, FloatArray],
-) -> Estimate:
+) -> Alignment:
     """Estimate the similarity from any kind of evidence.
 
     Args:
@@ -109,7 +109,7 @@ def _fit(config: ScaleAlignConfig, evidence: Correspondences, seed: int) -> Fit:
 
 def _by_correspondences(
     config: ScaleAlignConfig, evidence: Correspondences, seed: int, box: tuple[FloatArray, FloatArray]
-) -> Estimate:
+) -> Alignment:
     fit = _fit(config, evidence, seed)
     items: list[dict[str, Any]] = [
         {"item": row, "residual_m": float(residual), "inlier": bool(inlier)}
@@ -138,7 +138,7 @@ def _by_correspondences(
         for item, each in zip(items, angle.tolist(), strict=True):
             item["residual_deg"] = each
         record |= {"threshold_deg": config.max_angle_deg, **_statistics(angle[fit.inlier], "deg")}
-    return Estimate(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
+    return Alignment(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
 
 
 def _by_cloud(
@@ -147,7 +147,7 @@ def _by_cloud(
     evidence: Cloud,
     seed: int,
     box: tuple[FloatArray, FloatArray],
-) -> Estimate:
+) -> Alignment:
     facts: dict[str, Any] = {"initial": "as it is"}
     match evidence.initial:
         case Correspondences() as found:
@@ -188,7 +188,7 @@ def _by_cloud(
         "items": items,
         "warnings": [],
     }
-    return Estimate(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
+    return Alignment(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
 
 
 def _statistics(residual: FloatArray, unit: str) -> dict[str, float]:
@@ -203,7 +203,7 @@ def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[FloatArr
     return uncertainty.position_error(mapped_corners(similarity, *box))
 
 
-def _by_distances(distances: Sequence[Distance], threshold: float, corners: FloatArray) -> Estimate:
+def _by_distances(distances: Sequence[Distance], threshold: float, corners: FloatArray) -> Alignment:
     """Scale by least squares of metres = scale * length."""
     start, end = np.array([d[0] for d in distances]), np.array([d[1] for d in distances])
     metres = np.array([d[2] for d in distances])
@@ -240,10 +240,10 @@ def _by_distances(distances: Sequence[Distance], threshold: float, corners: Floa
             "scale_leave_one_out": [float(without.min()), float(without.max())],
             "warnings": [],
         }
-    return Estimate(scale_only(scale), found, error)
+    return Alignment(scale_only(scale), found, error)
 
 
-def _given(config: ScaleAlignConfig, given: Given) -> Estimate:
+def _given(config: ScaleAlignConfig, given: Given) -> Alignment:
     if (config.max_rms_m, config.max_scale_sigma, config.min_inliers) != (None, None, None):
         raise UsageError(
             "--max-rms, --max-scale-sigma and --min-inliers need measurements; a given similarity has none"
@@ -254,4 +254,4 @@ def _given(config: ScaleAlignConfig, given: Given) -> Estimate:
         **given.facts,
         "warnings": list(given.warnings),
     }
-    return Estimate(given.similarity, record)
+    return Alignment(given.similarity, record)

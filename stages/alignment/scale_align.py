@@ -22,7 +22,14 @@ from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.schemas.progress import Progress
 from alula.stages.alignment.cloud import Cloud
-from alula.stages.alignment.estimates import VISIBLE, Estimate, Evidence, Given, estimate, scale_only
+from alula.stages.alignment.estimates import (
+    VISIBLE,
+    Alignment,
+    Evidence,
+    Given,
+    estimate,
+    scale_only,
+)
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.levelling import level_by_direction, level_by_floor
 from alula.stages.alignment.model_frame import ModelFrame, model_frame
@@ -165,7 +172,7 @@ class Aligner:
             first += len(part["mean"])
         return np.concatenate(found)
 
-    def _solved(self, box: tuple[FloatArray, FloatArray], evidence: Evidence | None, seed: int) -> Estimate:
+    def _solved(self, box: tuple[FloatArray, FloatArray], evidence: Evidence | None, seed: int) -> Alignment:
         """Estimate the similarity and level its frame."""
         config, manifest = self._config, self._manifest
         visible = partial(self._sampled, VISIBLE)
@@ -197,7 +204,7 @@ class Aligner:
         return _from_map_origin(config, found, self._sampled, box)
 
     def _check(
-        self, found: Estimate, rounding: float, report: Callable[[dict[str, Any]], None] | None
+        self, found: Alignment, rounding: float, report: Callable[[dict[str, Any]], None] | None
     ) -> None:
         """Record an estimate and check it against the gates."""
         similarity = found.similarity
@@ -276,10 +283,10 @@ class Aligner:
 
 def _from_map_origin(
     config: ScaleAlignConfig,
-    found: Estimate,
+    found: Alignment,
     means: Callable[[], FloatArray],
     box: tuple[FloatArray, FloatArray],
-) -> Estimate:
+) -> Alignment:
     """Estimate whose world has the origin of the map, chosen where single precision would be coarse."""
     origin, warnings = config.map_origin, list(found.record["warnings"])
     if origin is None:
@@ -344,12 +351,12 @@ def _bounds(mean: NDArray[np.floating[Any]], scale: NDArray[np.float32]) -> tupl
 
 def _levelled(
     config: ScaleAlignConfig,
-    found: Estimate,
+    found: Alignment,
     means: Callable[[], FloatArray],
     box: tuple[FloatArray, FloatArray],
     *,
     frame_is_known: bool,
-) -> Estimate:
+) -> Alignment:
     """Estimate followed by a motion that levels its frame; the record holds it as `level`."""
     up = np.array([0.0, 0.0, 1.0])
     if config.up is None and not frame_is_known:
@@ -369,7 +376,7 @@ def _levelled(
         error = None if level.error is None else (
             error + level.error.position_error(mapped_corners(similarity, *box)))  # fmt: skip
     warnings = [*found.record["warnings"], *level.warnings]
-    return Estimate(similarity, {**found.record, "level": level.facts, "warnings": warnings}, error)
+    return Alignment(similarity, {**found.record, "level": level.facts, "warnings": warnings}, error)
 
 
 def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -> Guarantee:

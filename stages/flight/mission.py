@@ -20,7 +20,7 @@ from alula.schemas.parameters.configs.fly import FlyConfig
 from alula.schemas.parameters.configs.plan import BEYOND_MAP
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.defaults import completed
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import (
     ControllerTable,
     MissionTable,
@@ -394,7 +394,7 @@ def _mapped(plan: Artifact, mapped: Mapped | None, radius_m: float) -> list[tupl
 
 def _scenario(
     config: FlyConfig, vehicle: Vehicle, *, is_splat: bool, has_scene: bool, has_cover: bool
-) -> WorldScenario:
+) -> Scenario:
     """The scenario of a flight: what `simulate` would be given for the same vehicle, maps and filter.
 
     Args:
@@ -404,7 +404,7 @@ def _scenario(
         has_scene: there are ellipsoids.
         has_cover: there are hulls.
     """
-    scenario = WorldScenario(
+    scenario = Scenario(
         vehicle=VehicleTable(
             interface="body-rates" if is_splat else "velocity",
             radius_m=vehicle.body.radius_m + config.margin_m,
@@ -422,7 +422,7 @@ def _scenario(
     return completed(scenario, vehicle)
 
 
-def _scenario_of(mission: PlannedFlight) -> WorldScenario:
+def _scenario_of(mission: PlannedFlight) -> Scenario:
     return _scenario(
         mission.config,
         mission.vehicle,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alula.stages.identification.estimates import Estimate, mean_of
+from alula.stages.identification.estimates import Measured, mean_of
 from alula.stages.identification.recording import Phase, Recording
 from alula.stages.identification.responses import FALLEN, crossing
 from alula.stages.identification.steps import Step
@@ -31,9 +31,9 @@ class RateLimit(NamedTuple):
     """
 
     asked_rad_s: float
-    reached_rad_s: Estimate
+    reached_rad_s: Measured
     has_settled: bool
-    acceleration_rad_s2: Estimate | None
+    acceleration_rad_s2: Measured | None
 
     @property
     def is_limited(self) -> bool:
@@ -44,14 +44,14 @@ class RateLimit(NamedTuple):
 RateLimits = tuple[RateLimit | None, RateLimit | None, RateLimit | None]
 
 
-def rate_lags(recording: Recording) -> tuple[Estimate, Estimate, Estimate] | None:
+def rate_lags(recording: Recording) -> tuple[Measured, Measured, Measured] | None:
     """Times to 63 % of steps of the body rates; None unless all axes have one.
 
     Args:
         recording: of the flight.
     """
 
-    def about(axis: int) -> Estimate | None:
+    def about(axis: int) -> Measured | None:
         return _means_of(
             recording,
             "rate",
@@ -94,7 +94,7 @@ def rate_limits(recording: Recording) -> RateLimits:
             return None
         return (_RISING[1] - _RISING[0]) * rate / (high - low)
 
-    def over(axis: int, measure: Callable[[int, Step], float | None]) -> Estimate | None:
+    def over(axis: int, measure: Callable[[int, Step], float | None]) -> Measured | None:
         return _means_of(
             recording, "rate", lambda number, step: measure(number, step) if is_about(step, axis) else None
         )
@@ -120,7 +120,7 @@ def _rises_at(recording: Recording, number: int, step: Step, level: float) -> fl
     return crossing(times, recording.omega[rows, step.axis] / step.size, level)
 
 
-def thrust_lag(recording: Recording, gravity: float) -> Estimate | None:
+def thrust_lag(recording: Recording, gravity: float) -> Measured | None:
     """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb.
 
     Args:
@@ -150,7 +150,7 @@ def thrust_lag(recording: Recording, gravity: float) -> Estimate | None:
 
 def _means_of(
     recording: Recording, kind: str, measure: Callable[[int, Step], float | None]
-) -> Estimate | None:
+) -> Measured | None:
     """Mean over the steps of a kind that could be measured."""
     complete: Iterable[tuple[int, Step]] = (
         (number, step)

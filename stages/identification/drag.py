@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.identification.estimates import Estimate, line_of, mean_of
+from alula.stages.identification.estimates import Measured, line_of, mean_of
 from alula.stages.identification.recording import Phase, Recording
 from alula.stages.identification.responses import STEADY_S
 from alula.stages.rotation import matrix_from_quat_wxyz
@@ -17,7 +17,7 @@ _WINDOW_S = 0.25  # of means of accelerations
 _QUANTILE = 0.99
 
 
-def hover_throttle(recording: Recording) -> Estimate | None:
+def hover_throttle(recording: Recording) -> Measured | None:
     """Mean throttle of each rest before a velocity step."""
     means = []
     for number, step in enumerate(recording.steps):
@@ -96,7 +96,7 @@ def _mean_known(values: FloatArray) -> float:
 
 def drag_and_residual(
     recording: Recording, gravity: float
-) -> tuple[tuple[Estimate | None, Estimate | None, Estimate | None], float]:
+) -> tuple[tuple[Measured | None, Measured | None, Measured | None], float]:
     """Drag by axis from the thrust that steady speeds need, and what the model with it leaves over.
 
     With the thrust f along the body's z axis e, a = f e - g - d (v - w): horizontally f = (g + a_z) / e_z, as
@@ -111,7 +111,7 @@ def drag_and_residual(
     missing[:, :2] = thrust[:, None] * seen.lean[:, :2] - seen.measured[:, :2]
     lift = np.full(len(thrust), math.nan) if hover is None else gravity * seen.throttle / hover.value
     missing[:, 2] = lift * seen.lean[:, 2] - gravity - seen.measured[:, 2]
-    drags, left = list[Estimate | None](), np.zeros_like(missing)
+    drags, left = list[Measured | None](), np.zeros_like(missing)
     for axis in range(3):
         x, y = _by_step(seen, missing[:, axis], axis)
         if len(x) < 3 or np.ptp(x) < 0.2:

@@ -14,14 +14,14 @@ from alula.stages.quantiles import student_quantile
 _CONFIDENCE = 0.95
 
 
-class Estimate(NamedTuple):
+class Measured(NamedTuple):
     """A value and its 95 % interval; None where there are too few measurements for one."""
 
     value: float
     interval: tuple[float, float] | None
 
 
-def mean_of(values: Sequence[float]) -> Estimate:
+def mean_of(values: Sequence[float]) -> Measured:
     """Mean with its interval by Student's t.
 
     Args:
@@ -29,12 +29,12 @@ def mean_of(values: Sequence[float]) -> Estimate:
     """
     mean, n = float(np.mean(values)), len(values)
     if n < 2:
-        return Estimate(mean, None)
+        return Measured(mean, None)
     half = student_quantile(n - 1, 0.5 + _CONFIDENCE / 2) * float(np.std(values, ddof=1)) / math.sqrt(n)
-    return Estimate(mean, (mean - half, mean + half))
+    return Measured(mean, (mean - half, mean + half))
 
 
-def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) -> tuple[Estimate, Estimate]:
+def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) -> tuple[Measured, Measured]:
     """Least-squares line y = a + b x, with the intervals of a and b.
 
     Args:
@@ -46,13 +46,13 @@ def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) ->
     (a, b), *_ = np.linalg.lstsq(A, y, rcond=None)
     degrees = len(y) - 2
     if degrees < 1:
-        return Estimate(float(a), None), Estimate(float(b), None)
+        return Measured(float(a), None), Measured(float(b), None)
     variance = float(((y - A @ (a, b)) ** 2).sum()) / degrees
     half = student_quantile(degrees, 0.5 + _CONFIDENCE / 2) * np.sqrt(
         variance * np.diag(np.linalg.inv(A.T @ A))
     )
     first, second = (
-        Estimate(float(value), (float(value - wide), float(value + wide)))
+        Measured(float(value), (float(value - wide), float(value + wide)))
         for value, wide in zip((a, b), half, strict=True)
     )
     return first, second

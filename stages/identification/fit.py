@@ -12,7 +12,7 @@ import numpy as np
 from alula.schemas.errors import CheckError
 from alula.stages.identification.doublets import REACHED, RateLimits, rate_lags, rate_limits, thrust_lag
 from alula.stages.identification.drag import drag_and_residual, hover_throttle
-from alula.stages.identification.estimates import Estimate, line_of, mean_of
+from alula.stages.identification.estimates import Measured, line_of, mean_of
 from alula.stages.identification.recording import Recording
 from alula.stages.identification.responses import Response, step_responses
 
@@ -20,8 +20,8 @@ from alula.stages.identification.responses import Response, step_responses
 class Law(NamedTuple):
     """Time of 63 % of a stop from a speed v, a + b v [s], [s^2/m]."""
 
-    a: Estimate
-    b: Estimate
+    a: Measured
+    b: Measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +46,16 @@ class Identification:
     responses: list[Response]
     horizontal_lag: Law
     vertical_lag: Law | None
-    delay_s: Estimate
-    deceleration_m_s2: Estimate
+    delay_s: Measured
+    deceleration_m_s2: Measured
     max_up_m_s: float | None = None
     max_down_m_s: float | None = None
-    hover_throttle: Estimate | None = None
-    drag_per_s: tuple[Estimate | None, Estimate | None, Estimate | None] = (None, None, None)
+    hover_throttle: Measured | None = None
+    drag_per_s: tuple[Measured | None, Measured | None, Measured | None] = (None, None, None)
     residual_m_s2: float = math.nan
-    rate_s: tuple[Estimate, Estimate, Estimate] | None = None
+    rate_s: tuple[Measured, Measured, Measured] | None = None
     rate_limits: RateLimits = (None, None, None)
-    thrust_s: Estimate | None = None
+    thrust_s: Measured | None = None
     left_out: list[str] = field(default_factory=list)
 
 
@@ -107,10 +107,10 @@ def _law(points: Sequence[tuple[float, float]]) -> Law:
     speeds, times = (np.array(column) for column in zip(*points, strict=True))
     a, b = line_of(speeds, times)
     if b.value < 0:
-        return Law(mean_of(times.tolist()), Estimate(0.0, b.interval))
+        return Law(mean_of(times.tolist()), Measured(0.0, b.interval))
     if a.value < 0:
         slope = mean_of((times / speeds).tolist())
-        return Law(Estimate(0.0, a.interval), slope)
+        return Law(Measured(0.0, a.interval), slope)
     return Law(a, b)
 
 
@@ -133,7 +133,7 @@ def _slower_law(stops: Sequence[Response], way_of: Callable[[Response], float]) 
     return _law(points) if len(speeds) > 1 else None
 
 
-def _deceleration(level: Sequence[Response]) -> Estimate:
+def _deceleration(level: Sequence[Response]) -> Measured:
     """Mean of the stops from each asked speed, the highest of these means."""
     speeds = {each.asked_m_s for each in level}
     means = [

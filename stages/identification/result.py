@@ -14,7 +14,7 @@ from alula.schemas.scenarios.vehicle import (
     Vehicle,
     VelocitiesTable,
 )
-from alula.stages.identification.estimates import Estimate
+from alula.stages.identification.estimates import Measured
 from alula.stages.identification.fit import Identification
 from alula.stages.vehicles.own_limits import AXES, Limit, own_limits
 from alula.stages.vehicles.velocity_lag import stop_time_s
@@ -143,20 +143,20 @@ def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _interval(estimate: Estimate | None) -> tuple[float, float] | None:
+def _interval(estimate: Measured | None) -> tuple[float, float] | None:
     if estimate is None or estimate.interval is None:
         return None
     low, high = estimate.interval
     return _short(low), _short(high)
 
 
-def _two(law: tuple[Estimate, Estimate]) -> tuple[tuple[float, float], tuple[float, float]] | None:
+def _two(law: tuple[Measured, Measured]) -> tuple[tuple[float, float], tuple[float, float]] | None:
     a, b = map(_interval, law)
     return None if a is None or b is None else (a, b)
 
 
 def _three(
-    each: tuple[Estimate | None, ...],
+    each: tuple[Measured | None, ...],
 ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None:
     x, y, z = map(_interval, each)
     return None if x is None or y is None or z is None else (x, y, z)

@@ -10,7 +10,7 @@ from alula import _core
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.decimals import at_least, at_most
 from alula.schemas.log.run import TrialResult
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import is_collision
 from alula.stages.planning.plan_samples import Reference
@@ -50,14 +50,14 @@ def note_of_psi(reference: Reference, among: _core.PolytopeCbf, keep_m: float) -
     ]
 
 
-def is_exact(scenario: WorldScenario, vehicle: Vehicle) -> bool:
+def is_exact(scenario: Scenario, vehicle: Vehicle) -> bool:
     """Whether the vehicle is the one of the filter's proof: a single integrator with exact state."""
     known = scenario.estimation
     return vehicle.model == "single-integrator" and not any(getattr(known, name) for name in _NOISE)
 
 
 def proof_among_hulls(
-    scenario: WorldScenario, vehicle: Vehicle, cover: Artifact | None, trials: Sequence[TrialResult]
+    scenario: Scenario, vehicle: Vehicle, cover: Artifact | None, trials: Sequence[TrialResult]
 ) -> tuple[str, str, dict[str, Any]]:
     """State what is proven of flights behind `polytope-cbf`, and of single integrators among hulls.
 

@@ -14,7 +14,7 @@ from alula.schemas.log.run import TrialResult
 from alula.schemas.parameters.filter_options import FILTERS
 from alula.schemas.parameters.filters.values import Options
 from alula.schemas.scenarios.check import FILTER_COMMANDS, TRACKING
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import WorldTable
 from alula.stages.clearance import is_collision
 from alula.stages.compression.level import (
@@ -47,7 +47,7 @@ def certifying(run: WorldRun) -> list[str]:
     return [] if against is None else [name for name in (*against, "fence") if name in run.world.parts]
 
 
-def _against(scenario: WorldScenario) -> tuple[str, ...] | None:
+def _against(scenario: Scenario) -> tuple[str, ...] | None:
     """Maps that the last filter is to certify against, of those there may be; None without a shield."""
     names = scenario.safety.filters
     given = scenario.safety.parameters(names[-1]) if names else None
@@ -55,7 +55,7 @@ def _against(scenario: WorldScenario) -> tuple[str, ...] | None:
     return None if against is None or not getattr(given, "shield", True) else _AGAINST[against]
 
 
-def uncertified_words(scenario: WorldScenario, trials: Sequence[TrialResult]) -> str:
+def uncertified_words(scenario: Scenario, trials: Sequence[TrialResult]) -> str:
     """State which obstacles that the last filter does not certify flights touched; empty without any."""
     against = _against(scenario)
     touched = [name for name, _, _ in _touched(trials) if name != "fence"]
@@ -356,7 +356,7 @@ def _unlike_the_scene(
     return found
 
 
-def _shield_of(scenario: WorldScenario) -> dict[str, Any]:
+def _shield_of(scenario: Scenario) -> dict[str, Any]:
     """The parameters of the last filter that a certificate depends on, those that it has."""
     given = scenario.safety.parameters(scenario.safety.filters[-1])
     values = msgspec.structs.asdict(given) if isinstance(given, Options) else given

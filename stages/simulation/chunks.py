@@ -13,7 +13,7 @@ from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.decode import msgpack_decoder
 from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.distribute import distribute
 from alula.stages.durations import Times
@@ -56,7 +56,7 @@ class RunParts:
     """What a run is prepared from, on this machine or another; `key` alone tells runs apart."""
 
     key: str
-    scenario: WorldScenario = field(compare=False)
+    scenario: Scenario = field(compare=False)
     vehicle: Vehicle | None = field(compare=False)
     cover: Artifact | None = field(compare=False)
     scene: Artifact | None = field(compare=False)

@@ -16,7 +16,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.run import ObstacleResult, TrialResult
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.check import TRACKING
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.moving_filters import moving_filter
 from alula.stages.filtering.protocol import FilterWorld
@@ -28,7 +28,7 @@ WITHOUT_FILTER = (
 )
 
 
-def seen_by(scenario: WorldScenario) -> str | None:
+def seen_by(scenario: Scenario) -> str | None:
     """Name of the last filter that sees tracks, by whose answers encounters are measured.
 
     `NO_FILTER` where a flight without filters is only watched, so that encounters with and without a filter
@@ -44,7 +44,7 @@ def seen_by(scenario: WorldScenario) -> str | None:
     return NO_FILTER if scenario.world.moving and is_watched else None
 
 
-def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter | None:
+def watcher(scenario: Scenario, world: FilterWorld) -> _core.SafetyFilter | None:
     """The filter that watches flights without filters among moving obstacles, for the metrics of encounters.
 
     It turns nothing aside, so static obstacles change none of its figures and it is given none.
@@ -63,7 +63,7 @@ def watcher(scenario: WorldScenario, world: FilterWorld) -> _core.SafetyFilter |
         ) from error
 
 
-def risk_window_s(scenario: WorldScenario) -> float:
+def risk_window_s(scenario: Scenario) -> float:
     """Window of the risk of a collision: the duration of a command that the last tracking filter assumes."""
     names = [name for name in scenario.safety.filters if name in TRACKING]
     options: Any = scenario.safety.parameters(names[-1] if names else WITHOUT_FILTER)
@@ -104,7 +104,7 @@ def encounter_figures(flown: dict[str, Any], seen: str | None) -> dict[str, Any]
     }
 
 
-def encounter_summary(scenario: WorldScenario, trials: list[TrialResult]) -> dict[str, Any]:
+def encounter_summary(scenario: Scenario, trials: list[TrialResult]) -> dict[str, Any]:
     """Figures over all trials, per moving obstacle too; means over obstacles with a warning.
 
     Args:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.decimals import exact
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.stages.simulation.piloted import fence_filter_of
 from alula.stages.world.world import PLANT_STEP_S, plant_steps_of
 
@@ -36,11 +36,11 @@ class Difference:
 
     what: str
     keys: tuple[str, ...]
-    modelled: Callable[[WorldScenario], float] | float | None = 0.0
+    modelled: Callable[[Scenario], float] | float | None = 0.0
     is_bound: bool = False
     interfaces: tuple[str, ...] = _ALL
 
-    def words(self, scenario: WorldScenario) -> str | None:
+    def words(self, scenario: Scenario) -> str | None:
         """Name the keys whose values differ from the model; None where there are none."""
         if scenario.vehicle.interface not in self.interfaces:
             return None
@@ -63,7 +63,7 @@ def _differs(value: Any, known: float | None, is_bound: bool) -> bool:
     return any(item > known if is_bound else item != known for item in items)
 
 
-def _latency_s(scenario: WorldScenario) -> float:
+def _latency_s(scenario: Scenario) -> float:
     """The delay that the geofence of a pilot makes up for [s]; 0 without one."""
     name = fence_filter_of(scenario)
     return 0.0 if name is None else float(scenario.safety.parameters(name).latency_s)  # type: ignore[union-attr]
@@ -173,7 +173,7 @@ def keys_with_difference() -> set[str]:
     return {key for each in DIFFERENCES for key in each.keys} | {_COARSE, _INTERFACE}
 
 
-def value_at(scenario: WorldScenario, key: str) -> Any:
+def value_at(scenario: Scenario, key: str) -> Any:
     """The value of a key.
 
     Args:
@@ -185,7 +185,7 @@ def value_at(scenario: WorldScenario, key: str) -> Any:
     return value
 
 
-def left_out(scenario: WorldScenario) -> list[str]:
+def left_out(scenario: Scenario) -> list[str]:
     """What flights have and the model of their last filter leaves out, in words with keys and values."""
     found = [words for each in DIFFERENCES if (words := each.words(scenario)) is not None]
     if scenario.vehicle.interface in _FOLLOWED:

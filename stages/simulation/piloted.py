@@ -16,7 +16,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.run import FenceResult, TrialResult
 from alula.schemas.parameters.filter_options import FILTERS, GeofenceParameters
 from alula.schemas.scenarios.ranges import FARTHEST_M
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import MissionTable
 from alula.stages.clearance import is_collision
 from alula.stages.filtering.fence_filters import native_geofence
@@ -36,7 +36,7 @@ HOLDS = {
 """What the last filter of a pilot's sticks guarantees beforehand, by its name."""
 
 
-def pilots_geofence(scenario: WorldScenario, world: FilterWorld) -> _core.Geofence | None:
+def pilots_geofence(scenario: Scenario, world: FilterWorld) -> _core.Geofence | None:
     """Geofence whose h_I > 0 makes a start safe, and whose fence and limits judge; None without a pilot.
 
     Its fence has the faces, and the hulls of the cover, also where the filter knows only one of them. Without
@@ -62,13 +62,13 @@ def pilots_geofence(scenario: WorldScenario, world: FilterWorld) -> _core.Geofen
         raise UsageError(f"`$.safety.geofence`: {str(error).removeprefix(f'{name}: ')}") from error
 
 
-def fence_filter_of(scenario: WorldScenario) -> str | None:
+def fence_filter_of(scenario: Scenario) -> str | None:
     """The last filter of a pilot's sticks, where it is one of this package; None otherwise."""
     last = scenario.safety.filters[-1:]
     return last[0] if last and FILTERS.get(last[0]) is GeofenceParameters else None
 
 
-def is_fenced(scenario: WorldScenario, world: FilterWorld) -> bool:
+def is_fenced(scenario: Scenario, world: FilterWorld) -> bool:
     """Whether flights have figures of a fence: by a racer's pilot, without a filter or behind a geofence."""
     known = not scenario.safety.filters or fence_filter_of(scenario) is not None
     by_sticks = scenario.mission.kind == "pilot" and scenario.vehicle.interface == "sticks"
@@ -80,7 +80,7 @@ def _has_fence(world: FilterWorld) -> bool:
 
 
 def pilots_starts(
-    scenario: WorldScenario, world: StaticWorld, geofence: _core.Geofence, count: int, jobs: int
+    scenario: Scenario, world: StaticWorld, geofence: _core.Geofence, count: int, jobs: int
 ) -> FloatArray:
     """Start states of a pilot's flights: the one of the scenario, or one drawn for each trial.
 
@@ -126,7 +126,7 @@ def _given_start(mission: MissionTable) -> FloatArray:
     return np.array([*mission.start_m, *velocity, math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0])
 
 
-def start_h_i(scenario: WorldScenario, geofence: _core.Geofence | None) -> float | None:
+def start_h_i(scenario: Scenario, geofence: _core.Geofence | None) -> float | None:
     """h_I of the start of all trials [m]; None where it is drawn, or without a pilot.
 
     Raises:

@@ -13,7 +13,7 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.planning.behind import Behind
 from alula.stages.planning.plan import plan
@@ -34,7 +34,7 @@ class PlanMaps(NamedTuple):
     ellipsoids: Ellipsoids | None = None  # of the scene, where they have been made before
 
 
-def plan_config(scenario: WorldScenario, world: StaticWorld, speed_m_s: float) -> PlanConfig:
+def plan_config(scenario: Scenario, world: StaticWorld, speed_m_s: float) -> PlanConfig:
     """Configuration of the plans, with the distance that filters keep as their radius."""
     table = scenario.vehicle
     followed: Literal["body-rates", "acceleration", "velocity"] = "body-rates"

@@ -1,4 +1,4 @@
-"""The parts of a scenario of version 2.0, made into a native simulation that is ready to fly."""
+"""The parts of a scenario, made into a native simulation that is ready to fly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from alula import _core
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
@@ -33,7 +33,7 @@ _FAR_M = 1e9  # beyond every position
 
 
 def prepare(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
@@ -165,7 +165,7 @@ def prepare(
 
 
 def _rules(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     missions: Missions,
     *,
@@ -200,7 +200,7 @@ def _rules(
 
 
 def _notes(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     names: list[str],
     flown: PlanJudge,
@@ -232,7 +232,7 @@ def _notes(
     return notes
 
 
-def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
+def _count(scenario: Scenario, pairs: Pairs | None) -> int:
     if scenario.rules.trials is not None:
         return scenario.rules.trials
     if scenario.mission.kind != "pairs":
@@ -240,7 +240,7 @@ def _count(scenario: WorldScenario, pairs: Pairs | None) -> int:
     return 100 if pairs is None else len(pairs.start)
 
 
-def _losses(scenario: WorldScenario) -> _core.Losses:
+def _losses(scenario: Scenario) -> _core.Losses:
     known, pilot = scenario.estimation, scenario.mission.pilot
 
     def outage(what: str, begins_s: float | None, lasts_s: float | None) -> dict[str, float]:

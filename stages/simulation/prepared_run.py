@@ -16,7 +16,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.adherence import PlanJudge
@@ -49,7 +49,7 @@ class PreparedRun:
         notes: for the summary.
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     vehicle: Vehicle
     world: StaticWorld
     told: FilterWorld

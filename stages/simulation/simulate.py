@@ -1,4 +1,4 @@
-"""Simulation of a scenario of version 2.0: its parts together in one native loop, judged from the truth."""
+"""Simulation of a scenario: its parts together in one native loop, judged from the truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.progress import share
@@ -51,7 +51,7 @@ class WorldRun:
         command_s, reaction_s: of `FlownChunk`, shape (trials, n) with n moving obstacles [s].
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     vehicle: Vehicle
     trials: list[TrialResult]
     flights: list[WorldFlight]
@@ -67,7 +67,7 @@ class WorldRun:
 
 
 def simulate_world(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,

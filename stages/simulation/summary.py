@@ -11,7 +11,7 @@ from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.decimals import exact
 from alula.schemas.log.run import Outcome, TrialResult
 from alula.schemas.scenarios.check import is_random
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import EstimationTable, MissionTable
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
@@ -149,7 +149,7 @@ def _spread(what: str, times: Times) -> dict[str, float]:
     }
 
 
-def world_words(scenario: WorldScenario, vehicle: Vehicle) -> str:
+def world_words(scenario: Scenario, vehicle: Vehicle) -> str:
     """The vehicle in words."""
     table, guide = scenario.vehicle, scenario.mission.controller.guide
     sphere = f"sphere of radius {exact(table.radius_m or 0.0)} m"
@@ -210,7 +210,7 @@ def world_guarantee(run: WorldRun, cover: Artifact | None, inputs: Sequence[Inpu
     )
 
 
-def disturbances(scenario: WorldScenario) -> list[str]:
+def disturbances(scenario: Scenario) -> list[str]:
     """What a scenario adds to the bare model of its vehicle and to exact measurements, in words."""
     table, known = scenario.vehicle, scenario.estimation
     own = table.disturbance

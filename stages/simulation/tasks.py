@@ -16,7 +16,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.progress import Progress
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
 from alula.stages.planning.adherence import FINISHED_M, via_tolerance, waits
@@ -66,7 +66,7 @@ class Missions:
 
 
 def missions_of(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     *,
     count: int,
@@ -149,7 +149,7 @@ def _require_mapped(world: StaticWorld, plan: Artifact) -> None:
 
 
 def _along(
-    scenario: WorldScenario,
+    scenario: Scenario,
     around: FloatArray,
     pairs: Pairs,
     plans: list[Artifact | None],
@@ -223,7 +223,7 @@ def _along(
     )
 
 
-def _clock(scenario: WorldScenario, plan: Artifact | None) -> _core.PlanClockOptions | None:
+def _clock(scenario: Scenario, plan: Artifact | None) -> _core.PlanClockOptions | None:
     """How time along a plan waits for the vehicle; None where it runs with the clock."""
     radius_m = scenario.vehicle.radius_m
     if not scenario.mission.waits or plan is None or radius_m is None:
@@ -231,14 +231,14 @@ def _clock(scenario: WorldScenario, plan: Artifact | None) -> _core.PlanClockOpt
     return waits(plan, radius_m, via_tolerance(scenario.mission.via_tolerance_m, radius_m))
 
 
-def _flies_straight(scenario: WorldScenario, model: str) -> bool:
+def _flies_straight(scenario: Scenario, model: str) -> bool:
     """Whether the nominal command is an acceleration straight to the goal, or back to where it hovers."""
     mission = scenario.mission
     is_own = mission.kind in ("goal", "hover") and not mission.planned
     return is_own and model == "double-integrator" and scenario.vehicle.interface == "acceleration"
 
 
-def _start_velocity(scenario: WorldScenario, start: FloatArray) -> FloatArray:
+def _start_velocity(scenario: Scenario, start: FloatArray) -> FloatArray:
     """Velocity of the first state of a flight to goals, shape (3,) [m/s]."""
     mission = scenario.mission
     if mission.start_velocity_m_s is not None:
@@ -250,7 +250,7 @@ def _start_velocity(scenario: WorldScenario, start: FloatArray) -> FloatArray:
     return mission.start_speed_m_s * course
 
 
-def _diagonal(scenario: WorldScenario, around: FloatArray, pairs: Pairs) -> float:
+def _diagonal(scenario: Scenario, around: FloatArray, pairs: Pairs) -> float:
     """Diagonal of the box of starts and goals [m]."""
     mission = scenario.mission
     if mission.start_m is not None and mission.goal_m is not None:
@@ -261,7 +261,7 @@ def _diagonal(scenario: WorldScenario, around: FloatArray, pairs: Pairs) -> floa
 
 
 def _pairs(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     around: FloatArray,
     count: int,
@@ -344,7 +344,7 @@ def _pairs(
 
 
 def _hovering(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     start: FloatArray,
     count: int,
@@ -372,7 +372,7 @@ def _hovering(
 
 
 def _piloted(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     count: int,
     geofence: _core.Geofence,

@@ -9,7 +9,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.behind import Behind
 
@@ -23,7 +23,7 @@ _NO_NOISE: dict[str, Any] = {
 }
 
 
-def undisturbed(scenario: WorldScenario) -> WorldScenario:
+def undisturbed(scenario: Scenario) -> Scenario:
     """The same without noise and gusts; lag, drag, wind and delay remain."""
     table = scenario.vehicle
     still = msgspec.structs.replace(table.disturbance, gust_m_s=(0.0, 0.0, 0.0))
@@ -35,7 +35,7 @@ def undisturbed(scenario: WorldScenario) -> WorldScenario:
 
 
 def flown_behind(
-    scenario: WorldScenario,
+    scenario: Scenario,
     filters: list[_core.SafetyFilter],
     guides: int,
     spec: _core.VehicleSpec,

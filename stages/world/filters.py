@@ -13,7 +13,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.parameters.filter_options import TABLES
 from alula.schemas.parameters.filters.values import Options
 from alula.schemas.scenarios.check import FILTER_COMMANDS
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.protocol import FilterWorld, SafetyFilter
@@ -27,7 +27,7 @@ _SPEEDS = 3.0  # assumed limit of a vehicle without one, over the mission's spee
 
 
 def filter_world(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle,
     world: StaticWorld,
     *,
@@ -72,12 +72,12 @@ def filter_world(
     )
 
 
-def needs_image(scenario: WorldScenario) -> bool:
+def needs_image(scenario: Scenario) -> bool:
     """Whether a geofence reads the cover as an onboard map: one that filters, or the judge of a pilot."""
     return "geofence" in scenario.safety.filters or scenario.mission.kind == "pilot"
 
 
-def needs_index(scenario: WorldScenario, names: Sequence[str]) -> bool:
+def needs_index(scenario: Scenario, names: Sequence[str]) -> bool:
     """Whether filters or the choice of starts read the ellipsoids of the scene; the judge always does.
 
     Behind `polytope-cbf`, or without a filter, flights in a cover steer by its hulls alone.
@@ -90,7 +90,7 @@ def needs_index(scenario: WorldScenario, names: Sequence[str]) -> bool:
 
 
 def safety_filters(
-    scenario: WorldScenario, world: FilterWorld, lag_s: tuple[float, float, float]
+    scenario: Scenario, world: FilterWorld, lag_s: tuple[float, float, float]
 ) -> list[_core.SafetyFilter]:
     """Make the filters of a scenario, the guide of its controller first.
 

@@ -16,7 +16,7 @@ from alula.schemas.artifacts.manifest import LevelManifest
 from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.scenarios.moving import WallTable
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.stages.clearance import hull_obstacles, scene_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
@@ -181,7 +181,7 @@ class StaticWorld(Kept):
         return tuple(lower), tuple(upper)
 
 
-def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
+def require_named(scenario: Scenario, **files: Artifact | None) -> None:
     """Check the files that were read for a scenario.
 
     Args:
@@ -210,7 +210,7 @@ def require_named(scenario: WorldScenario, **files: Artifact | None) -> None:
 
 
 def static_world(
-    scenario: WorldScenario,
+    scenario: Scenario,
     *,
     cover: Artifact | None,
     scene: Artifact | None,

@@ -7,7 +7,7 @@ from typing import Any
 
 from alula import _core
 from alula.schemas.errors import UsageError
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import VehicleTable
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.scenarios.vehicles import CATCH_UP_FACTOR
@@ -24,7 +24,7 @@ _SCALES = ("mass_scale", "thrust_scale", "rate_gain_scale")
 
 
 def vehicle_spec(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle,
     *,
     peak_m_s: float,
@@ -90,7 +90,7 @@ def vehicle_spec(
 
 
 def known_vehicle(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle,
     *,
     peak_m_s: float,
@@ -128,7 +128,7 @@ def body_of(vehicle: Vehicle) -> _core.Quadrotor:
     return quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
 
 
-def controller_gains(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float) -> _core.TrackingGains:
+def controller_gains(scenario: Scenario, vehicle: Vehicle, peak_m_s: float) -> _core.TrackingGains:
     """Gains of the tracking controller, with its speed to catch up; a single integrator has none.
 
     Args:
@@ -139,9 +139,7 @@ def controller_gains(scenario: WorldScenario, vehicle: Vehicle, peak_m_s: float)
     return tracking_gains(vehicle, catch_up_m_s(vehicle, peak_m_s, scenario.mission.controller.catch_up_m_s))
 
 
-def velocity_lags_s(
-    scenario: WorldScenario, vehicle: Vehicle, max_speed_m_s: float
-) -> tuple[float, float, float]:
+def velocity_lags_s(scenario: Scenario, vehicle: Vehicle, max_speed_m_s: float) -> tuple[float, float, float]:
     """Lags along x, y, z that filters of velocities assume, with an autopilot as in `fly` [s].
 
     Args:

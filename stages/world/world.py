@@ -18,7 +18,7 @@ from alula.schemas.parameters.filter_options import FILTERS
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.check import refusal
 from alula.schemas.scenarios.defaults import completed, vehicle_of
-from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.schemas.scenarios.vehicles import DEFAULT_SPEED_M_S, PLAN_SPEED_FACTOR
 from alula.stages.filtering.protocol import FilterWorld
@@ -51,7 +51,7 @@ class World:
         lag_s: with which velocities are followed along x, y, z [s].
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     vehicle: Vehicle
     static: StaticWorld
     told: FilterWorld
@@ -95,7 +95,7 @@ class World:
 
 
 def make_world(
-    scenario: WorldScenario,
+    scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
     cover: Artifact | None = None,
@@ -202,7 +202,7 @@ def behind_filters(
         raise UsageError(f"--filter {config.filter}: {str(error).removeprefix('--filter: ')}") from error
 
 
-def _options(scenario: WorldScenario) -> _core.FlightOptions:
+def _options(scenario: Scenario) -> _core.FlightOptions:
     rules, known = scenario.rules, scenario.estimation
     if known.disturbance_time_s and scenario.vehicle.interface not in ("wrench", "body-rates"):
         raise UsageError(
@@ -219,12 +219,12 @@ def _options(scenario: WorldScenario) -> _core.FlightOptions:
     )
 
 
-def has_losses(scenario: WorldScenario) -> bool:
+def has_losses(scenario: Scenario) -> bool:
     """Whether measurements can be missing."""
     return scenario.estimation.lost_share > 0 or scenario.estimation.lost_from_s is not None
 
 
-def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
+def plant_steps_of(scenario: Scenario, *, is_point: bool) -> int:
     """Number of steps of the plant in a time step: the given one, or as many as keep them within 1 ms.
 
     One is exact for a point whose velocity is held, where nothing else moves.
@@ -236,7 +236,7 @@ def plant_steps_of(scenario: WorldScenario, *, is_point: bool) -> int:
     return max(1, math.ceil(scenario.rules.dt_s / PLANT_STEP_S - 1e-9))
 
 
-def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
+def _speeds(scenario: Scenario, vehicle: Vehicle, plan: Artifact | None) -> tuple[float, float]:
     """Peak speed of the references, and limit of velocity commands [m/s]."""
     mission, limit = scenario.mission, scenario.vehicle.max_speed_m_s
     is_point = vehicle.model == "single-integrator"
@@ -254,7 +254,7 @@ def _speeds(scenario: WorldScenario, vehicle: Vehicle, plan: Artifact | None) ->
     return peak, fast if limit is None else min(fast, limit)
 
 
-def _lead_m_s(scenario: WorldScenario, plan: Artifact | None) -> float:
+def _lead_m_s(scenario: Scenario, plan: Artifact | None) -> float:
     """How much faster than a plan set-points of the velocity are that lead by its acceleration [m/s]."""
     table, mission = scenario.vehicle, scenario.mission
     if table.interface not in ("wrench", "body-rates") or table.velocity_gain_per_s is None:
@@ -266,7 +266,7 @@ def _lead_m_s(scenario: WorldScenario, plan: Artifact | None) -> float:
 
 
 def _extent(
-    scenario: WorldScenario,
+    scenario: Scenario,
     world: StaticWorld,
     most: float,
     lag_s: float,

@@ -8,7 +8,7 @@ from alula.cli.main import run
 from alula.schemas.errors import DamagedError
 from alula.schemas.log.fence_ticks import read_ticks
 from alula.schemas.log.run import read_run
-from alula.schemas.scenarios.scenario import read_world
+from alula.schemas.scenarios.scenario import read_scenario
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.racer import racer_model, racer_options
 from support.fence_flights import STATUSES, fly_in
@@ -26,7 +26,7 @@ def test_ticks_are_those_that_were_flown(tmp_path):
     assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
     ticks = read_ticks(log)[0]
     vehicle = read_vehicle(EXAMPLE / "../vehicles/racer7.toml")
-    box = read_world(EXAMPLE / "wall.toml").world.fence.box_m
+    box = read_scenario(EXAMPLE / "wall.toml").world.fence.box_m
     parameters = {"radius_m": vehicle.body.radius_m}
     geofence = _core.Geofence(_core.Fence(box=(box[:3], box[3:])), racer_model(vehicle), parameters)
     (flown,) = fly_in(
@@ -66,4 +66,4 @@ def test_states_without_answers_are_damage(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("path", sorted(EXAMPLE.glob("*.toml")), ids=lambda path: path.stem)
 def test_scenarios_of_the_example_are_scenarios_in_a_fence(path):
-    assert read_world(path).vehicle.file == "../vehicles/racer7.toml"
+    assert read_scenario(path).vehicle.file == "../vehicles/racer7.toml"

@@ -16,7 +16,7 @@ from alula.cli.verbs import plan as plans
 from alula.cli.verbs.project import LEARN_SCALE, undisturbed_way
 from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.plan import PlanConfig
-from alula.schemas.scenarios.scenario import read_world
+from alula.schemas.scenarios.scenario import read_scenario
 from alula.stages.clearance import hull_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.space import plan_space
@@ -55,7 +55,7 @@ def test_a_project_has_what_make_needs_and_says_what_was_assumed(project):
     assert "ASSUMED, not known: 1 unit is 1 m" in readme
     assert LEARN_SCALE in readme
     assert "@" not in readme + (project / "scenario.toml").read_text()
-    scenario = read_world(project / "scenario.toml")
+    scenario = read_scenario(project / "scenario.toml")
     assert (scenario.world.cover, scenario.safety.filters) == ("out/map.cover.npz", ("polytope-cbf",))
 
 
@@ -80,7 +80,7 @@ def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
     assert repr(alula.verify(plan, map=cover)).startswith("Proof: proven")
     assert np.linalg.norm(plan.at(0.0)[:2] - plan.at(plan.time[-1])[:2]) > 3
     radius_m = plan.manifest.radius_m - plan.manifest.margin_m
-    assert radius_m == read_world(project / "scenario.toml").vehicle.radius_m
+    assert radius_m == read_scenario(project / "scenario.toml").vehicle.radius_m
     scene = alula.read(project / "out/metric.scene.npz")
     assert np.percentile(scene.mean[:, 2], 30) == pytest.approx(0, abs=0.1)  # the lawn
 

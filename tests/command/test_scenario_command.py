@@ -10,7 +10,7 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.scenarios.examples import NAMES
 from alula.schemas.scenarios.presets import PRESETS
-from alula.schemas.scenarios.scenario import decoded, read_world
+from alula.schemas.scenarios.scenario import decoded, read_scenario
 from alula.schemas.scenarios.tables import EstimationTable, SafetyTable, SensorTable
 from support.covers import boxes_cover
 from support.paths import EXAMPLES
@@ -45,14 +45,14 @@ def test_it_prints_a_scenario_that_says_everything(file, tmp_path, capsys):
     assert ("nodes = 20", "default") in sources
     again = tmp_path / "again.toml"
     again.write_text(text)
-    assert read_world(again).safety.cone_backup.horizon_s == 2.0
+    assert read_scenario(again).safety.cone_backup.horizon_s == 2.0
 
 
 def test_it_writes_a_file_whose_names_lead_to_the_same_files(tmp_path, capsys):
     new = tmp_path / "new.toml"
     assert run(["scenario", str(WALLS), "-o", str(new)]) == 0
     assert capsys.readouterr().out == ""
-    named = read_world(new).vehicle.file
+    named = read_scenario(new).vehicle.file
     assert (tmp_path / named).resolve() == (EXAMPLES / "vehicles" / "racer7.toml").resolve()
     assert run(["scenario", str(new), "-q"]) == 0
     assert run(["scenario", str(WALLS), "-o", str(new)]) == 3

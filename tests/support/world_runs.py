@@ -11,7 +11,7 @@ from alula.schemas.artifacts.artifact import Artifact, encode_artifact
 from alula.schemas.artifacts.kinds import COVER
 from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.log.run import TrialResult
-from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, LimitsTable, Vehicle
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.simulation.pairs import Pairs
@@ -98,7 +98,7 @@ def scenario_of(
     has_cover: bool = False,
     has_plan: bool = False,
     **keys: Any,
-) -> WorldScenario:
+) -> Scenario:
     """Make a scenario that logs all its flights.
 
     Args:

@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import parse_address
-from alula.stages.flight.links.mavlink.estimate import euler_from_quat
+from alula.stages.flight.links.mavlink.assembler import euler_from_quat
 from alula.stages.flight.links.mavlink.transport import find_udp
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 from alula.stages.vehicles.frames import LocalFrame

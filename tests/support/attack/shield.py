@@ -21,7 +21,7 @@ from scipy.optimize import brentq, nnls
 from alula.schemas.artifacts.artifact import Artifact, make_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.durations import Times
@@ -56,7 +56,7 @@ class Case:
         planes: unit normals and offsets of each, rows (n, d) [m].
     """
 
-    scenario: WorldScenario
+    scenario: Scenario
     vehicle: Vehicle
     cover: Artifact | None
     scene: Artifact | None

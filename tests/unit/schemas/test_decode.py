@@ -18,7 +18,7 @@ from alula.schemas.decode import (
     decode_toml,
     json_depth,
 )
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from support.effort import examples
 from support.paths import ROOT
 
@@ -150,5 +150,5 @@ def test_strings_and_comments_of_toml_are_no_keys():
 )
 def test_an_unknown_key_is_said_with_the_one_that_it_resembles(tree, said):
     with pytest.raises(MalformedError) as caught:
-        convert(tree, WorldScenario)
+        convert(tree, Scenario)
     assert str(caught.value).endswith(said)

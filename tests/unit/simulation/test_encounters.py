@@ -15,7 +15,7 @@ from alula import _core
 from alula.schemas.errors import UsageError
 from alula.schemas.parameters.filter_options import MovingFilterParameters
 from alula.schemas.scenarios.defaults import vehicle_of
-from alula.schemas.scenarios.scenario import WorldScenario, decoded, read_world
+from alula.schemas.scenarios.scenario import Scenario, decoded, read_scenario
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.simulation import simulate as module
@@ -48,7 +48,7 @@ BASE = {
 }
 
 
-def made(**tables) -> WorldScenario:
+def made(**tables) -> Scenario:
     tree = {key: BASE.get(key, {}) | tables.get(key, {}) for key in {*BASE, *tables}}
     return decoded({"schema": "alula/scenario", "version": "2.0"} | tree, "test")
 
@@ -59,11 +59,11 @@ def behind(name, **parameters):
     return table | ({("dr-acbf" if name == "none" else name): parameters} if parameters else {})
 
 
-def fly(scenario: WorldScenario, **how):
+def fly(scenario: Scenario, **how):
     return simulate_world(scenario, vehicle_of(scenario, Path()), **how)
 
 
-def flown(scenario: WorldScenario, first=0, count=1, **how):
+def flown(scenario: Scenario, first=0, count=1, **how):
     """Native logs of consecutive trials."""
     whole = msgspec.structs.replace(scenario.rules, trials=first + count)
     ready = prepare(msgspec.structs.replace(scenario, rules=whole), vehicle_of(scenario, Path()))
@@ -370,7 +370,7 @@ def test_verdicts_are_those_that_an_earlier_loop_gave(example):
     for name, stored in STORED[example].items():
         trials = len(next(iter(stored.values())))
         changes = {"safety.filters": name, "rules.trials": trials}
-        flown = fly(read_world(EXAMPLES / "dr-acbf" / f"{example}.toml", changes)).trials
+        flown = fly(read_scenario(EXAMPLES / "dr-acbf" / f"{example}.toml", changes)).trials
         for key, values in stored.items():
             found = [getattr(trial, key) for trial in flown]
             if key == "obstacles":
@@ -402,7 +402,7 @@ def test_the_examples_read_and_fly():
     names = {path.stem for path in folder.glob("*.toml")}
     assert {"scenario-1", "scenario-2", "thrown", "approaching", "wall"} <= names
     for name in sorted(names):
-        run = fly(read_world(folder / f"{name}.toml", {"rules.trials": 8}))
+        run = fly(read_scenario(folder / f"{name}.toml", {"rules.trials": 8}))
         assert math.isfinite(sum(o.closest_m for t in run.trials for o in t.obstacles))
         assert all(o.detected_s is not None for t in run.trials for o in t.obstacles)
 
@@ -456,7 +456,7 @@ def test_what_is_thrown_is_dodged_on_its_parabola():
     path = EXAMPLES / "dr-acbf" / "thrown.toml"
 
     def good(changes):
-        trials = fly(read_world(path, {"rules.trials": 60} | changes)).trials
+        trials = fly(read_scenario(path, {"rules.trials": 60} | changes)).trials
         return sum(not t.collision for t in trials)
 
     assert good({}) >= 48
@@ -466,6 +466,6 @@ def test_what_is_thrown_is_dodged_on_its_parabola():
 
 def test_an_obstacle_that_cannot_meet_the_vehicle_is_a_wrong_scenario():
     path = EXAMPLES / "dr-acbf" / "thrown.toml"
-    scenario = read_world(path, {"rules.trials": 1, "world.moving.0.drag_per_m": 5.0})
+    scenario = read_scenario(path, {"rules.trials": 1, "world.moving.0.drag_per_m": 5.0})
     with pytest.raises(UsageError, match=r"\$\.world\.moving`: with this drag no throw reaches"):
         fly(scenario)

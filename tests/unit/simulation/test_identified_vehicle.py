@@ -12,7 +12,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.check import refusal
 from alula.schemas.scenarios.defaults import completed
-from alula.schemas.scenarios.scenario import WorldScenario
+from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import IdentifiedTable, VelocitiesTable, read_vehicle
 from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.planning.adherence import FINISHED_M, waits
@@ -47,7 +47,7 @@ def scenario(interface="velocity", mission=None, **vehicle):
             "vehicle": {"interface": interface, **vehicle},
             "mission": mission or {"kind": "hover", "start_m": [0.0, 0.0, 1.0]},
         },
-        WorldScenario,
+        Scenario,
     )
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.defaults import completed, vehicle_of
-from alula.schemas.scenarios.scenario import WorldScenario, decoded
+from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
 from alula.stages.simulation.left_out import NO_DIFFERENCE, REFUSED, keys_with_difference, left_out
 from alula.stages.simulation.prepare import prepare
@@ -109,7 +109,7 @@ def leaves(table, prefix):
 
 
 def all_keys():
-    types = {field.name: field.type for field in msgspec.structs.fields(WorldScenario)}
+    types = {field.name: field.type for field in msgspec.structs.fields(Scenario)}
     return {key for name in ("vehicle", "estimation", "rules") for key in leaves(types[name], name)}
 
 

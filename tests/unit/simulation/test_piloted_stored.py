@@ -5,7 +5,7 @@ from typing import NamedTuple
 import msgspec
 import pytest
 
-from alula.schemas.scenarios.scenario import read_world
+from alula.schemas.scenarios.scenario import read_scenario
 from alula.stages.simulation.piloted import fence_distance
 from alula.stages.simulation.prepare import prepare
 from support.paths import EXAMPLES
@@ -160,7 +160,7 @@ def test_flights_are_those_that_an_earlier_stage_flew(stored):
         "rules.seed": 3,
         "rules.dt_s": TICK_S,
     }
-    read = read_world(EXAMPLE / stored.file, changes | stored.changes)
+    read = read_scenario(EXAMPLE / stored.file, changes | stored.changes)
     ready = prepare(read, RACER, cover=box_cover(BLOCKS) if has_cover else None)
     (log,) = ready.fly(stored.trial, 1)
     trial = ready.judged(stored.trial, log)

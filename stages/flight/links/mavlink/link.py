@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import Address
+from alula.stages.flight.links.mavlink.assembler import StateAssembler
 from alula.stages.flight.links.mavlink.autopilots import (
     ALL_SETPOINTS,
     ARDUPILOT,
@@ -20,7 +21,6 @@ from alula.stages.flight.links.mavlink.autopilots import (
     autopilot_of,
     mode_command,
 )
-from alula.stages.flight.links.mavlink.estimate import Estimate
 from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.orders import Addressee, Orders
 from alula.stages.flight.links.mavlink.parameters import Parameters
@@ -87,7 +87,7 @@ class MavlinkLink:
         rest = {name: value for name, value in address.options.items() if name != "mode"}
         self._session = Session(dataclasses.replace(address, options=rest), options, self._take)
         self._mocap = None if options.mocap is None else Mocap(options.mocap, options.frame)
-        self._estimate = Estimate(options.frame, self._is_mocap_fresh)
+        self._estimate = StateAssembler(options.frame, self._is_mocap_fresh)
         self._telemetry = Telemetry()
         self._addressee = Addressee(self._session.source, COMPONENT)
         self._autopilot: Autopilot = ARDUPILOT
@@ -344,7 +344,7 @@ class MavlinkLink:
             needed |= dialect.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         if self._version.capabilities & needed != needed:
             raise LinkError("the vehicle's autopilot takes no set-points, according to its AUTOPILOT_VERSION")
-        self._estimate = Estimate(
+        self._estimate = StateAssembler(
             self._options.frame, self._is_mocap_fresh
         )  # drops what waited in the socket
         self._request_intervals(self._options.clock())

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.stages.flight.links.mavlink.estimate import Estimate
+from alula.stages.flight.links.mavlink.assembler import StateAssembler
 from alula.stages.flight.links.mavlink.session import WANTED
 from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link
@@ -62,7 +62,7 @@ def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is
         frames.append((int.from_bytes(data[at : at + 8], "big") * 1e-6, data[at + 8 : at + 8 + length]))
         at += 8 + length
     wire, reference = Wire(255, 191, m.mavlink_map), m.MAVLink(None)
-    estimate = Estimate(LocalFrame())
+    estimate = StateAssembler(LocalFrame())
     read, states, refused = 0, 0, set()
     last = None
     for now, frame in frames:

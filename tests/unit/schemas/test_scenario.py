@@ -1,4 +1,4 @@
-"""Scenarios of version 2.0: the values that they set, changes of --set, errors that name the key, text."""
+"""Scenarios: the values that they set, changes of --set, errors that name the key, text."""
 
 import math
 
@@ -12,7 +12,7 @@ from alula.schemas.errors import InputError, UsageError, VersionError, WrongKind
 from alula.schemas.parameters.filter_options import TABLES
 from alula.schemas.scenarios.defaults import completed, interface_of, vehicle_of
 from alula.schemas.scenarios.ranges import USED
-from alula.schemas.scenarios.scenario import FILES, decoded, plain, read_sources, read_world
+from alula.schemas.scenarios.scenario import FILES, decoded, plain, read_scenario, read_sources
 from alula.schemas.scenarios.tables import MissionTable
 from alula.schemas.scenarios.text import keys_of, moved, toml_of, values_of
 from alula.schemas.scenarios.vehicle import check_vehicle, read_vehicle
@@ -83,7 +83,7 @@ def write(tmp_path):
 
 
 def test_a_file_sets_its_values_and_all_others_have_defaults(write):
-    scenario = read_world(write(WHOLE))
+    scenario = read_scenario(write(WHOLE))
     assert scenario.name == "room, two balls"
     assert scenario.vehicle.mass_scale == 1.1
     assert scenario.vehicle.thrust_scale == 1.0
@@ -100,7 +100,7 @@ def test_a_file_sets_its_values_and_all_others_have_defaults(write):
 
 
 def test_a_file_with_nothing_is_a_scenario(write):
-    assert read_world(write(HEAD)) == decoded({}, "")
+    assert read_scenario(write(HEAD)) == decoded({}, "")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_file_with_nothing_is_a_scenario(write):
 )
 def test_other_files_are_refused_before_their_keys_are_read(text, error, words, write):
     with pytest.raises(error, match=words) as raised:
-        read_world(write(text))
+        read_scenario(write(text))
     assert "\n" not in str(raised.value)
 
 
@@ -139,12 +139,12 @@ CHANGES = [
 
 @pytest.mark.parametrize(("key", "value", "get", "wanted"), CHANGES, ids=[row[0] for row in CHANGES])
 def test_a_change_reaches_a_key_of_any_table(key, value, get, wanted, write):
-    assert get(read_world(write(WHOLE), {key: value})) == wanted
+    assert get(read_scenario(write(WHOLE), {key: value})) == wanted
 
 
 def test_a_change_makes_tables_that_are_absent(write):
     changes = {"world.moving.0.motion": "curving", "mission.pilot.kind": "sticks", "mission.kind": "pilot"}
-    scenario = read_world(write(HEAD), changes)
+    scenario = read_scenario(write(HEAD), changes)
     assert scenario.world.moving[0].motion == "curving"
     assert scenario.mission.pilot.kind == "sticks"
 
@@ -209,7 +209,7 @@ WRONG = [
 def test_a_wrong_value_is_refused_with_the_path_of_its_key(text, words, write):
     text = f"{text}\n{HEAD}" if text.startswith("name") else HEAD + text
     with pytest.raises(UsageError, match=words) as error:
-        read_world(write(text))
+        read_scenario(write(text))
     assert "\n" not in str(error.value)
 
 
@@ -224,18 +224,18 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(text, words, write):
 )
 def test_a_change_of_nothing_is_refused(changes, words, write):
     with pytest.raises(UsageError, match=words):
-        read_world(write(HEAD + "name = 'x'"), changes)
+        read_scenario(write(HEAD + "name = 'x'"), changes)
 
 
 def test_infinity_stands_only_where_it_is_no_limit(write):
     text = "[vehicle]\nmax_acceleration_m_s2 = inf\n[estimation]\nstale_s = inf\n[safety.cone-di]\n"
-    assert read_world(write(HEAD + text + "max_acceleration = inf")).estimation.stale_s == math.inf
+    assert read_scenario(write(HEAD + text + "max_acceleration = inf")).estimation.stale_s == math.inf
     with pytest.raises(UsageError, match=r"`\$\.safety\.cone-di\.alpha` must be a finite number"):
-        read_world(write(HEAD + text + "alpha = inf"))
+        read_scenario(write(HEAD + text + "alpha = inf"))
 
 
 def test_shields_keep_clear_of_all_that_flights_are_judged_against(write):
-    of = lambda text: read_world(write(HEAD + text)).safety.shield.shield_map  # noqa: E731
+    of = lambda text: read_scenario(write(HEAD + text)).safety.shield.shield_map  # noqa: E731
     assert of("[world]\ncover = 'a'") == "hulls"
     assert of("[world]\nscene = 'b'") == "ellipsoids"
     assert of("[world]\ncover = 'a'\nscene = 'b'") == "both"
@@ -269,7 +269,7 @@ def test_the_text_of_a_scenario_reads_back_and_says_where_values_come_from(write
     vehicle = vehicle_of(read.scenario, path.parent)
     values = values_of(read, vehicle, path.name)
     text = toml_of(values)
-    assert read_world(write(text, "again.toml")) == completed(read.scenario, vehicle)
+    assert read_scenario(write(text, "again.toml")) == completed(read.scenario, vehicle)
     sources = {item.path: item.source for item in values}
     assert sources["vehicle.mass_scale"] == "scenario.toml"
     assert sources["vehicle.radius_m"] == "vehicle crazyflie21"

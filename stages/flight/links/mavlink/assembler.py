@@ -30,7 +30,7 @@ class _Half:
     second: FloatArray  # velocity, or body rates
 
 
-class Estimate:
+class StateAssembler:
     """Assembler of states; it drops values that are not finite, not newer, or implausibly large.
 
     Position and attitude arrive separately. The older of the two is extrapolated to the time of the newer,
