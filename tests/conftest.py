@@ -9,7 +9,7 @@ import pytest
 
 from support.effort import ALL
 
-pytest_plugins = ["support.pipeline", "support.browser"]
+pytest_plugins = ["support.pipeline", "support.browser", "support.quick_clock"]
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")  # gsply's; it warns of others that are old
 

@@ -269,9 +269,10 @@ IN_SIMULATION = {
 }
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("words", sorted(IN_SIMULATION), ids=lambda words: " ".join(words))
-def test_flights_of_the_simulated_vehicle_pass_their_checks(words, files, tmp_path, monkeypatch, capsys):
+def test_flights_of_the_simulated_vehicle_pass_their_checks(
+    words, files, tmp_path, monkeypatch, capsys, quick_clock
+):
     here = put_inputs(IN_SIMULATION[words], files, tmp_path)
     monkeypatch.chdir(here)
     code = run([*words[1:], "--dry-run"])

@@ -1,7 +1,10 @@
-"""`alula fly` from the command line, over `sim:` in real time: flights, refusals, interruptions, crashes."""
+"""`alula fly` from the command line, over `sim:`: flights, refusals, an interruption, a crash.
+
+All but the crash fly in this process, on a clock that does not wait.
+"""
 
 import json
-import signal
+import re
 import subprocess
 import sys
 import time
@@ -24,26 +27,14 @@ def words(folder, output, *more, link=SIM, map_name="tiny.cover.npz"):
     ]
 
 
-def start(arguments):
-    command = [sys.executable, "-P", "-m", "alula.cli", *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+pytestmark = pytest.mark.usefixtures("quick_clock")
 
 
-def wait_for(text, process):
-    """Lines of standard error up to one with a text."""
-    lines = []
-    for line in process.stderr:
-        lines.append(line)
-        if text in line:
-            return lines
-    raise AssertionError("".join(lines))
-
-
-def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path):
+def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path, capfd):
     log = tmp_path / "f.run.mcap"
-    done = start(words(pipeline, log, "--json"))
-    out, err = done.communicate(timeout=120)
-    assert done.returncode == 0, err
+    code = run(words(pipeline, log, "--json"))
+    out, err = capfd.readouterr()
+    assert code == 0, err
     summary = json.loads(out)["summary"]
     assert (summary["reached"], summary["collisions"], summary["ended_by"]) == (1, 0, "plan finished")
     assert summary["min_map_clearance_m"] > 0
@@ -194,27 +185,24 @@ def test_what_a_real_flight_cannot_have_is_refused_in_words(pipeline, tmp_path, 
     assert error.count("\n") == 1
 
 
-def test_ctrl_c_lands_and_the_log_says_so(pipeline, tmp_path):
+def test_ctrl_c_lands_and_the_log_says_so(pipeline, tmp_path, capfd, quick_clock):
     log = tmp_path / "f.run.mcap"
-    process = start(words(pipeline, log))
-    wait_for("flying the plan", process)
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    lines = wait_for("disarmed", process)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert any("interrupted: landing" in line for line in lines)
+    quick_clock.interrupt_s = 4.5
+    assert run(words(pipeline, log)) == 130
+    said = capfd.readouterr().err
+    assert re.search("flying the plan\n.*interrupted: landing\n.*disarmed", said), said
     (trial,) = read_run(log).trials
     assert (trial.outcome, trial.collision) == ("stopped", False)
 
 
+@pytest.mark.realtime
 def test_a_killed_flight_leaves_a_log_that_is_read(pipeline, tmp_path, capsys):
     log = tmp_path / "f.run.mcap"
-    process = start(words(pipeline, log))
-    wait_for("flying the plan", process)
-    time.sleep(1.0)
-    process.kill()
-    process.communicate(timeout=60)
+    command = [sys.executable, "-P", "-m", "alula.cli", *words(pipeline, log)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert any("flying the plan" in line for line in process.stderr)
+        time.sleep(1.0)
+        process.kill()
     end = time.monotonic() + 20
     while not log.read_bytes().endswith(b"\x89MCAP0\r\n") and time.monotonic() < end:
         time.sleep(0.05)
