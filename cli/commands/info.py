@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from alula.cli.shell import grouped, options
 from alula.cli.shell.addresses import Address, Limits, limited
-from alula.cli.shell.runner import INDEX
-
-if TYPE_CHECKING:
-    from alula.schemas.errors import AlulaError
 
 EXAMPLES = """\b
 Examples:
@@ -21,8 +16,6 @@ Examples:
   alula info scan.ply --json
   alula info https://example.org/scan.spz
 """
-
-Explained = tuple[dict[str, Any], "AlulaError | None"]
 
 
 @grouped.command(epilog=EXAMPLES)
@@ -37,11 +30,12 @@ def command(file: Path | Address, limits: Limits, json: bool, quiet: bool, verbo
     read and ends with exit code 3.
     """
     from alula.cli.shell.present import print_json, print_sections
+    from alula.cli.verbs.info import explain
     from alula.schemas.files import printable, size_of
 
     (sha256,) = limits.for_each(int(isinstance(file, Address))) or ("",)
     with _local(file, limits.most_bytes, sha256) as path:
-        facts, error = _explain(path)
+        facts, error = explain(path)
         name = file.name if isinstance(file, Path) else str(file)
         facts = {"file": printable(name), "bytes": size_of(path), "undamaged": error is None, **facts}
         if "damage" in facts:
@@ -61,178 +55,3 @@ def _local(file: Path | Address, most_bytes: int, sha256: str) -> AbstractContex
     from alula.cli.shell.download import downloaded
 
     return downloaded(file, most_bytes, sha256)
-
-
-def _explain(path: Path) -> Explained:
-    """Read the facts of a file, and the error of reading all of it; None without an error.
-
-    Raises:
-        InputError: the file cannot be opened, or its kind is unknown.
-    """
-    from alula.schemas.artifacts.provenance import read_provenance
-    from alula.schemas.artifacts.salvage import is_artifact_like
-    from alula.schemas.artifacts.tiles import is_tiles
-    from alula.schemas.errors import ArtifactError, InputError
-    from alula.schemas.files import check_no_stream
-    from alula.stages.compression.onboard.image import is_map
-    from alula.stages.reporting.inspect import provenance_facts
-
-    if is_tiles(path):
-        return _tiles(path)
-    if path.is_dir():
-        return _parts(path) if (path / INDEX).is_file() else _splat(path)
-    check_no_stream(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
-    if not head:
-        raise ArtifactError(f"{path}: is empty")
-    if head.startswith(b"\x89MCAP0\r\n"):
-        return _run(path)
-    if is_map(head):
-        return _map(path)
-    if is_artifact_like(path):
-        return _artifact(path)
-    if path.suffix == ".toml":
-        return _toml(path)
-    if head.startswith(b"ply") or (made := read_provenance(path)) is None:
-        return _splat(path)
-    return provenance_facts(made), None
-
-
-def _parts(path: Path) -> Explained:
-    """Read the index of an artifact in parts, and check all parts."""
-    from alula.schemas.artifacts.parts import open_parts
-    from alula.schemas.errors import ArtifactError
-    from alula.stages.reporting.inspect import parts_facts
-
-    try:
-        parts = open_parts(path)
-    except ArtifactError as error:
-        return {"kind": "alula/parts", "damage": str(error)}, error
-    try:
-        parts.check()
-    except ArtifactError as error:
-        return {"damage": str(error), **parts_facts(parts)}, error
-    return parts_facts(parts), None
-
-
-def _artifact(path: Path) -> Explained:
-    from alula.schemas.artifacts.artifact import read_artifact
-    from alula.schemas.artifacts.salvage import salvage
-    from alula.schemas.errors import ArtifactError, DamagedError
-    from alula.stages.reporting.inspect import artifact_facts, manifest_facts
-
-    try:
-        return artifact_facts(read_artifact(path)), None
-    except DamagedError as error:
-        left = salvage(path)
-        facts = manifest_facts(left.manifest) if left.manifest is not None else {"kind": "unknown"}
-        return {"damage": left.words(), **facts}, DamagedError(f"{error}; {left.words()}")
-    except ArtifactError as error:
-        left = salvage(path)
-        return (manifest_facts(left.manifest) if left.manifest is not None else {}), error
-
-
-def _run(path: Path) -> Explained:
-    from alula.schemas.errors import ArtifactError, DamagedError
-    from alula.schemas.log.cut import salvage_run
-    from alula.schemas.log.flights import count_messages
-    from alula.schemas.log.run import read_run
-    from alula.stages.reporting.inspect import about, run_facts
-
-    messages, complete = count_messages(path)
-    try:
-        facts = run_facts(read_run(path), messages)
-    except ArtifactError as error:
-        if (cut := salvage_run(path)) is not None:
-            facts = {"damage": cut.damage, **run_facts(cut.record, messages)}
-            return facts, DamagedError(f"{path}: {cut.damage}")
-        if not isinstance(error, DamagedError):
-            raise
-        readable = f"{sum(messages.values())} messages can still be read"
-        facts = {"damage": readable, **about("alula/run", ""), "messages": dict(sorted(messages.items()))}
-        return facts, DamagedError(f"{error}; {readable}")
-    if not complete:
-        return facts, DamagedError(f"{path}: truncated or corrupt MCAP log; its summary is readable")
-    return facts, None
-
-
-def _map(path: Path) -> Explained:
-    from alula.schemas.artifacts.provenance import read_provenance
-    from alula.schemas.errors import ArtifactError
-    from alula.stages.compression.onboard.image import SCHEMA, VERSION, read_map
-    from alula.stages.reporting.inspect import about, map_image_facts, provenance_facts
-
-    made = read_provenance(path)
-    written = {"written by": provenance_facts(made)} if made is not None else {}
-    try:
-        return map_image_facts(read_map(path.read_bytes(), path)) | written, None
-    except ArtifactError as error:
-        return {**about(SCHEMA, VERSION), **written}, error
-
-
-def _tiles(path: Path) -> Explained:
-    from alula.schemas.artifacts.tiles import read_tiles, read_tiles_index
-    from alula.schemas.errors import AlulaError
-    from alula.stages.reporting.inspect import tiles_index_facts
-
-    facts = tiles_index_facts(read_tiles_index(path))
-    try:
-        read_tiles(path)
-    except AlulaError as error:
-        return facts, error
-    return facts, None
-
-
-def _toml(path: Path) -> Explained:
-    """Read a vehicle, recognised by its `model`, or else a scenario."""
-    import msgspec
-
-    from alula.schemas.scenarios.scenario import plain, read_scenario
-    from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
-    from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, read_vehicle
-    from alula.schemas.toml_file import read_tree
-    from alula.stages.reporting.inspect import about
-
-    if "model" in read_tree(path):
-        vehicle = msgspec.to_builtins(read_vehicle(path))
-        return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
-    whole = plain(read_scenario(path))
-    del whole["schema"]
-    return {**about(SCENARIO_SCHEMA, whole.pop("version")), **whole}, None
-
-
-def _splat(path: Path) -> Explained:
-    from alula.schemas.artifacts.provenance import read_provenance
-    from alula.schemas.errors import ArtifactError
-    from alula.stages.reconstruction.formats.containers import ContainerError
-    from alula.stages.reconstruction.formats.registry import SplatFile
-    from alula.stages.reporting.inspect import provenance_facts, splat_facts
-
-    try:
-        found = SplatFile.find(path)
-    except ArtifactError as error:
-        if path.is_dir() or isinstance(error, ContainerError):
-            raise
-        known = "an artifact, a run, a scenario, a vehicle, or a splat or other file of a known format"
-        raise ArtifactError(f"{path}: is not {known}") from error
-    try:
-        facts = splat_facts(found.decode())
-    except ArtifactError as error:
-        if foreign := _foreign(str(error).removeprefix(f"{path}: ")):
-            return foreign, None
-        return {"kind": f"splat file: {found.format.name}", "damage": str(error)}, error
-    made = read_provenance(path) if path.is_file() else None
-    return facts | ({"written by": provenance_facts(made)} if made is not None else {}), None
-
-
-def _foreign(words: str) -> dict[str, Any] | None:
-    """Facts about a file that the readers recognise but cannot read."""
-    for mark in ("recognised as ", "PLY: an ordinary "):
-        if words.startswith(mark):
-            name = words.removeprefix("recognised as ").removeprefix("PLY: ")
-            return {"kind": name.split(";")[0], "version": "", "what": f"{name}."}
-    return None

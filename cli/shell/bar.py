@@ -16,18 +16,12 @@ from alula.schemas.progress import Progress
 _EVERY_S = 0.2  # between two pictures of a bar
 
 
-def quiet(output: Path, *, force: bool = False, jobs: int = 0, seed: int = 0) -> Common:
-    """The options that commands share, for one that prints nothing."""
-    return Common(output, force, False, False, True, 0, seed, jobs, None)
-
-
 @contextmanager
 def shown(name: str) -> Iterator[Progress]:
     """Context with a progress callback (done, total) that shows how far a function is."""
     shell = _notebook()
     if shell is None:
-        common = Common(Path(name), False, False, False, False, 0, 0, 0, None)
-        with shown_progress(common) as progress:
+        with shown_progress(Common(Path(name))) as progress:
             yield progress
         return
     from importlib import import_module

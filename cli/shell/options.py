@@ -161,14 +161,14 @@ class Common:
     """Values of the options that all commands that write a file share."""
 
     output: Path
-    force: bool
-    dry_run: bool
-    json: bool
-    quiet: bool
-    verbose: int
-    seed: int
-    jobs: int
-    depfile: Path | None
+    force: bool = False
+    dry_run: bool = False
+    json: bool = False
+    quiet: bool = False
+    verbose: int = 0
+    seed: int = 0
+    jobs: int = 0
+    depfile: Path | None = None
 
 
 common = partial(grouped.option, group=grouped.COMMON)
@@ -228,29 +228,25 @@ def output(suffix: str, *, required: bool = True) -> Callable[[F], F]:
     return decorate
 
 
-def from_config(
-    config: type[Any], argument: str = "config", groups: Mapping[str, str] | None = None
-) -> Callable[[F], F]:
-    """Decorator that adds one option per field of a configuration dataclass; the function gets an instance.
-
-    Args:
-        argument: name of the function's argument.
-        groups: headings by field, in place of those of the metadata.
-    """
-    return _of_fields(config, lambda values: {argument: config(**values)}, groups)
+def from_config(config: type[Any], argument: str = "config") -> Callable[[F], F]:
+    """Decorator that adds one option per field of a configuration dataclass; an instance is handed."""
+    return _of_fields(config, lambda values: {argument: config(**values)})
 
 
-def fields_of(config: type[Any]) -> Callable[[F], F]:
+def fields_of(config: type[Any], groups: Mapping[str, str] | None = None) -> Callable[[F], F]:
     """Decorator that adds one option per field of a configuration dataclass, for a verb.
 
     The function gets a dictionary `fields` of those that are given on the command line.
+
+    Args:
+        groups: headings by field, in place of those of the metadata.
     """
 
     def given(values: dict[str, Any]) -> dict[str, Any]:
         context = click.get_current_context()
         return {"fields": {name: value for name, value in values.items() if is_given(context, name)}}
 
-    return _of_fields(config, given)
+    return _of_fields(config, given, groups)
 
 
 def _of_fields(

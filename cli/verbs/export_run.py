@@ -78,7 +78,7 @@ def _readable(found: Iterator[tuple[str, int, bytes]], *, is_cut: bool) -> Itera
     """Messages up to the damage of a log that is known to be truncated."""
     try:
         yield from found
-    except Exception:  # as `open_log` has it: any error of the reader or a codec
+    except ValueError:
         if not is_cut:
             raise
 

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from alula.cli.shell.bar import quiet, shown
+from alula.cli.shell.bar import shown
 from alula.cli.shell.options import Common
 from alula.cli.shell.present import echo
 from alula.cli.verbs.results import Result
@@ -56,7 +56,7 @@ class Page:
             UsageError: other files are there.
             OutputError: a file cannot be written.
         """
-        self.write(quiet(Path(path).expanduser(), force=force))
+        self.write(Common(Path(path).expanduser(), force=force, quiet=True))
         return self
 
     def server(self, port: int = 0) -> PageServer:

@@ -346,7 +346,7 @@ def _of_mcap(path: Path) -> Provenance | None:
     try:
         with path.open("rb") as file:
             found = metadata(file, RUN_METADATA)
-    except Exception:  # noqa: BLE001  a corrupt log makes its reader raise anything
+    except (OSError, ValueError):
         return None
     return _decode(found[0].get("provenance", "").encode()) if found else None
 

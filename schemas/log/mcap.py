@@ -65,7 +65,7 @@ def messages(file: BinaryIO, topics: Collection[str] | None = None) -> Iterator[
         topics: those that are wanted; None for all.
 
     Raises:
-        ValueError: the log is truncated or damaged; the reader of MCAP and the codecs raise other errors too.
+        ValueError: the log is truncated or damaged.
     """
     for kind, name, data in entries(file):
         if kind == "message" and (topics is None or name in topics):
@@ -117,6 +117,15 @@ def entries(file: BinaryIO, *, chunks: bool = True) -> Iterator[tuple[str, str, 
 
 def _records(file: BinaryIO, *, chunks: bool) -> Iterator[tuple[str, str, bytes | dict[str, str], int]]:
     """As `entries`, with the log time [ns] of messages."""
+    try:
+        yield from _read(file, chunks=chunks)
+    except ValueError:
+        raise
+    except Exception as error:  # the reader of MCAP and the codecs raise anything
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+def _read(file: BinaryIO, *, chunks: bool) -> Iterator[tuple[str, str, bytes | dict[str, str], int]]:
     from mcap.data_stream import ReadDataStream
     from mcap.records import Channel, Chunk, Message, Metadata
     from mcap.stream_reader import breakup_chunk

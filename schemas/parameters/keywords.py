@@ -56,6 +56,27 @@ class MergeFields(TypedDict, total=False):
     method: Literal["default", "paper"]
 
 
+class ObserveFields(TypedDict, total=False):
+    """Fields of `ObserveConfig`."""
+
+    size_m: float
+    sigma: float
+    confidence: float | None
+    min_overlap: int
+    crop: Sequence[float] | NDArray[Any] | None
+    min_opacity: float
+    inflation_m: float | None
+    ignore_loss: bool
+    max_voxels: int
+    radius_m: float | None
+    range_m: float
+    near_m: float
+    columns: int
+    min_views: int
+    min_near: float
+    reach: Sequence[float] | NDArray[Any] | None
+
+
 class PlanFields(TypedDict, total=False):
     """Fields of `PlanConfig`."""
 

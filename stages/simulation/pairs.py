@@ -103,8 +103,6 @@ def sample_pairs(
     clearance: Callable[[FloatArray], FloatArray],
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
     is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
-    *,
-    keys: str = "mission.bounds_m or lower mission.separation, mission.margin_m or vehicle.radius_m",
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 
@@ -119,7 +117,6 @@ def sample_pairs(
         is_clear: which of the points, given with their psi, may be a start or a goal; shape (M,).
         is_wanted: which of the pairs, starts and goals of shape (P, 3), may be flown; shape (P,). All by
             default.
-        keys: what to widen or lower where there is no pair, for the message.
 
     Raises:
         InfeasibleError: no pair was found for a trial among 16384 points.
@@ -148,7 +145,8 @@ def sample_pairs(
             raise InfeasibleError(
                 f"trial {i}: no start and goal at least {min_distance_m:.3g} m apart and clear of the map "
                 f"{'' if is_wanted is None else 'with a blocked line between them '}"
-                f"among {_BLOCK * _BLOCKS} points; widen {keys}"
+                f"among {_BLOCK * _BLOCKS} points; widen mission.bounds_m, beyond the map with "
+                "mission.beyond_map_m, or lower mission.separation, mission.margin_m or vehicle.radius_m"
             )
     return Pairs(start, goal, sampled, inside, candidates)
 

@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from alula.cli.commands import doctor
-from alula.cli.commands.doctor import PACKAGES, Check
 from alula.cli.main import run
+from alula.cli.verbs import doctor
+from alula.cli.verbs.doctor import PACKAGES, Check
 from support.paths import ROOT
 
 

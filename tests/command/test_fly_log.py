@@ -49,7 +49,7 @@ def fly(tmp_path, monkeypatch):
             log.write_bytes(OLD)
             log.with_suffix(".json").write_bytes(b"{}")
         provenance = Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, [])
-        fly_run.fly(mission(), link, provenance, Common(log, force, False, False, True, 0, 0, 1, None))
+        fly_run.fly(mission(), link, provenance, Common(log, force=force, quiet=True, jobs=1))
 
     flown.log = tmp_path / "f.run.mcap"
     flown.record = tmp_path / "f.run.json"

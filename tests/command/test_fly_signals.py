@@ -33,7 +33,7 @@ def test_parameters_are_put_back_before_it_ends(tmp_path, number):
     link = Interrupted(FakeClock(), (START[0], START[1], 0.0))
     link.number = number
     log = tmp_path / "f.run.mcap"
-    common = Common(log, False, False, False, True, 0, 0, 1, None)
+    common = Common(log, quiet=True, jobs=1)
     with pytest.raises(KeyboardInterrupt):
         fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
     assert link.closed
@@ -49,7 +49,7 @@ def test_what_could_not_be_put_back_is_told_when_nothing_polls_any_more(tmp_path
             self.status.texts.append("GUID_TIMEOUT could not be put back: set it to 3")
 
     link = Gone(FakeClock(), (START[0], START[1], 0.0))
-    common = Common(tmp_path / "f.run.mcap", False, False, False, False, 0, 0, 1, None)
+    common = Common(tmp_path / "f.run.mcap", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
     assert "vehicle: GUID_TIMEOUT could not be put back: set it to 3" in capfd.readouterr().err

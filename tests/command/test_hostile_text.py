@@ -54,7 +54,7 @@ def test_notes_and_keys_of_an_output_cannot_write_to_the_terminal(capsys, tmp_pa
     from alula.cli.shell.options import Common
     from alula.cli.shell.runner import show
 
-    common = Common(tmp_path / HOSTILE.replace("\n", ""), False, False, False, False, 0, 0, 0, None)
+    common = Common(tmp_path / HOSTILE.replace("\n", ""))
     show(common, "written", {HOSTILE: HOSTILE, "b": {HOSTILE: [HOSTILE]}, "notes": [HOSTILE]})
     shown = capsys.readouterr()
     assert_harmless(shown.out)

@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
+import alula
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import SEEN
@@ -40,6 +41,16 @@ def test_seen_space_is_written_once_and_then_left_alone(words, tmp_path, capsys)
     assert json.loads(capsys.readouterr().out)["status"] == "unchanged"
     assert run([*words, "-q", "-f", "--vehicle", "missing.toml"]) == 3
     assert (tmp_path / "a.seen.npz").read_bytes() == before
+
+
+def test_the_function_writes_the_bytes_of_the_command(words, pipeline, tmp_path):
+    assert run([*words, "--radius", "0.15", "-q"]) == 0
+    scene, cameras = pipeline / "tiny.metric.scene.npz", pipeline / "cameras.csv"
+    seen = alula.observe(alula.read(scene), cameras=cameras, size_m=0.2, radius_m=0.15)
+    seen.save(tmp_path / "b.seen.npz")
+    assert (tmp_path / "b.seen.npz").read_bytes() == (tmp_path / "a.seen.npz").read_bytes()
+    with pytest.raises(UsageError, match="exactly one of --colmap, --cameras, --reach is needed"):
+        alula.observe(scene)
 
 
 def test_the_radius_is_that_of_the_vehicle(words, pipeline, tmp_path):

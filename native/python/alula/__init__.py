@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from alula.cli.verbs.import_splat import import_splat
     from alula.cli.verbs.import_voxels import import_voxels
     from alula.cli.verbs.merge import merge
+    from alula.cli.verbs.observe import observe
     from alula.cli.verbs.pages import Page
     from alula.cli.verbs.plan import plan
     from alula.cli.verbs.read import read
@@ -46,6 +47,7 @@ _PLACES = {
     "cli.verbs.align": ("align",),
     "cli.verbs.import_splat": ("import_splat",),
     "cli.verbs.import_voxels": ("import_voxels",),
+    "cli.verbs.observe": ("observe",),
     "cli.verbs.plan": ("plan",),
     "cli.verbs.results": ("Scene", "Voxels", "Seen", "Cover", "Plan"),
     "schemas.errors": ("AlulaError", "UsageError", "InputError", "CheckError", "InfeasibleError"),
@@ -70,6 +72,7 @@ __all__ = [
     "import_splat",
     "import_voxels",
     "merge",
+    "observe",
     "plan",
     "read",
     "report",

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
 from alula.schemas.parameters.configs.import_voxels import ImportVoxelsConfig
 from alula.schemas.parameters.configs.merge import MergeConfig
+from alula.schemas.parameters.configs.observe import ObserveConfig
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.parameters.configs.report import ReportConfig
 from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
@@ -21,6 +22,7 @@ CONFIGS: dict[type[Any], tuple[str, ...]] = {
     ImportSplatConfig: (),
     ImportVoxelsConfig: (),
     MergeConfig: (),
+    ObserveConfig: (),
     PlanConfig: (),
     ReportConfig: (),
     ScaleAlignConfig: ("distances",),
