@@ -56,7 +56,6 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         counts: by logarithm, see `counts_of`.
-        calls: their number.
         total_s, max_s: exact sum and maximum [s].
         square_s2: exact sum of the squares [s^2].
         overruns: times longer than a tick.

@@ -27,7 +27,6 @@ class Unlike:
 
     Attributes:
         what: vehicle, map, or conditions of the flights.
-        name: of what differs.
         first, second: of each run, as a person reads it; empty where it has none.
     """
 

@@ -130,10 +130,7 @@ class Trials:
 
     Attributes:
         scenario: with all of its values.
-        vehicle: that it names.
         parameters: what a run records of both, without the names of files.
-        seed: of all randomness.
-        paths: files by role.
         pairs: start and goal of each trial, where they come from another run.
         pairs_run: record of that run.
     """

@@ -85,8 +85,6 @@ class PlanInputs:
         config: complete.
         maps: `cover`, `scene`, `image` (an onboard map) and `within`, those that there are.
         inputs: maps and further files, by role.
-        vehicle: that will fly it.
-        mission: waypoints, gates, laps and zones.
     """
 
     config: PlanConfig

@@ -80,9 +80,6 @@ class Result:
 
     `save` writes the file that the command would write from the same inputs and parameters. A result that was
     not saved is recorded as an input of others by its contents alone; save it first to record its name too.
-
-    Attributes:
-        artifact: manifest and arrays.
     """
 
     KIND: ClassVar[Kind]

@@ -32,11 +32,7 @@ class Flown:
     """Flights in memory, with all that their log needs.
 
     Attributes:
-        mission: that was flown.
-        flights: all trials.
         timing: measured times by name [s].
-        maps: by role.
-        inputs: files and results by role.
     """
 
     mission: Trials

@@ -115,13 +115,8 @@ class Flights:
     """Missions whose files and options go together, before they are flown.
 
     Attributes:
-        mission: to fly.
-        source: that it comes from.
-        tiles: of the map.
-        inputs: files and results by role.
         own: filters that no package provides, by name.
         scheduler: address of a dask.distributed scheduler.
-        jobs: threads; 0 is all processors.
     """
 
     mission: Trials

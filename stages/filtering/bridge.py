@@ -26,7 +26,6 @@ class NativeFilter:
     """A native filter behind the protocol; flights take `native` itself.
 
     Attributes:
-        native: the filter.
         parameters: all of its parameters, defaults included.
     """
 

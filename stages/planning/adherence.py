@@ -57,7 +57,6 @@ class PlanJudge:
         via: where the plan passes waypoints and gates, shape (V, 3) [m].
         passes: waypoints and gates of all laps, in their order.
         allowed_m: distance within which each of them counts as passed [m].
-        waits: how the time along the plan waits for the vehicle.
     """
 
     def __init__(

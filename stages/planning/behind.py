@@ -25,7 +25,6 @@ class Behind:
     """The filters behind which a plan will be flown.
 
     Attributes:
-        name: of the filters.
         acting_s: instants at which they change the command, shape (N,) [s], in a flight without anything
             random along a curve, with its knots (K + 1,) [s] and coefficients of (x, y, z, yaw) (K, 4, 8).
     """

@@ -34,7 +34,6 @@ class Leg:
     """A part of a flight with one kind of heading.
 
     Attributes:
-        end_s: its end [s].
         table: of the mission or of a pass, with `yaw`, `yaw_rad` or `look_at_m`.
         firm_s: from when on the heading matters most: shortly before a pass with its own heading, and at rest
             [s].

@@ -32,8 +32,6 @@ class Lattice:
         point: shape (N, 3) [m].
         index: of each on the lattice, shape (N, 3).
         distance: from the nearest obstacle, at most one that is larger than the radius by the spacing [m].
-        shape: of the lattice.
-        spacing_m: of the lattice [m].
         enclosed: fraction of the 26 ways along its axes and diagonals that end at an obstacle, shape (N,).
     """
 
@@ -54,7 +52,6 @@ class Inside:
         lower, upper: corners of the box, whose lower face is not below the floor, shape (3,) [m].
         radius_m: distance that flights keep [m].
         is_closed: there is a closed space: points of which nearly all ways lead to an obstacle.
-        diagonal_m: of the box around the free points inside [m].
     """
 
     map: _core.ObstacleMap

@@ -56,7 +56,6 @@ class _Space:
         views: number of cameras that see each.
         starts: voxels with a ball around their centre from which the others must be reached, relative to
             `lower`, shape (n, 3).
-        figures: for the summary.
         reason: why the voxels are taken for free, as a clause.
     """
 

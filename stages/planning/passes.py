@@ -33,10 +33,8 @@ class Passage:
     """One waypoint or gate of one lap.
 
     Attributes:
-        table: of the mission.
         number: in its lap, from 1.
         lap: from 1.
-        laps: number of laps.
         opening: where the curve may pass; None for exactly at the waypoint.
     """
 

@@ -72,10 +72,7 @@ class _Box:
     """What all legs are searched in.
 
     Attributes:
-        map: obstacles.
-        keep_m: distance to keep [m].
         lower, upper: corners of the box, shape (3,) [m].
-        spacings: of the lattices [m].
     """
 
     map: ObstacleMap

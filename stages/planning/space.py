@@ -110,7 +110,6 @@ class PlanSpace:
 
     Attributes:
         maps: at least one.
-        frame: name of their frame.
         keep_m: the least distance that a plan keeps from a map [m].
         map: all obstacles, where those that need a larger distance have grown by the difference.
         floor_m: height of the floor that the scene was levelled to; None where it was not [m].

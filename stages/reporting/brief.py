@@ -56,10 +56,8 @@ class Number:
 
     Attributes:
         key: its name in data.
-        label: its meaning.
         value: with all digits, in the unit of the key; None where unknown.
         shown: as a person reads it.
-        detail: one line more.
         good: whether it is good news; None for neither.
     """
 
@@ -77,9 +75,6 @@ class Subject:
 
     Attributes:
         kind: run, map, plan or scene.
-        title: its name.
-        words: one line about it.
-        verdict: a sentence.
         tone: of the verdict: good, fair, bad or plain.
         numbers: the same keys for all subjects of a kind, as far as they are known.
     """

@@ -36,10 +36,7 @@ class Content:
     """What a report says, whatever its format.
 
     Attributes:
-        brief: the first screen.
         facts: plain values, as the command prints them.
-        tables: in reading order.
-        differences: tables that compare runs.
     """
 
     brief: Brief

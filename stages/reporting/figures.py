@@ -62,7 +62,6 @@ class TimeAxis:
     """Where the time of a flight lies in a figure.
 
     Attributes:
-        run, trial: the flight.
         begin, end: times at the ends of the axis [s].
         left, right: where they are, in widths of the figure from its left side.
         top, bottom: of the curves, in heights of the figure from its upper side.

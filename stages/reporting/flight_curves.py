@@ -45,8 +45,6 @@ class FlightCurves:
     """All curves of one flight, over one time.
 
     Attributes:
-        run: label of its run.
-        trial: its number.
         outcome: as the report counts it; None where it was not judged.
         closest_m: minimum clearance as judged [m]; None where it was not.
         logged: number of logged flights of the run where one that was not logged came closer, else None.
@@ -59,8 +57,6 @@ class FlightCurves:
         limit: of that quantity; None where none is known.
         speed_limit_m_s: None where none is known.
         regulation: regulation function lambda of a geofence; None elsewhere.
-        filters: statuses of each filter.
-        spells: states of a real flight's supervisor.
         worst_s: time of the minimum clearance, else of the minimum margin; None where neither is known.
     """
 

@@ -35,8 +35,6 @@ class Run:
 
     Attributes:
         label: unique in the report.
-        record: summary and trials.
-        flights: logged flights by trial.
         hulls: number of hulls of its map; None where the log does not state it.
         course: supervisor steps and messages of a real flight; None for a simulation.
     """

@@ -66,9 +66,6 @@ def page(
         picture: still picture of the first screen.
         flights: figures of single flights over time, shown beside the 3D view.
         differences: tables that compare runs, shown above the guarantees.
-
-    Returns:
-        The HTML text.
     """
     found = brief(material)
     parts = [

@@ -18,8 +18,6 @@ class Table:
 
     Attributes:
         name: identifier, for `--table` and file names.
-        title: heading.
-        columns: column headings.
         rows: one tuple per row, as long as `columns`.
         note: paragraph below the table.
         before: sentence above the table; empty for none.

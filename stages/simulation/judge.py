@@ -37,7 +37,6 @@ class WorldJudge:
     simulation, which measures them at every step of the plant, in continuous time.
 
     Attributes:
-        world: static obstacles.
         filters: names, in their order; the guide of the controller before them.
         guides: number of guides among them, which count neither as interventions nor as the last filter.
         has_goal: whether the mission leads from a start to a goal.
@@ -47,7 +46,6 @@ class WorldJudge:
         dt_s: duration of a tick [s].
         by_ticks: whether logs have complete rows of ticks, with which references and ellipsoids are compared.
         is_point: whether the vehicle is moved by velocities, whose first one is that of the first command.
-        jobs: threads; the result does not depend on it.
     """
 
     world: StaticWorld

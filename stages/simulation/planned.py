@@ -110,7 +110,6 @@ class Planned(NamedTuple):
 
     Attributes:
         pairs: those with a plan, in their order.
-        plans: of each.
         counts: for the summary: pairs with a plan, and without.
         notes: names the pairs without a plan, which are not flown; empty where there are none.
     """

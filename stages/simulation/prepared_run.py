@@ -31,22 +31,15 @@ class PreparedRun:
     """A scenario ready to be flown; `fly` flies some of its trials.
 
     Attributes:
-        scenario: completed.
-        vehicle: that it names.
-        world: static obstacles.
         told: what the filters were built for.
         missions: tasks of all trials.
         vehicle_spec, options: what the computer on board knows.
-        spec: native simulation.
         bare: the same, whose logs have only what the judge needs.
         filters: native, in their order.
-        names: of the scenario's filters, in their order.
-        judge: of the flights.
         plans: judges of the plans, by trial.
         start_h_i_m: see `start_h_i` [m].
         among: barrier of the hulls, where the vehicle is flown by velocities among them.
         start_margin_m: psi less what filters keep, at the start of each trial, with that barrier [m].
-        notes: for the summary.
     """
 
     scenario: Scenario

@@ -37,17 +37,12 @@ class WorldRun:
     """All trials of a scenario; times are measured, the rest is not.
 
     Attributes:
-        scenario: completed with the values of the vehicle.
-        vehicle: that it names.
         trials: verdicts, in their order.
         flights: samples of those that the log shows: the first ones, and the worst.
-        world: static obstacles.
         counts: of sampled points and pairs.
-        notes: for the summary.
         start_h_i_m: see `start_h_i` [m].
         filter_kind: whether all filters are native, in words.
         filter_times: of the filters, see `PreparedRun.filter_seconds`.
-        tick_times: of a tick on board.
         command_s, reaction_s: of `FlownChunk`, shape (trials, n) with n moving obstacles [s].
     """
 

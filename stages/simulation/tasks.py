@@ -46,13 +46,11 @@ class Missions:
     """Tasks of all trials, with what their judge needs.
 
     Attributes:
-        tasks: native.
         missions: what makes the nominal command of each, as in its task.
         start, goal: shapes (N, 3), world frame [m]; the goal of a pilot is its start.
         curves: reference of each trial; None where it flies without one.
         plans: plan of each trial; None without one.
         counts: of sampled points and pairs, by the keys of the summary.
-        notes: for the summary.
     """
 
     tasks: list[_core.Task]

@@ -49,7 +49,6 @@ class StaticWorld(Kept):
 
     Attributes:
         radius_m, inflation_m: see `Kept`.
-        sigma: level of the ellipsoids.
         hulls: of the cover, the walls and unseen space; None without any.
         polytopes: the same as a native set.
         ellipsoids: of the scene, for the judge; None without a scene.

@@ -39,8 +39,6 @@ class World:
     """What does not depend on the missions.
 
     Attributes:
-        scenario: completed.
-        vehicle: that it names.
         static: obstacles that do not move.
         told: what the filters were built for.
         spec, options: what the computer on board knows.

@@ -24,7 +24,6 @@ class Gaussians:
         covariance: shape (n, 3, 3), world frame [m^2].
         color: red, green and blue, 0 to 255, shape (n, 3).
         opacity: 0 to 1, shape (n,).
-        visible: shown at first.
     """
 
     name: str
@@ -94,7 +93,6 @@ class Series:
     """A curve over the time of a flight, for the plots beside it.
 
     Attributes:
-        label: of the curve.
         plot: name of the plot that it belongs to, with the unit.
         time_s: shape (n,) [s].
         value: NaN where unknown, shape (n,).
@@ -138,24 +136,18 @@ class Play:
     """A flight to play at its own speed.
 
     Attributes:
-        label: run and trial.
-        outcome: as in the report.
-        words: its end in words.
         run, trial: where it is logged.
         begin_s: time in the log at which it begins [s].
         time_s: from 0, shape (n,) [s].
         position_world: shape (n, 3) [m].
         quat_world_body_wxyz: shape (n, 4).
-        body: of the vehicle.
         obstacles_world: true positions of moving obstacles, shape (n, k, 3) [m].
         tracks_world: their tracks, NaN without one, shape (n, k, 3) [m].
         obstacle_radius_m: shape (k,) [m].
         nearest_world: nearest point of the world, NaN where there is none, shape (n, 3) [m].
         acts: the filter changes the command, shape (n,).
         status: word of the filter, n words.
-        series: curves over its time.
         marked_s: time of the worst moment [s].
-        decides: obstacles that decide what is sent.
         plans: time from which the flight follows a new plan, and its points, shape (k, 3) [s], [m].
     """
 
@@ -195,9 +187,7 @@ class Content:
     """All that one view shows.
 
     Attributes:
-        title: of the page.
         parts: in the order of the scene tree.
-        camera: the first one.
         plays: flights to play, the worst first.
         legend: colour (#rrggbb) by meaning.
         notes: what is left out, in words.

@@ -26,7 +26,6 @@ class Model:
     """Parts as arrays that the renderer takes.
 
     Attributes:
-        gaussians: parts that are Gaussians.
         corners: of triangles, shape (T, 3, 3), world frame [m].
         color, opacity: of triangles, shapes (T, 3) and (T,).
         far_only: of triangles, shape (T,); as of `Faces`.

@@ -35,7 +35,6 @@ class Numbered:
         semi_axes: at level 1, shape (n, 3) [m].
         quat_wxyz: of the semi-axes, shape (n, 4).
         ellipsoids: their number in the map; None where it is not known.
-        level: of the ellipsoids.
     """
 
     solids: Solids | None

@@ -53,9 +53,7 @@ class Shown:
     """What a view is made from.
 
     Attributes:
-        title: of the page.
         scenes, covers, voxels, seen, plans: artifacts with their names.
-        runs: with their flights.
         maps: maps in the logs of runs, by the run's label.
         elsewhere: labels of runs that flew through other hulls than those given.
         around: further points that the camera shows, shape (n, 3) [m].

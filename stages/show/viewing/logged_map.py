@@ -28,7 +28,6 @@ class LoggedMap:
     """Hulls and ellipsoids of a log.
 
     Attributes:
-        solids: the hulls.
         centers: of the ellipsoids, shape (n, 3) [m].
         semi_axes: shape (n, 3) [m].
         quat_wxyz: shape (n, 4).

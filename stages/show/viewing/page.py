@@ -83,9 +83,6 @@ def page(content: Content, *, provenance_line: str = "", other: str = "") -> str
     Args:
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
         other: how to see a flight that the page does not play, in words; "" when it plays all.
-
-    Returns:
-        The HTML text.
     """
     found = _record(content)
     return _around(found, f'"{found.data}"', content, provenance_line, other, _image(content))
@@ -115,9 +112,6 @@ def within(
             the page would be too large.
         provenance_line: as of `page`.
         other: as of `page`.
-
-    Returns:
-        The page, and what it shows.
     """
     content = make(MOST_GAUSSIANS if gaussians is None else gaussians)
     light = lightened(content, make)
