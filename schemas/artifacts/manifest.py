@@ -436,6 +436,11 @@ class PlanManifest(Manifest, frozen=True, kw_only=True):
     zones: list[PlanZone] = []
     beyond_map_m: Margin = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse points to pass that are none of `passes`, by which flights and proofs are judged."""
+        if len(self.via_m) > len(self.passes):
+            raise ValueError("`via_m` has more points than `passes`")
+
     @property
     def is_proven(self) -> bool:
         """True if the plan is proven to keep its distance from the map."""

@@ -16,7 +16,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.run import Outcome, PassResult, PlanResult
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import segment_clearance
-from alula.stages.planning.passes import laps_of, name_of, passes_of
+from alula.stages.planning.passes import laps_of, name_of
 from alula.stages.planning.passing import passed_of
 from alula.stages.planning.plan_samples import curve_of
 
@@ -67,7 +67,7 @@ class PlanJudge:
         via_tolerance_m: float,
         jobs: int = 0,
     ) -> None:
-        self.passes = passes_of(plan)
+        self.passes: Sequence[PlanPass] = plan.manifest.passes  # type: ignore[attr-defined]
         self.via = np.asarray(plan.manifest.via_m, np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
         self.allowed_m = [allowed_m(each, radius_m, via_tolerance_m) for each in self.passes]
         self.tolerance_m = via_tolerance_m
@@ -149,7 +149,7 @@ def waits(plan: Artifact, radius_m: float, via_tolerance_m: float) -> _core.Plan
     curve = curve_of(plan)
     at_s: list[float] = []
     own: list[float] = []
-    for each in passes_of(plan):
+    for each in plan.manifest.passes:  # type: ignore[attr-defined]
         room, when = allowed_m(each, radius_m, via_tolerance_m), each.time_s
         if each.kind == "gate":
             at = curve.at(np.array([each.time_s]))[0, :3]
@@ -179,7 +179,7 @@ def require_fit(plan: Artifact, vehicle: Vehicle) -> None:
     Raises:
         UsageError: names the first such gate.
     """
-    passes = passes_of(plan)
+    passes: Sequence[PlanPass] = plan.manifest.passes  # type: ignore[attr-defined]
     for each in passes:
         if each.kind == "gate" and each.radius_m <= vehicle.body.radius_m:
             name, own = name_of(each, laps_of(passes)), exact(vehicle.body.radius_m)

@@ -10,7 +10,6 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.artifacts.manifest import PlanManifest
 from alula.schemas.errors import ArtifactError
 
 LEAST_DURATION_S = 1e-3
@@ -26,7 +25,7 @@ ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 _YAW_ORDERS = ("heading", "rate of the heading", "acceleration of the heading")
 
 
-def faults_of_joins(time: FloatArray, coefficient: FloatArray, orders: int = 5) -> list[tuple[int, str]]:
+def faults_of_joins(time: FloatArray, coefficient: FloatArray) -> list[tuple[int, str]]:
     """Where a curve is not one motion: pieces that are too short, or do not meet.
 
     The stored numbers are taken as exact, and so is the arithmetic.
@@ -34,7 +33,6 @@ def faults_of_joins(time: FloatArray, coefficient: FloatArray, orders: int = 5) 
     Args:
         time: knots, shape (K + 1,) [s].
         coefficient: shape (K, D, 8) with D >= 3; a fourth row is the heading.
-        orders: number of derivatives of the position that must agree, from the position on.
 
     Returns:
         Piece and fault, of each piece the first.
@@ -49,7 +47,7 @@ def faults_of_joins(time: FloatArray, coefficient: FloatArray, orders: int = 5) 
     rows = coefficient.tolist()
     for i, each in enumerate(duration[:-1]):
         powers = [each**j for j in range(coefficient.shape[2])]
-        for names, axes in ((ORDERS[:orders], slice(0, 3)), (_YAW_ORDERS, slice(3, 4))):
+        for names, axes in ((ORDERS, slice(0, 3)), (_YAW_ORDERS, slice(3, 4))):
             jump = _first_jump(rows[i][axes], rows[i + 1][axes], powers, names)
             if jump is not None:
                 found.append((i, f"the {jump[0]} jumps by {jump[1]:.3g} after piece {i}"))
@@ -75,17 +73,6 @@ def require_motion(plan: Artifact) -> None:
     Raises:
         ArtifactError: names the first fault, with the time.
     """
-    manifest = plan.manifest
-    assert isinstance(manifest, PlanManifest)
     time, coefficient = (np.asarray(plan[name], np.float64) for name in ("time", "coefficient"))
-    for piece, fault in faults_of_joins(time, coefficient, orders_of(manifest)):
+    for piece, fault in faults_of_joins(time, coefficient):
         raise ArtifactError(f"the plan is no motion: at {time[piece + 1]:.6g} s {fault}; plan it again")
-
-
-def orders_of(manifest: PlanManifest) -> int:
-    """Number of derivatives of the position that agree where pieces meet: an older plan leaves out the snap.
-
-    Args:
-        manifest: of the plan.
-    """
-    return 5 if manifest.limits else 4

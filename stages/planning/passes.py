@@ -10,15 +10,13 @@ import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.artifacts.manifest import PlanManifest, PlanPass
+from alula.schemas.artifacts.manifest import PlanPass
 from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.parameters.configs.plan import PlanConfig, Point
 from alula.schemas.scenarios.mission import Mission, PassTable, complaint
 from alula.stages.planning.exact import THROUGH_M
 from alula.stages.planning.opening import Opening
-from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.space import PlanSpace
 
 _SHARE = 0.5  # of the room of a gate or a tolerance, that a curve may use where the margin would take more
@@ -174,35 +172,6 @@ def through(passage: Passage, space: PlanSpace, radius_m: float) -> tuple[FloatA
     what = space.nearest_part(tuple(points[best].tolist()))
     freest = f"the freest is {at_least(max(float(own[best]), 0.0))} m from {what}"
     raise InfeasibleError(f"{where}: no point of its opening keeps {radius_m:.6g} m; {freest}")
-
-
-def passes_of(plan: Artifact) -> list[PlanPass]:
-    """The passes of a plan in their order; for one that does not list them, its via points."""
-    manifest = plan.manifest
-    assert isinstance(manifest, PlanManifest)
-    if manifest.passes or not manifest.via_m:
-        return list(manifest.passes)
-    times = via_times(plan, np.array(manifest.via_m))
-    return [
-        PlanPass(kind="waypoint", number=i, time_s=at, point_m=point)
-        for i, (at, point) in enumerate(zip(times, manifest.via_m, strict=True), 1)
-    ]
-
-
-def via_times(plan: Artifact, points: FloatArray) -> list[float]:
-    """Times at which a plan passes points that are ends of its pieces, in their order [s].
-
-    Args:
-        points: shape (V, 3) [m].
-    """
-    ends_s = np.asarray(plan["time"], np.float64)
-    ends = curve_of(plan).at(ends_s)[:, :3]
-    found: list[float] = []
-    first = 0
-    for point in points:
-        first += int(np.linalg.norm(ends[first:] - point, axis=1).argmin())
-        found.append(float(ends_s[first]))
-    return found
 
 
 def name_of(each: PlanPass, laps: int) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.planning.trajectory import DEGREE, allocate_times, septic_spline
+from alula.stages.planning.trajectory import DEGREE
 
 PEAK_SPEED = 2.1875  # of a rest-to-rest septic, in units of its length over its duration
 
@@ -37,56 +39,31 @@ def rest_to_rest(
     Raises:
         InputError: the points are the same or not finite, or the speed is not positive.
     """
-    points = _checked(np.stack([np.asarray(start, np.float64), np.asarray(goal, np.float64)]))
+    points = np.stack([np.asarray(start, np.float64), np.asarray(goal, np.float64)])
+    if points.shape != (2, 3):
+        raise InputError(f"start and goal have shape (3,), not {points.shape[1:]}")
+    if not np.isfinite(points).all():
+        raise InputError("start and goal must be finite")
+    length = float(np.linalg.norm(points[1] - points[0]))
+    if length == 0:
+        raise InputError("start and goal must be distinct")
     if not (peak_speed > 0 and np.isfinite(peak_speed)):
         raise InputError(f"the peak speed must be positive, not {peak_speed}")
-    duration = np.array([PEAK_SPEED * np.linalg.norm(points[1] - points[0]) / peak_speed])
-    return _with_yaw(duration, septic_spline(points, duration), yaw_rad)
+    duration = PEAK_SPEED * length / peak_speed
+    at_ends = np.zeros((8, 3))  # value and three derivatives at the start, then at the goal
+    at_ends[[0, 4]] = points
+    coefficient = np.zeros((1, 4, DEGREE + 1))
+    coefficient[0, :3] = np.einsum("ij,jd->di", _hermite(), at_ends) / duration ** np.arange(8.0)
+    coefficient[0, 3, 0] = yaw_rad
+    return ReferencePath(np.array([0.0, duration]), coefficient)
 
 
-def minimum_snap(
-    waypoint: ArrayLike,
-    *,
-    speed: float,
-    acceleration: float,
-    rest: ArrayLike | None = None,
-    yaw_rad: float = 0.0,
-) -> ReferencePath:
-    """The minimum-snap trajectory through waypoints, at rest at its ends, within limits at every instant.
-
-    Args:
-        waypoint: shape (W, 3), W >= 2, consecutive ones distinct [m].
-        speed: limit [m/s].
-        acceleration: limit [m/s^2].
-        rest: intermediate waypoints to stop at, shape (W,).
-        yaw_rad: constant heading [rad].
-
-    Raises:
-        InputError: waypoints coincide or are not finite, or a limit is not positive.
-    """
-    points = _checked(np.asarray(waypoint, np.float64))
-    for name, limit in (("speed", speed), ("acceleration", acceleration)):
-        if not (limit > 0 and np.isfinite(limit)):
-            raise InputError(f"the limit of {name} must be positive, not {limit}")
-    stops = None if rest is None else np.asarray(rest, np.bool_)
-    if stops is not None and stops.shape != (len(points),):
-        raise InputError(f"rest has shape {stops.shape}, not {(len(points),)}")
-    duration = allocate_times(points, speed, acceleration, stops)
-    return _with_yaw(duration, septic_spline(points, duration, stops), yaw_rad)
-
-
-def _checked(points: FloatArray) -> FloatArray:
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(f"waypoints have shape (W, 3) with W >= 2, not {points.shape}")
-    if not np.isfinite(points).all():
-        raise InputError("waypoints must be finite")
-    if (np.linalg.norm(np.diff(points, axis=0), axis=1) == 0).any():
-        raise InputError("consecutive waypoints must be distinct")
-    return points
-
-
-def _with_yaw(duration: FloatArray, position: FloatArray, yaw_rad: float) -> ReferencePath:
-    yaw = np.zeros((len(position), 1, DEGREE + 1))
-    yaw[:, 0, 0] = yaw_rad
-    time = np.concatenate([[0.0], np.cumsum(duration)])
-    return ReferencePath(time, np.ascontiguousarray(np.concatenate([position, yaw], axis=1)))
+@cache
+def _hermite() -> FloatArray:
+    """Power coefficients on [0, 1] from value and three derivatives at 0, then at 1."""
+    conditions = np.zeros((8, 8))
+    for i in range(4):
+        conditions[i, i] = factorial(i)
+        for j in range(i, 8):
+            conditions[4 + i, j] = factorial(j) / factorial(j - i)
+    return np.asarray(np.linalg.inv(conditions), np.float64)

@@ -37,8 +37,8 @@ from alula.stages.compression.level import (
 from alula.stages.filtering.obstacles import ellipsoid_index
 from alula.stages.planning import exact
 from alula.stages.planning.curve_certificate import certify_curve
-from alula.stages.planning.joins import APART, ORDERS, faults_of_joins, orders_of
-from alula.stages.planning.passes import laps_of, name_of, passes_of
+from alula.stages.planning.joins import APART, ORDERS, faults_of_joins
+from alula.stages.planning.passes import laps_of, name_of
 from alula.stages.planning.unseen import is_seen, unseen_hulls
 from alula.stages.proof import check
 
@@ -66,9 +66,8 @@ def verify_plan(
     a piece lies in keeps the distance from every hull, and with a scene from every ellipsoid of the plan's
     level, or else of those that the cover was made to contain, by duality in numbers rounded to the safe
     side. Each piece in its cell, and limits of the motion over every piece: by control points in rational
-    arithmetic, halved where that does not decide. Continuity, up to snap for a plan that records its limits
-    and up to jerk for an older one, within the absolute bounds of `joins`; start, waypoints, gates and
-    goal in their order; rest where the plan holds, and at the goal.
+    arithmetic, halved where that does not decide. Continuity up to snap, within the absolute bounds of
+    `joins`; start, waypoints, gates and goal in their order; rest where the plan holds, and at the goal.
 
     Args:
         cover: the `alula/cover` that it keeps away from; without one, the scene that it was made in.
@@ -158,9 +157,7 @@ def verify_plan(
     if pieces.turns:
         checks.append(pieces.heading())
     proven = all(one.ok for one in checks)
-    older = "an older plan: its limit of speed and three derivatives are checked"
-    notes = [] if manifest.limits else [older]
-    notes += [
+    notes = [
         f"the {name} of the plan is {at_most(pieces.moved_m(name))} m from the one asked for (--nearest-free)"
         for name in ("start", "goal")
         if pieces.is_moved(name)
@@ -253,17 +250,16 @@ class _Pieces:
 
     def continuity(self) -> Check:
         """Check that derivatives agree where pieces meet, within bounds that do not depend on the plan."""
-        orders = orders_of(self.manifest)
         every = np.asarray(self.plan["coefficient"], np.float64)
         offences = [
             Offence(fault=fault, place_m=self.where(min(i + 1, len(self.points) - 1)))
-            for i, fault in faults_of_joins(self.time, every, orders)
+            for i, fault in faults_of_joins(self.time, every)
         ]
         within = ", ".join(
             f"{each:g} m/s^{order}" if order > 1 else f"{each:g} m{'/s' * order}"
-            for order, each in enumerate(APART[:orders])
+            for order, each in enumerate(APART)
         )
-        return check("continuity", len(self.points) - 1, offences, f"up to {ORDERS[orders - 1]}: {within}")
+        return check("continuity", len(self.points) - 1, offences, f"up to {ORDERS[-1]}: {within}")
 
     def zones(self) -> Check:
         """Check that each piece is slow wherever it may be in a zone."""
@@ -310,7 +306,7 @@ class _Pieces:
         ends = [p[0] for p in self.points] + [self.points[-1][-1]]
         knots = np.array([[float(c) for c in p] for p in ends])
         parameters = self.manifest.parameters
-        passes = passes_of(self.plan)
+        passes = self.manifest.passes
         laps = laps_of(passes)
         offences: list[Offence] = []
         for name, knot in (("start", 0), ("goal", -1)):

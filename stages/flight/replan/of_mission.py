@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from alula.stages.flight.mission import PlannedFlight
 from alula.stages.flight.replan.process import Planner, PlannerProcess
 from alula.stages.flight.replan.replanner import Replanner, ReplanOptions
 from alula.stages.flight.replan.task import KeptMap, ReplanFacts
-from alula.stages.planning.passes import passes_of
 from alula.stages.planning.plan_samples import sample_plan
 
 _FENCE_ROOM_M = (
@@ -76,8 +76,9 @@ def _has_more(plan: Artifact) -> bool:
     """Whether a plan has more than via points and one heading."""
     yaw = np.asarray(plan["coefficient"])[:, 3]
     turns = bool(yaw[:, 1:].any() or (yaw[:, 0] != yaw[0, 0]).any())
-    zones = plan.manifest.zones  # type: ignore[attr-defined]
-    return turns or bool(zones) or any(each.kind == "gate" or each.hold_s > 0 for each in passes_of(plan))
+    manifest: Any = plan.manifest
+    more = any(each.kind == "gate" or each.hold_s > 0 for each in manifest.passes)
+    return turns or bool(manifest.zones) or more
 
 
 def _interface(mission: PlannedFlight) -> dict[str, str]:

@@ -292,14 +292,13 @@ def test_in_a_zone_a_plan_is_slow_and_beside_it_fast(cover, smooth):
     assert [each.name for each in verify_plan(unzoned, cover=cover).checks if not each.ok] == ["zones"]
 
 
-def test_older_plans_are_judged_and_verified_by_their_via_points(cover):
+def test_a_plan_whose_via_points_are_not_those_of_its_passes_is_no_plan(cover):
     made = plan(dataclasses.replace(GOAL, via=((2, 0, 1), (3, 0.5, 1))), cover)
-    old = dataclasses.replace(made, manifest=msgspec.structs.replace(made.manifest, passes=[], version="1.1"))
-    judge, path, _ = judged(old, cover)
-    assert judge.waits.via_s == pytest.approx([each.time_s for each in made.manifest.passes], abs=1e-9)
+    judge, path, _ = judged(made, cover)
     assert judge.result(path).missed == []
     assert judge.result(path + np.array([0, 0, 0.2])).missed == [1, 2]
-    assert verify_plan(old, cover=cover).covered
+    with pytest.raises(ValueError, match="more points than"):
+        msgspec.structs.replace(made.manifest, passes=[])
 
 
 def test_the_clock_waits_before_a_gate_and_within_each_tolerance(course, visit):

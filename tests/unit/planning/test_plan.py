@@ -22,10 +22,11 @@ from alula.stages.planning.limits import motion_limits
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
-from alula.stages.planning.trajectory import evaluate, septic_spline
+from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
 from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
+from support.septic_splines import septic_spline
 
 WALL_WITH_HOLE = [
     [10, 0, 0, 12, 30, 8],

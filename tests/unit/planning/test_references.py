@@ -1,11 +1,11 @@
-"""References: straight septics, minimum-snap curves, and that the native curve flies them."""
+"""References: straight septics, and that the native curve flies them."""
 
 import numpy as np
 import pytest
 
 from alula._core import ReferenceCurve
 from alula.schemas.errors import InputError
-from alula.stages.planning.rest_to_rest import minimum_snap, rest_to_rest
+from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.planning.trajectory import evaluate
 
 
@@ -28,35 +28,10 @@ def test_a_straight_septic_peaks_at_the_asked_speed_and_rests_at_its_ends(speed)
     assert not rows[:, 16:].any()
 
 
-def test_a_minimum_snap_curve_meets_its_waypoints_within_limits():
-    waypoint = np.array([[0.0, 0, 1], [2, 1, 1.5], [3, -1, 1], [5, 0, 2]])
-    time, coefficient = minimum_snap(waypoint, speed=2.0, acceleration=3.0, yaw_rad=-0.2)
-    assert coefficient.shape == (3, 4, 8)
-    rows = ReferenceCurve(time, coefficient).at(np.linspace(0, time[-1], 5001))
-    assert np.linalg.norm(rows[:, 3:6], axis=1).max() <= 2.0 * (1 + 1e-9)
-    assert np.linalg.norm(rows[:, 6:9], axis=1).max() <= 3.0 * (1 + 1e-9)
-    assert np.abs(ReferenceCurve(time, coefficient).at(time)[:, :3] - waypoint).max() < 1e-9
-    assert np.abs(np.diff(rows[:, 9:12], axis=0)).max() < 0.5  # jerk without jumps
-    stopped = minimum_snap(waypoint, speed=2.0, acceleration=3.0, rest=[True, False, True, True])
-    assert np.abs(evaluate(*stopped, stopped.time[2], 1)).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("points", "limits", "text"),
-    [
-        ([[0, 0, 0]], (1, 1), "W >= 2"),
-        ([[0, 0, 0], [0, 0, 0]], (1, 1), "distinct"),
-        ([[0, 0, 0], [0, np.nan, 0]], (1, 1), "finite"),
-        ([[0, 0, 0], [1, 0, 0]], (0, 1), "speed"),
-        ([[0, 0, 0], [1, 0, 0]], (1, np.inf), "acceleration"),
-    ],
-)
-def test_references_without_meaning_are_refused(points, limits, text):
-    with pytest.raises(InputError, match=text):
-        minimum_snap(points, speed=limits[0], acceleration=limits[1])
+def test_references_without_meaning_are_refused():
     with pytest.raises(InputError, match="distinct"):
         rest_to_rest([1, 2, 3], [1, 2, 3], 1.0)
+    with pytest.raises(InputError, match="finite"):
+        rest_to_rest([0, 0, 0], [0, np.nan, 0], 1.0)
     with pytest.raises(InputError, match="peak speed"):
         rest_to_rest([1, 2, 3], [1, 2, 4], -1.0)
-    with pytest.raises(InputError, match="rest"):
-        minimum_snap([[0, 0, 0], [1, 0, 0]], speed=1, acceleration=1, rest=[True])
