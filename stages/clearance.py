@@ -164,32 +164,6 @@ def sphere_clearance(
     return found if math.isfinite(found) else None
 
 
-def clearance_to_hulls(
-    points: ArrayLike, hulls: Hulls, *, jobs: int = 0, cap_m: float = math.inf
-) -> FloatArray:
-    """`path_clearance` of a path to the hulls of a cover.
-
-    Args:
-        points: shape (T, 3), world frame [m].
-        hulls: world frame [m].
-        cap_m: distances of at least this are returned as this.
-    """
-    return path_clearance(points, hull_obstacles(hulls), jobs=jobs, cap_m=cap_m)
-
-
-def clearance_to_scene(
-    points: ArrayLike, scene: Artifact, sigma: float, *, jobs: int = 0, cap_m: float = math.inf
-) -> FloatArray:
-    """`path_clearance` of a path to the ellipsoids of a scene.
-
-    Args:
-        points: shape (T, 3), in the frame and unit of the scene.
-        sigma: level of its ellipsoids, in standard deviations.
-        cap_m: distances of at least this are returned as this.
-    """
-    return path_clearance(points, scene_obstacles(scene, sigma), jobs=jobs, cap_m=cap_m)
-
-
 @dataclass(frozen=True, slots=True)
 class PathMetrics:
     """Length [m], speed [m/s] and jerk [m/s^3] of a path sampled at equal intervals."""

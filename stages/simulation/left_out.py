@@ -125,52 +125,8 @@ DIFFERENCES = (
 )
 """Keys in which a plant can differ from the model; the steps of the plant and the interface besides them."""
 
-REFUSED = "refused for a quadrotor"
-_COARSE = "rules.plant_steps"
-_INTERFACE = "vehicle.interface"
-
-NO_DIFFERENCE = {
-    "vehicle.type": "body, rotors and rate loop of the vehicle are those of the model",
-    "vehicle.file": "body, rotors and rate loop of the vehicle are those of the model",
-    "vehicle.radius_m": "the filter keeps the same radius",
-    "vehicle.velocity_gain_per_s": "changes the nominal command, which no certificate depends on",
-    **dict.fromkeys(
-        (
-            *("vehicle.max_speed_m_s", "vehicle.max_acceleration_m_s2"),
-            *("vehicle.max_jerk_m_s3", "vehicle.actuation_delay_s"),
-        ),
-        REFUSED,
-    ),
-    **dict.fromkeys(
-        ("vehicle.autopilot", "vehicle.velocity_lag_s"),
-        "acts by velocities and accelerations only, where the whole cascade is named",
-    ),
-    "vehicle.disturbance.gust_time_s": "acts with gust_m_s only, which is named",
-    "vehicle.disturbance.sag_time_s": "acts with sag_share only, which is named",
-    "vehicle.assumed.motor_time_constant_s": "named beside the true one where they differ",
-    "vehicle.assumed.delay_s": "named beside the true one where they differ",
-    "estimation.preset": "gives values of other keys, which are looked at",
-    "estimation.noise_time_s": "acts with noise only, which is named",
-    "estimation.lost_for_s": "acts with lost_from_s only, which is named",
-    "estimation.stale_s": "acts with lost measurements only, which are named",
-    "rules.dt_s": "the model holds a command for dt_s * filter_ticks",
-    "rules.filter_ticks": "the model holds a command for dt_s * filter_ticks",
-    "rules.controller_ticks": "changes the nominal command, which no certificate depends on",
-    **dict.fromkeys(
-        ("rules.trials", "rules.seed", "rules.max_time_s", "rules.logged", "rules.log_rate_hz"),
-        "chooses what is flown and kept",
-    ),
-    **dict.fromkeys(
-        ("estimation.sensor", "estimation.tracker"),
-        "the other keys act on tracks of moving obstacles, on which no static certificate depends",
-    ),
-}
-"""Why no value of a key, or of the keys below a table, makes a difference."""
-
-
-def keys_with_difference() -> set[str]:
-    """Every key that `left_out` looks at."""
-    return {key for each in DIFFERENCES for key in each.keys} | {_COARSE, _INTERFACE}
+COARSE = "rules.plant_steps"
+INTERFACE = "vehicle.interface"
 
 
 def value_at(scenario: Scenario, key: str) -> Any:

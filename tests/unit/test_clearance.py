@@ -14,8 +14,6 @@ from alula.schemas.artifacts.artifact import make_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.errors import InputError
 from alula.stages.clearance import (
-    clearance_to_hulls,
-    clearance_to_scene,
     hull_obstacles,
     is_collision,
     path_clearance,
@@ -25,6 +23,7 @@ from alula.stages.clearance import (
     sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
+from support.clearances import clearance_to_hulls, clearance_to_scene
 from support.effort import examples
 
 QP_TOLERANCE = 2e-7  # of the interior-point solver, in metres, at distances of the order of one

@@ -14,7 +14,7 @@ from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.clearance import clearance_to_hulls, hull_obstacles
+from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.curve_certificate import certify, certify_curve
 from alula.stages.planning.fastest import MovingState
@@ -24,6 +24,7 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
+from support.clearances import clearance_to_hulls
 from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
 from support.septic_splines import septic_spline

@@ -11,7 +11,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.defaults import completed, vehicle_of
 from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
-from alula.stages.simulation.left_out import NO_DIFFERENCE, REFUSED, keys_with_difference, left_out
+from alula.stages.simulation.left_out import COARSE, DIFFERENCES, INTERFACE, left_out
 from alula.stages.simulation.prepare import prepare
 from support.quadrotor_model import derivative, fastbridge
 from support.small_scenes import box_cover
@@ -19,6 +19,45 @@ from support.world_runs import set_value
 
 BODY = fastbridge()
 WALL = box_cover([((15, -20, 0), (18, 20, 30))])
+
+REFUSED = "refused for a quadrotor"
+# Why no value of a key, or of the keys below a table, makes a difference.
+NO_DIFFERENCE = {
+    "vehicle.type": "body, rotors and rate loop of the vehicle are those of the model",
+    "vehicle.file": "body, rotors and rate loop of the vehicle are those of the model",
+    "vehicle.radius_m": "the filter keeps the same radius",
+    "vehicle.velocity_gain_per_s": "changes the nominal command, which no certificate depends on",
+    **dict.fromkeys(
+        (
+            *("vehicle.max_speed_m_s", "vehicle.max_acceleration_m_s2"),
+            *("vehicle.max_jerk_m_s3", "vehicle.actuation_delay_s"),
+        ),
+        REFUSED,
+    ),
+    **dict.fromkeys(
+        ("vehicle.autopilot", "vehicle.velocity_lag_s"),
+        "acts by velocities and accelerations only, where the whole cascade is named",
+    ),
+    "vehicle.disturbance.gust_time_s": "acts with gust_m_s only, which is named",
+    "vehicle.disturbance.sag_time_s": "acts with sag_share only, which is named",
+    "vehicle.assumed.motor_time_constant_s": "named beside the true one where they differ",
+    "vehicle.assumed.delay_s": "named beside the true one where they differ",
+    "estimation.preset": "gives values of other keys, which are looked at",
+    "estimation.noise_time_s": "acts with noise only, which is named",
+    "estimation.lost_for_s": "acts with lost_from_s only, which is named",
+    "estimation.stale_s": "acts with lost measurements only, which are named",
+    "rules.dt_s": "the model holds a command for dt_s * filter_ticks",
+    "rules.filter_ticks": "the model holds a command for dt_s * filter_ticks",
+    "rules.controller_ticks": "changes the nominal command, which no certificate depends on",
+    **dict.fromkeys(
+        ("rules.trials", "rules.seed", "rules.max_time_s", "rules.logged", "rules.log_rate_hz"),
+        "chooses what is flown and kept",
+    ),
+    **dict.fromkeys(
+        ("estimation.sensor", "estimation.tracker"),
+        "the other keys act on tracks of moving obstacles, on which no static certificate depends",
+    ),
+}
 
 # A value beside the model's, and an interface with which it has an effect; what is needed besides.
 BESIDE = {
@@ -119,7 +158,7 @@ def reasons_of(key):
 
 
 def test_every_key_has_one_verdict_and_every_verdict_a_key():
-    keys, named = all_keys(), keys_with_difference()
+    keys, named = all_keys(), {key for each in DIFFERENCES for key in each.keys} | {COARSE, INTERFACE}
     assert {"vehicle.disturbance.wind_m_s", "estimation.tracker.confirm_hits", "rules.dt_s"} <= keys
     assert named <= keys
     for key in keys:
@@ -136,7 +175,7 @@ def test_every_key_of_a_vehicle_file_is_one_of_the_scenario():
 
 
 def test_every_key_in_which_a_plant_can_differ_is_named_with_its_value():
-    assert BESIDE.keys() == keys_with_difference()
+    assert BESIDE.keys() == {key for each in DIFFERENCES for key in each.keys} | {COARSE, INTERFACE}
     for interface in ("wrench", "body-rates"):
         assert left_out(scenario({}, interface)) == []
     for key, (value, interface, others) in BESIDE.items():

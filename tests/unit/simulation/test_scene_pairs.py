@@ -7,12 +7,12 @@ import pytest
 from alula import _core
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, TrackingTable
-from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import sample_pairs
 from alula.stages.vehicles.bodies import tracking_gains
 from alula.stages.world.vehicle import catch_up_m_s
+from support.clearances import clearance_to_scene
 from support.fabricate import make_scene
 from support.foreign_filters import Passing
 from support.reference_flights import along, vehicle_of

@@ -9,9 +9,9 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.check import FILTER_COMMANDS
 from alula.schemas.scenarios.vehicle import BodyTable, LimitsTable, Vehicle
-from alula.stages.clearance import clearance_to_scene
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
+from support.clearances import clearance_to_scene
 from support.fabricate import make_scene
 from support.foreign_filters import Broken, Limiting, provide
 from support.small_scenes import ball_scene, box_cover, rest_plan

@@ -19,13 +19,14 @@ from alula.schemas.parameters.configs.scale_align import ScaleAlignConfig
 from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.alignment.scale_align import scale_align
-from alula.stages.clearance import clearance_to_hulls, clearance_to_scene, hull_obstacles
+from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
 from alula.stages.reconstruction.import_splat import import_splat
+from support.clearances import clearance_to_hulls, clearance_to_scene
 from support.small_scenes import ball_scene, box_cover
 from support.world_runs import flown, made_from
 from support.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled

@@ -9,9 +9,9 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.log.run import read_run
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.clearance import clearance_to_hulls
 from alula.stages.compression.hulls import Hulls
 from support import world_runs
+from support.clearances import clearance_to_hulls
 from support.small_scenes import ball_scene, box_cover
 
 RADIUS = FASTBRIDGE.body.radius_m
