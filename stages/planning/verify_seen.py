@@ -91,7 +91,9 @@ def verify_seen(
         statement += " (neither voxels nor scene were given: no obstacle was checked)"
     if covered and scene is not None and omitted:
         touched = _touched_by_all(manifest, marked, scene, jobs)
-        statement += f"; obstacles that are not retained may touch {touched} of its {int(marked.sum())} voxels"
+        statement += (
+            f"; obstacles that are not retained may touch {touched} of its {int(marked.sum())} voxels"
+        )
     statement += without(omitted + removed) if given else ""
     beyond = [beyond_words(require_sigma(manifest)), *omitted]
     if scene is not None:

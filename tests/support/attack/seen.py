@@ -195,7 +195,7 @@ def _seen(rng: np.random.Generator) -> Judged:
     hit = [voxel for voxel, count in _touched(points).items() if count >= enough and voxel in marked]
     if hit:
         return label, True, f"{len(hit)} seen voxels are touched, such as {hit[0]}: {found.statement}"
-    if (said := re.search(r"(\d+) of \d+ may be touched", found.statement)) is not None:
+    if (said := re.search(r"may touch (\d+) of its", found.statement)) is not None:
         points, _ = _named(truth, seen.manifest, whole=True)
         least = len(marked & _touched(points).keys())
         if least > int(said[1]):
