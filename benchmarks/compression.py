@@ -34,7 +34,7 @@ from tools import run_tool, write_mesh
 from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import VOXELS
 from alula.schemas.parameters.configs.merge import MergeConfig
-from alula.stages.compression.density_mesh import density_mesh, simplified
+from papers.polymerge.density_mesh import density_mesh, simplified
 
 Figures = dict[str, Any]
 

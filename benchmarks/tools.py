@@ -6,6 +6,11 @@ starting Python or reading the input; CPU time counts all threads. Peak memory i
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "examples"))  # the package `papers`
+
 import importlib
 import json
 import math
@@ -13,12 +18,10 @@ import os
 import resource
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +32,7 @@ from alula.schemas.artifacts.kinds import VOXELS
 from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.compression.voxel_mesh import voxel_mesh
+from papers.polymerge.voxel_mesh import voxel_mesh
 
 _ERRORS = 8  # tolerance in standard errors of four draws: chance exceeds it about once in some hundred
 HERE = str(Path(__file__).resolve().parent)

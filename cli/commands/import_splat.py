@@ -73,7 +73,7 @@ def command(
     one file, a part is a whole file while it is read.
     """
     from alula.cli.shell.parted import is_parted
-    from alula.cli.verbs.import_splat import Splats, inputs_of, names_of
+    from alula.cli.verbs.import_splat import SplatFiles, inputs_of, names_of
     from alula.cli.verbs.verb import run_step
     from alula.schemas.artifacts.kinds import SCENE
 
@@ -82,7 +82,7 @@ def command(
     with local_copies(splats, limits, common) as paths:
         shown = _shown(splats, paths)
         known_as = {paths[0]: "-"} if str(splats[0]) == "-" else shown
-        found = Splats(paths, config.format, config.lod, known_as)
+        found = SplatFiles(paths, config.format, config.lod, known_as)
         names = names_of(found.found, inputs_of(found.found), shown)
         run_step(common, found.step(config, part_gaussians, common.jobs), names=names)
 

@@ -21,15 +21,14 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.parameters.keywords import ImportSplatFields
     from alula.stages.reconstruction.formats.registry import SplatFile
-    from alula.stages.reconstruction.formats.splats import Level
-    from alula.stages.reconstruction.formats.splats import Splats as Read
+    from alula.stages.reconstruction.formats.splats import Level, Splats
     from alula.stages.reconstruction.import_splat import NothingLeftError, Screened
     from alula.stages.reconstruction.pieces import Piece
 
 
 @verb(ImportSplatConfig)
 def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> Step[Scene]:
-    """Read Gaussian splat files into a scene.
+    """Splats Gaussian splat files into a scene.
 
     Args:
         *splats: files, or the output folder of a trainer; several that share one frame become one scene.
@@ -41,10 +40,10 @@ def import_splat(*splats: str | Path, **fields: Unpack[ImportSplatFields]) -> St
     if not splats:
         raise UsageError("import_splat needs a splat file")
     config = configured("import_splat", ImportSplatConfig, fields)
-    return Splats([Path(path).expanduser() for path in splats], config.format, config.lod).step(config)
+    return SplatFiles([Path(path).expanduser() for path in splats], config.format, config.lod).step(config)
 
 
-class Splats:
+class SplatFiles:
     """Splat files of one frame; they are read once, however many scenes are made of them.
 
     Args:
@@ -70,9 +69,9 @@ class Splats:
         }
         self._known_as = known_as or {}
         self._first = self._known_as.get(paths[0], str(paths[0]))
-        self._whole: Read | None = None
+        self._whole: Splats | None = None
 
-    def _read(self, progress: Progress) -> Read:
+    def _read(self, progress: Progress) -> Splats:
         from alula.stages.progress import share
         from alula.stages.reconstruction.formats.capture import joined
 

@@ -245,11 +245,11 @@ def write_project(folder: Path, splats: Sequence[Path], chosen: Choices, trials:
 def _imported(splats: Sequence[Path], lod: int | None, assumed: dict[str, str]) -> tuple[Scene, str]:
     """The scene, without haze and floaters where that leaves most of it, and the options that make it."""
     from alula.cli.shell.bar import shown
-    from alula.cli.verbs.import_splat import Splats
+    from alula.cli.verbs.import_splat import SplatFiles
     from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
     from alula.stages.reconstruction.faint import FAINT
 
-    files = Splats(splats, lod=lod)
+    files = SplatFiles(splats, lod=lod)
     fields: dict[str, Any] = {} if lod is None else {"lod": lod}
 
     def screened(**more: Any) -> Screened:

@@ -49,7 +49,7 @@ def main() -> None:
     """Make the surface, run CoACD on it, and write its parts or none."""
     from alula.schemas.artifacts.artifact import read_artifact
     from alula.schemas.atomic import atomic_output
-    from alula.stages.compression.density_mesh import density_mesh, simplified
+    from papers.polymerge.density_mesh import density_mesh, simplified
 
     scene, voxels, output = (Path(word) for word in sys.argv[1:4])
     limit_s = float((*sys.argv[4:], "300")[0])

@@ -12,7 +12,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -39,7 +39,6 @@ PARTED = {kind.name: kind for kind in KINDS.values() if kind.folder_suffix}
 INDEX_LIMIT = 2**26  # [B]
 _ROUNDING = 1e-12  # relative; more than the rounding of a box's corners
 
-M = TypeVar("M", bound=Manifest)
 Hash = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 _Count = Annotated[int, msgspec.Meta(ge=1, le=2**48)]
 

@@ -59,7 +59,7 @@ def read_glb(source: Source) -> Mesh:
             if (mesh, number) not in met:
                 met.add((mesh, number))
                 loose += loose_points(index, len(points))
-            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+            with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused later
                 moved = _moved(*_pieces(tables, primitive, matrix), points)
             corners.append(moved[_facing(index, matrix)])
     return Mesh(np.concatenate(corners) if corners else np.empty((0, 3, 3)), "y", loose=loose)

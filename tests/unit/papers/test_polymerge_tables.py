@@ -5,7 +5,6 @@ from itertools import product
 import numpy as np
 import pytest
 
-from alula.stages.compression.voxel_mesh import voxel_mesh
 from alula.stages.reporting.table import table_csv
 from papers.polymerge.maps import (
     curve_figure,
@@ -16,6 +15,7 @@ from papers.polymerge.maps import (
     volumes_figure,
     volumes_table,
 )
+from papers.polymerge.voxel_mesh import voxel_mesh
 from support.polymerge_maps import ROOM, TREE
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
-from alula.stages.compression.density_mesh import density_mesh, level_set, simplified
 from alula.stages.compression.voxelize import voxelize
+from papers.polymerge.density_mesh import density_mesh, level_set, simplified
 from support.small_scenes import ball_scene
 
 
@@ -73,6 +73,6 @@ def test_gaussians_far_from_every_occupied_voxel_have_no_surface():
 def test_a_scene_without_voxels_or_with_too_large_a_grid_is_refused(monkeypatch):
     scene = ball_scene([(0, 0, 0)], 0.2)
     voxels = voxelize(VoxelizeConfig(size_m=0.1), scene)
-    monkeypatch.setattr("alula.stages.compression.density_mesh.MAX_NODES", 10)
+    monkeypatch.setattr("papers.polymerge.density_mesh.MAX_NODES", 10)
     with pytest.raises(InputError, match="too large"):
         density_mesh(scene, voxels)
