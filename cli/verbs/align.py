@@ -108,9 +108,6 @@ class Files:
     def config_of(self, fields: Mapping[str, Any], distances: Sequence[Any]) -> ScaleAlignConfig:
         """The configuration of an alignment by these files.
 
-        Args:
-            distances: two points of the scene and their distance, each.
-
         Raises:
             UsageError: options are contradictory, redundant or incomplete.
         """
@@ -140,7 +137,6 @@ class Files:
         """The alignment of a scene.
 
         Args:
-            seed: of all randomness.
             report: called with what was found, before it is checked.
             jobs: threads, each with one part, where the output is a folder.
         """
@@ -226,9 +222,6 @@ def _check_evidence(config: ScaleAlignConfig, files: Files) -> None:
 
 def evidence_of(config: ScaleAlignConfig, files: Files) -> Evidence | None:
     """Read the evidence for the alignment.
-
-    Args:
-        files: with the evidence.
 
     Raises:
         InputError: a file cannot be read.

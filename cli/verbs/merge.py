@@ -52,14 +52,7 @@ def merge(
 
 @dataclass(frozen=True, slots=True)
 class Merging:
-    """A merge before its work.
-
-    Attributes:
-        config: see `MergeConfig`.
-        source: voxels or a cover.
-        scheduler: see `merge_blocks`.
-        jobs: see `merge_blocks`.
-    """
+    """A merge before its work."""
 
     config: MergeConfig
     source: Result | File

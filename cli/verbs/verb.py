@@ -40,11 +40,8 @@ class Step(Generic[R]):
     """A call of a verb whose parameters and files go together, before its work.
 
     Attributes:
-        result: class of what it makes.
-        config: complete configuration, which is recorded.
         inputs: all that the result depends on, by role; files are read by `build`.
         build: function from a progress callback to the artifact.
-        seed: of all randomness, where the result depends on one.
         into: function that writes a folder of parts and returns the manifest of the whole; None where the
             result is one file.
         extra: further parameters that a folder of parts depends on.

@@ -127,13 +127,8 @@ class Proving:
     Attributes:
         role: `plan`, `map` (an onboard map), `seen`, `cover`, `voxels`, `tiles`, `parts` (a cover whose parts
             are proven one by one) or `part` (one of these).
-        proven: what is proven.
         inputs: all files and results by role, the proven one first.
-        key: file of the key that must have signed tiles.
         certificate: of the cover of a `part`.
-        allow_other_map: see `require_own_map`.
-        scheduler: see `verify_parts`.
-        jobs: threads or processes.
     """
 
     role: str
@@ -288,12 +283,7 @@ class Proving:
 
 
 class Proof:
-    """The certificate of a proof that holds.
-
-    Attributes:
-        certificate: checks and their results.
-        statement: the verdict in a sentence.
-    """
+    """The certificate of a proof that holds."""
 
     def __init__(self, certificate: Certificate, provenance: Provenance) -> None:
         self.certificate = certificate

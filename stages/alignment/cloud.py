@@ -40,10 +40,8 @@ class Cloud:
     """A surveyed cloud, with a first guess of the scene's position in it.
 
     Attributes:
-        name: of the file, for the record.
         points: shape (n, 3) [m].
         initial: world from scene, approximately, or correspondences that determine it; None: the identity.
-        facts: further figures for the alignment's record.
     """
 
     name: str
@@ -58,8 +56,6 @@ class CloudFit:
 
     Attributes:
         similarity: cloud = scale R scene + t.
-        uncertainty: covariance of the similarity's parameters, from blocks of space.
-        count: number of thinned points of the scene.
         residual: distances of pairs along the normal, shape (m,) [m].
         block: block of each pair, shape (m,).
         block_centre: mean of the paired points of each block, shape (B, 3) [m].

@@ -29,9 +29,6 @@ class Given:
 
     Attributes:
         similarity: world from scene.
-        method: name of its origin, for the record.
-        warnings: for the record, one sentence each.
-        facts: further figures for the record.
     """
 
     similarity: Similarity

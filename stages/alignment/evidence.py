@@ -37,7 +37,6 @@ class Landmarks:
     """3D points of a camera model, and all of its cameras.
 
     Attributes:
-        name: of the model, for messages.
         points: shape (n, 3), frame and units of the model.
         cameras: centres, shape (m, 3).
         axes: the cameras' axes as columns (x right, y down, z forward), shape (m, 3, 3).
@@ -75,8 +74,6 @@ class Correspondences:
         R_scene: axes of the cameras as columns, shape (n, 3, 3), scene frame; None when orientations are no
             evidence.
         R_world: axes of the same cameras, shape (n, 3, 3), world frame; None as above.
-        facts: further figures for the alignment's record.
-        warnings: for the record, one sentence each.
         landmarks: of the model of the scene's cameras, scene frame; None where it has no 3D points.
     """
 
@@ -110,11 +107,9 @@ class Positions:
     """Named camera positions of one frame.
 
     Attributes:
-        names: names of the images.
         position: shape (n, 3), units of the frame.
         rows: file and row of each, for messages.
         axes: the cameras' axes as columns (x right, y down, z forward), shape (n, 3, 3); None when unknown.
-        facts: figures about the frame, for the alignment's record.
         landmarks: of the cameras' model; None where it has no 3D points.
     """
 
@@ -275,8 +270,6 @@ def in_training_frame(
     Args:
         original_from_training: source poses' frame from the scene's frame.
         found: correspondences whose scene side is in the frame of the source poses.
-        facts: further figures for the alignment's record.
-        warnings: further warnings for the record.
     """
     return dataclasses.replace(
         found.moved(inverse(original_from_training)),

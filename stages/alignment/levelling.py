@@ -37,10 +37,8 @@ class Level:
 
     Attributes:
         motion: levelled from present frame, scale 1.
-        facts: figures for the alignment's record.
         error: uncertainty of the floor's height and of its two tilts; None when up was given, or when the
             floor is too small for an estimate.
-        warnings: weaknesses of the result, one sentence each.
     """
 
     motion: Similarity

@@ -52,8 +52,6 @@ class ModelFrame:
 
     Attributes:
         scene_from_model: None where the model is in the splat's frame.
-        facts: for the record.
-        warnings: for the record, one sentence each.
         fit: the similarity's residuals and uncertainty, in the splat's frame; None as above.
     """
 
@@ -282,15 +280,7 @@ def _searched(landmarks: Landmarks, judge: _Judge, what: str) -> tuple[str, Simi
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A frame that may be the splat's.
-
-    Attributes:
-        name: of its recipe.
-        similarity: scene from model, or from the mirrored model.
-        is_mirrored: the latter.
-        is_exact: as the recipe gives it, not refined.
-        score: see `_Judge.score`.
-    """
+    """A frame that may be the splat's."""
 
     name: str
     similarity: Similarity

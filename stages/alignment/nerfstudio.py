@@ -25,8 +25,6 @@ class TrainingFrame:
 
     Attributes:
         original_from_training: p_original = A' (p_train / scale - b), the source poses' own frame.
-        facts: the values that were read, for the alignment's record.
-        warnings: doubts about them, one sentence each.
     """
 
     original_from_training: Similarity

@@ -118,7 +118,6 @@ def angles(first: FloatArray, second: FloatArray) -> FloatArray:
 
     Args:
         first: shape (n, 3, 3), or (1, 3, 3) to compare one with all.
-        second: as `first`.
 
     Returns:
         Shape (n,) [rad].

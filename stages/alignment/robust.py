@@ -44,13 +44,11 @@ class Fit:
         inlier: mask of the inliers, shape (n,).
         residual: distance of each target from its mapped source, shape (n,) [target units].
         sigma: standard deviation of one coordinate of an inlier's error, corrected for the threshold.
-        uncertainty: covariance of the similarity's parameters.
         leave_one_out: smallest and largest scale with any one inlier left out.
         singular_values: of the centred inliers in the source, decreasing.
         angle: angle between each target's orientation and its mapped source's [rad], shape (n,); None for
             points without orientations.
         correlated: probability that the errors of neighbours are correlated; the uncertainty contains it.
-        warnings: weaknesses of the evidence, one sentence each.
     """
 
     similarity: Similarity

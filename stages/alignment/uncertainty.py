@@ -83,9 +83,6 @@ class Uncertainty:
 
         The rotation's components are about the axes of the target frame; the translation is the mapped
         position of the source's origin.
-
-        Args:
-            similarity: the similarity with this error.
         """
         student = self.student()
         scale_sigma = similarity.scale * float(np.sqrt(self.covariance[3, 3]))

@@ -23,11 +23,7 @@ _PLANES_PER_HULL, _BYTES_PER_HULL = 7, 20  # fewer than covers within such budge
 
 
 def wanted_hulls(config: MergeConfig) -> int | None:
-    """Number of hulls that the limits allow at most, roughly; None where only the growth is limited.
-
-    Args:
-        config: with the limits.
-    """
+    """Number of hulls that the limits allow at most, roughly; None where only the growth is limited."""
     limits = [config.hulls] if config.hulls is not None else []
     if config.max_planes is not None:
         limits.append(math.ceil(config.max_planes / _PLANES_PER_HULL))
@@ -100,8 +96,6 @@ def merges_of(config: MergeConfig, curves: Sequence[Curve], voxels: int, finer: 
     cubes. Cubes have more hulls where their curves end before.
 
     Args:
-        curves: of all cubes.
-        voxels: number of all voxels.
         finer: see `finer_than_last`; 1 for the limits themselves.
     """
     owner = np.repeat(np.arange(len(curves)), [len(curve.excess) - 1 for curve in curves])

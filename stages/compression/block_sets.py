@@ -25,12 +25,9 @@ class BlockTask:
     """A merge for a worker: of the voxels of a block, or of the sets of several cubes together.
 
     Attributes:
-        config: limits of the merge.
-        manifest: of the voxels or the sets.
         index: voxels, shape (M, 3); None where there are sets.
         sets: of each cube the members, the first member of each set, and the merges to do first.
         begin: limits of a merge of voxels before the one that is recorded.
-        jobs: threads.
     """
 
     config: MergeConfig
@@ -44,9 +41,6 @@ class BlockTask:
 def last_cover(task: BlockTask) -> Artifact:
     """Cover of a region; runs in a worker.
 
-    Args:
-        task: with the limits of the region.
-
     Raises:
         InputError, InfeasibleError: see `merge`.
     """
@@ -55,9 +49,6 @@ def last_cover(task: BlockTask) -> Artifact:
 
 def sets_of(task: BlockTask) -> Artifact:
     """Sets to merge, and their merges up to a limit; runs in a worker.
-
-    Args:
-        task: with the limits.
 
     Returns:
         The sets in the form of a cover without vertices and planes. Its `history` has the increase of the sum

@@ -37,7 +37,6 @@ class Node:
     Attributes:
         level: it has 2^level blocks along an edge.
         place: in the grid of cubes of its size, counted from the lowest place of all blocks.
-        voxels: number of voxels.
         height: longest way down to a leaf.
         children: the cubes that are joined; empty for a leaf.
     """
@@ -82,11 +81,7 @@ def blocks_of(parts: Parts, edge: int) -> list[Block]:
 
 
 def chosen_edge(parts: Parts, most: int = BLOCK_VOXELS) -> int:
-    """Largest power of two, at least 16, with which no block has more than `most` voxels.
-
-    Args:
-        most: maximum number of voxels of a block.
-    """
+    """Largest power of two, at least 16, with which no block has more than `most` voxels."""
     cells, edge = {block.place: block.voxels for block in blocks_of(parts, _FINEST)}, _FINEST
     while len(cells) > 1:
         coarser: dict[Place, int] = {}
@@ -108,8 +103,6 @@ def regions_of(
     child only are left out.
 
     Args:
-        blocks: as `blocks_of` returns them.
-        most: maximum number of voxels of a region.
         join: join blocks; else each is a region.
 
     Raises:

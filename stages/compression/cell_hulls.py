@@ -33,13 +33,11 @@ class CellHulls:
     """Hulls that touch a cell, complete, with their numbers in the part.
 
     Attributes:
-        cover: these hulls alone.
         numbers: of the hulls in the part, shape (n,).
         vertex_shift: row of the part's `vertex` minus row of this one's, for each hull.
         plane_shift: the same for planes.
         is_own: whether the hull counts in this cell; each counts in one cell of its cube.
         domain: lowest and highest voxel of the part's cube, shape (2, 3).
-        cube: the same of the cell.
     """
 
     cover: Artifact

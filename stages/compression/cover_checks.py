@@ -79,12 +79,7 @@ def files_agree(cover: Artifact, voxels: Artifact | Parts | None, scene: Artifac
 
 
 def unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
-    """Differences between the level that a manifest's guarantee claims and its fields, which checks use.
-
-    Args:
-        manifest: with the claims.
-        what: kind of the artifact, for the message.
-    """
+    """Differences between the level that a manifest's guarantee claims and its fields, which checks use."""
     claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
     return [
         Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")

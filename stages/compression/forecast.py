@@ -31,7 +31,6 @@ class Dominant:
         rows: their rows among the ellipsoids, the largest first.
         longest: longest one-sigma semi-axis of the first of them [m].
         limit: longest semi-axis between theirs and those of all others [m].
-        voxels: estimated number of voxels without them.
     """
 
     rows: tuple[int, ...]
@@ -122,9 +121,6 @@ def fitting_size(ellipsoids: Ellipsoids, limit: int) -> tuple[float, float] | No
 
     Sizes that certainly suffice come first, so that no estimate takes longer than marking `limit` voxels.
 
-    Args:
-        limit: maximum number of voxels.
-
     Returns:
         The size [m], with two digits, and the estimated number of voxels; None when no size was found.
     """
@@ -157,7 +153,6 @@ def dominant(ellipsoids: Ellipsoids, voxels: float, limit: int) -> Dominant | No
 
     Args:
         voxels: estimated number of voxels with all Gaussians.
-        limit: maximum number of voxels.
 
     Returns:
         The fewest of 1, 10 and 100; None when even 100 do not suffice.

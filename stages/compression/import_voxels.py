@@ -69,9 +69,6 @@ def import_voxels(
     nothing is known of, within the box of all leaves. Edges of octree and voxels count as the decimals that
     the file and the configuration state. Rounding is outward (see `touch.hpp`).
 
-    Args:
-        source: a mesh, a cloud or an octree.
-
     Returns:
         An `alula/voxels` in the frame "world". `overlap` is the number of triangles, points or cubes that
         touch the voxel; 0 where only the inside of a mesh does.
@@ -142,9 +139,6 @@ def import_voxels(
 
 def imported_of(config: ImportVoxelsConfig, source: ImportedSource) -> ImportedMap:
     """Definition of the obstacles of a source.
-
-    Args:
-        source: a mesh, a cloud or an octree.
 
     Raises:
         UsageError: a parameter is not for this kind of source.

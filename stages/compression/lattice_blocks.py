@@ -20,8 +20,6 @@ class Block:
 
     Attributes:
         number: rank among all blocks in lexicographic order of their lowest voxels.
-        lower: lowest voxel.
-        upper: highest voxel.
         rows: for each part that touches the block its number, and where its rows begin and end in the
             list of the rows of all blocks.
     """
@@ -42,12 +40,9 @@ class Tally:
     """Counts over all blocks and parts.
 
     Attributes:
-        gaussians: of the scene.
         retained: of at least the minimum opacity.
         below: touched voxels left out because of `min_overlap`.
         max_overlap: maximum overlap of all touched voxels.
-        voxels: number of marked voxels.
-        overlaps: sum of their overlaps.
         lower: lowest marked voxel along each axis.
         upper: highest one.
         largest: volume of the largest ellipsoid [voxels], its longest semi-axis [m], its part and its row.

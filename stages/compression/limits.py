@@ -25,8 +25,6 @@ def require_at_most(limit: int, voxels: int, what: str) -> None:
     """Refuse more voxels than a stage has memory for.
 
     Args:
-        limit: maximum number of voxels.
-        voxels: number of voxels of the input.
         what: subject and verb of the message, such as "alula/cover lists".
 
     Raises:

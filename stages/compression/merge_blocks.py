@@ -72,11 +72,9 @@ class BlockPlan:
     """Division of voxels into blocks and regions.
 
     Attributes:
-        parts: the voxels.
         edge: of a block [voxels].
         regions: cubes of blocks that are joined; each becomes a cover of its own.
         lowest: lowest place of all blocks, from which cubes are counted.
-        blocks: number of blocks.
     """
 
     parts: Parts
@@ -184,11 +182,7 @@ def merge_blocks(
 
 
 def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]) -> dict[str, Any]:
-    """Fields of the manifest of a cover in parts.
-
-    Args:
-        parts: manifests of the covers of all regions, in their order.
-    """
+    """Fields of the manifest of a cover in parts."""
     manifests = [each for each in parts if isinstance(each, CoverManifest)]
     first = manifests[0]
     growth = _growth(manifests)

@@ -136,9 +136,6 @@ def verify_voxels(
 ) -> Certificate:
     """Check voxels against the mesh, cloud or octree that they were imported from.
 
-    Args:
-        source: what they must contain.
-
     Raises:
         UsageError: there is no source, or the voxels are those of a scene.
         InputError: there are more than `VERIFY_VOXELS` voxels, or see `imported_checks`.
@@ -167,7 +164,6 @@ def certificate_of(
 
     Args:
         files: by role; None where a file was not given.
-        checks: all results.
         proven: what holds without a scene, in words.
         below: number of Gaussians below the minimum opacity; None to count those of `scene`, of which else
             only the manifest is used.

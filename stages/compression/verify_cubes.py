@@ -41,7 +41,6 @@ class Sources:
     """What a cover is proven against.
 
     Attributes:
-        level: definition of an obstacle.
         occupied: voxels, or a cover whose members they are; None where neither voxels nor scene are given.
         voxels: of the whole, if given.
         scene: of the whole, if given.

@@ -47,7 +47,6 @@ def imported_checks(
     voxels in rational numbers, and each voxel must be in the set.
 
     Args:
-        source: the map, as read from its file.
         index: the voxels, shape (M, 3), in any order; repetitions are allowed.
 
     Raises:

@@ -216,11 +216,7 @@ def part_proof(sources: Sources, part: Artifact, cells: Sequence[CellProof]) -> 
 
 
 def leaf_of(proof: Certificate) -> str:
-    """Leaf of a part's certificate.
-
-    Args:
-        proof: as `proof_of` returns it.
-    """
+    """Leaf of a part's certificate."""
     return merkle.leaf(msgspec.json.encode(proof, order="sorted"))
 
 

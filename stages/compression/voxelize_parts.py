@@ -76,7 +76,6 @@ class BlockVoxelizer:
 
     Attributes:
         config: the configuration.
-        tally: counts so far.
 
     Raises:
         InputError: the scene is not metric.

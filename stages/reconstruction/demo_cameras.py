@@ -25,7 +25,6 @@ class DemoCameras:
     """Cameras along a walk through the room.
 
     Attributes:
-        names: names of the images.
         centre_scene: estimated camera centres, shape (n, 3), scene frame.
         quat_camera_scene_wxyz: rotation from the scene to the camera (x right, y down, z forward),
             shape (n, 4).

@@ -24,7 +24,6 @@ class OpacityLimit:
     """Effect of one limit of the opacity.
 
     Attributes:
-        limit: minimum opacity.
         gaussians: number of Gaussians below it.
         cells: number of cells that no Gaussian of at least that opacity touches.
     """
@@ -41,8 +40,6 @@ class MarkedVolume:
     Attributes:
         edge: edge of a cell [file units]; 1/128 of the longest side of the box that has 98 % of the centres
             along each axis.
-        cells: number of touched cells.
-        limits: effect of each limit.
     """
 
     edge: float
@@ -71,7 +68,6 @@ def marked_volume(
         scale: one-sigma semi-axes, shape (N, 3).
         quat_wxyz: rotations, not normalised, shape (N, 4).
         opacity: shape (N,).
-        limits: minimum opacities.
 
     Returns:
         The volume; None when no row is finite or all centres coincide.

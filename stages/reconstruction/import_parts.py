@@ -85,9 +85,6 @@ def whole_scene(
 ) -> dict[str, Any]:
     """Fields of the manifest of a whole scene, from those of its parts.
 
-    Args:
-        levels: levels of detail of all files.
-
     Raises:
         InputError: no Gaussian is left.
     """

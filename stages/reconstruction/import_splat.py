@@ -41,7 +41,6 @@ class Screened:
     """Gaussians of a decoded file with what a configuration keeps of them, before any of them is copied.
 
     Attributes:
-        config: see `ImportSplatConfig`.
         splats: all Gaussians, turned as the configuration says.
         removal: 0 for rows that are kept, shape (N,).
         removed: number of rows that each rule removed.
@@ -197,7 +196,6 @@ def scene_fields(
         figures: further figures of the summary, such as `scale_max`.
         notes: all but that on what the scene lacks.
         is_lossy: whether the scene has an array `loss`.
-        parts: number of parts of a scene in parts.
     """
     turned = f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"
     summary = {
@@ -241,11 +239,7 @@ def check_whole(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
 
 
 class NothingLeftError(InputError):
-    """No Gaussian is left.
-
-    Attributes:
-        removed: number of rows that each rule removed.
-    """
+    """No Gaussian is left."""
 
     def __init__(self, text: str, removed: dict[str, int]) -> None:
         super().__init__(text)

@@ -137,11 +137,7 @@ def up_of(mean: _Centres, convention: Convention = Convention()) -> Up:
 
 
 def up_given(axis: str) -> Up:
-    """Up as the user gave it.
-
-    Args:
-        axis: such as "+z".
-    """
+    """Up as the user gave it."""
     return Up(_axis("xyz".index(axis[1]), 1.0 if axis[0] == "+" else -1.0), "as given")
 
 

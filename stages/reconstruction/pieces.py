@@ -32,8 +32,6 @@ class Piece:
 
     Attributes:
         file: number of the file among all files.
-        number: of the piece in its file.
-        found: the file.
         rows: rows of the file; None for all of them.
         member: name of the file of a streamed SOG; empty for other formats.
     """

@@ -49,7 +49,6 @@ class Columns:
 
         Args:
             low: lower ends of the column along x and y [voxels].
-            high: upper ends.
         """
         ends = [np.append(each, z) * self._size for each, z in ((low, -_FAR), (high, _FAR))]
         found = [np.empty((0, 3), np.int32)]
@@ -63,9 +62,6 @@ class Columns:
 
     def beyond(self, low: Ints, high: Ints) -> Iterator[Ints]:
         """Boxes around all voxels beyond each side of a column; each voxel that `near` lacks is in one.
-
-        Args:
-            low: see `near`.
 
         Yields:
             Lower and upper corner of the box, shape (2, 3), of each side with voxels.

@@ -47,9 +47,6 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
     far apart, so that few decoded hulls can be reused. `bound` holds for any position and any parameters: it
     assumes that every pass of a tick visits and decodes every hull.
 
-    Args:
-        image: the same image, decoded.
-
     Returns:
         `measured` and `bound` [instructions].
     """
@@ -113,9 +110,6 @@ def largest_budget(room: int, hulls: int) -> int:
 def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
     """Refuse a map that does not fit on a target.
 
-    Args:
-        image: the same image, decoded.
-
     Raises:
         InfeasibleError: it is too large; the message has the `merge --max-bytes` that fits.
     """
@@ -151,9 +145,6 @@ def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
 
     `share_at_R_hz` is the fraction of a control period at R Hz that polytope-cbf takes at the worst position
     that was tried.
-
-    Args:
-        image: the same image, decoded.
     """
     worst = worst_tick(raw, image)
     facts: dict[str, Any] = {

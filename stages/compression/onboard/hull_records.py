@@ -69,7 +69,6 @@ class HullRecords:
 
         Args:
             low: lower ends of the column along x and y [voxels].
-            high: upper ends.
         """
         ends = int(low[1]), int(high[1])
         if self._row[:2] != ends:  # those of a row of tiles, of which each tile takes some

@@ -76,8 +76,6 @@ def cut_tiles(
         cover: an `alula/cover`, alone or in parts.
         keep: called with the image of each tile, in the order of the index.
         hysteresis_m: see above; at most half of a tile [m].
-        largest_normal: as `encode_map`.
-        cover_sha256: as `encode_map`.
 
     Returns:
         The index without `key_id` and `provenance`, see `TilesIndex`.

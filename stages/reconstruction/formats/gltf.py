@@ -229,11 +229,7 @@ class _Output:
         return scale, loss[:, 0]
 
     def splats(self, tags: dict[str, str], notes: tuple[str, ...], properties: Properties) -> Splats:
-        """Gaussians that were read, with their loss.
-
-        Args:
-            notes: notes for the user.
-        """
+        """Gaussians that were read, with their loss."""
         unbounded = {}
         if self.saturated:
             unbounded["scale"] = f"{self.saturated} rows hold the largest code there is"

@@ -180,9 +180,7 @@ class Tables:
     """A parsed file: its document and the tables in it.
 
     Attributes:
-        text: the JSON.
         document: what a splat or a mesh uses of it.
-        notes: notes for the user about the container.
     """
 
     def __init__(self, source: Source) -> None:

@@ -182,8 +182,6 @@ class SplatFile:
 
     Attributes:
         path: the path that the user gave.
-        source: the file or folder to read.
-        format: its format.
     """
 
     path: Path

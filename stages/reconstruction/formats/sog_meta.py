@@ -45,15 +45,10 @@ class SogMeta:
         mins: of the logarithmic positions, by axis.
         maxs: likewise.
         means: images of the low and the high bytes.
-        scales: image.
-        quats: image.
-        sh0: image.
         log_scales: values by axis.
         sh0_values: values by channel.
         logits: of alpha; None where the code is alpha.
         harmonics: None without any.
-        tags: see `Splats.tags`.
-        notes: notes for the user.
         unknown: names of sections of unknown meaning.
     """
 
@@ -85,7 +80,6 @@ def parse_json(raw: bytes, name: str = "meta.json") -> dict[str, Any]:
 
     Args:
         raw: the text in UTF-8.
-        name: name of the file, for messages.
 
     Raises:
         ArtifactError: the text is not JSON, or not an object.

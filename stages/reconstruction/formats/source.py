@@ -62,11 +62,7 @@ class Source:
         return b"" if self.is_folder else bytes(self.data[:HEAD])
 
     def has(self, name: str) -> bool:
-        """Test whether a file is in the folder.
-
-        Args:
-            name: name relative to the folder.
-        """
+        """Test whether a file is in the folder."""
         return (self.folder / name).is_file()
 
     def member(self, name: str) -> memoryview:

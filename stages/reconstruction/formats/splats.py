@@ -72,20 +72,17 @@ class Splats:
     Values may be NaN or infinite and quaternions may have any length; `import_splat` handles those.
 
     Attributes:
-        format: name of the format.
         mean: centres, shape (N, 3), file frame and units.
         scale: one-sigma semi-axes, not negative, shape (N, 3), file units.
         quat_wxyz: rotation from local axes to the file frame, not normalised, shape (N, 4).
         opacity: alpha, shape (N,).
         color: red, green, blue, shape (N, 3).
         loss: None when the format keeps single precision.
-        comments: free text found in the file.
         tags: properties that the file states: `render_mode`, `antialiased`, `vertical_axis`, `generator`,
             `frame`.
         notes: notes for the user about the reading of the file.
         levels: levels of detail that the Gaussians come from; empty where the file is no part of a capture
             that is spread over several files.
-        properties: further properties of the file.
     """
 
     format: str

@@ -64,10 +64,7 @@ class Packed:
     """Inflated arrays of a file, without the higher harmonics.
 
     Attributes:
-        header: header of the file.
-        array: bytes of each array.
         frame: name of the frame; None where the file does not name it.
-        notes: notes for the user.
         unknown: names of extensions of unknown meaning.
     """
 

@@ -31,7 +31,6 @@ class LevelIndex:
     """Checked contents of `lod-meta.json`.
 
     Attributes:
-        levels: number of levels of detail; 0 is the finest.
         files: names of the SOG files, relative to the index.
         ranges: level to file number to ranges (first row, row after the last).
         environment: file of the environment; empty without one.
@@ -112,9 +111,6 @@ def decode_streamed_sog(source: Source, progress: Progress | None = None) -> Spl
 def level_files(source: Source) -> tuple[str, ...]:
     """Names of the files of the chosen level, relative to the index.
 
-    Args:
-        source: as for `decode_streamed_sog`.
-
     Raises:
         UsageError: the capture has no such level.
         ArtifactError: the index is damaged, or a file of the level is missing.
@@ -125,9 +121,6 @@ def level_files(source: Source) -> tuple[str, ...]:
 
 def decode_level_file(source: Source, name: str, progress: Progress | None = None) -> Splats:
     """Decode one file of the chosen level; `levels` of the result names all files of the level.
-
-    Args:
-        source: as for `decode_streamed_sog`.
 
     Raises:
         UsageError, ArtifactError: as `decode_streamed_sog`.
@@ -146,7 +139,6 @@ def chosen_level(source: Source, index: LevelIndex | None = None) -> Level:
     """Description of the chosen level with all of its files.
 
     Args:
-        source: as for `decode_streamed_sog`.
         index: contents of the index; None reads them.
 
     Raises:
