@@ -11,7 +11,6 @@ import json
 import re
 from pathlib import Path
 
-from alula.schemas.log.fence_ticks import read_ticks
 from alula.schemas.log.run import read_run
 from alula.stages.reporting.table import folded
 from papers.comparison import comparison_words, this_machine, write_comparison, write_record
@@ -19,6 +18,7 @@ from papers.geofencing import figures as geofencing_figures
 from papers.geofencing import pendulum
 from papers.geofencing import tables as geofencing
 from papers.geofencing.pendulum import PROGRAM, REGULATION, sweep
+from papers.geofencing.ticks import read_ticks
 from papers.geofencing.verdicts import paper_rows
 from papers.papers import GEOFENCING
 from papers.verdicts import verdict_table

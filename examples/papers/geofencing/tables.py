@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.log.fence_ticks import Ticks
 from alula.schemas.log.run import FenceResult, RunRecord
 from alula.stages.reporting.fenced import fence_distance
 from alula.stages.reporting.statistics import Rate, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 from alula.stages.vehicles.fence import fence_faces
 from papers.geofencing.pendulum import Swing, gains_in_short, times_in_short
+from papers.geofencing.ticks import Ticks
 from papers.published import GEOFENCING
 
 KM_H = 3.6  # of 1 m/s

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from alula.schemas.log.fence_ticks import Ticks
 from alula.schemas.parameters.filter_options import GeofenceParameters
 from alula.stages.reporting.statistics import difference_estimate, rate
 from papers import published
@@ -23,6 +22,7 @@ from papers.geofencing.tables import (
     find,
     select,
 )
+from papers.geofencing.ticks import Ticks
 from papers.papers import GEOFENCING
 from papers.verdicts import above, close, holds, settings, stated
 

@@ -5,7 +5,6 @@ import pytest
 
 from alula.schemas.artifacts.manifest import Guarantee
 from alula.schemas.artifacts.provenance import Provenance
-from alula.schemas.log.fence_ticks import Ticks
 from alula.schemas.log.run import FenceResult, RunRecord, TrialResult
 from alula.stages.verdict import wilson_interval
 from papers.compared import VERDICTS
@@ -13,6 +12,7 @@ from papers.geofencing import figures as geofencing_figures
 from papers.geofencing import pendulum
 from papers.geofencing import tables as geofencing
 from papers.geofencing.pendulum import PROGRAM, REGULATION, sweep
+from papers.geofencing.ticks import Ticks
 from papers.geofencing.verdicts import paper_rows
 from papers.papers import GEOFENCING
 from papers.verdicts import verdict_table

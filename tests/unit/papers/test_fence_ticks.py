@@ -6,11 +6,11 @@ import pytest
 from alula import _core
 from alula.cli.main import run
 from alula.schemas.errors import DamagedError
-from alula.schemas.log.fence_ticks import read_ticks
 from alula.schemas.log.run import read_run
 from alula.schemas.scenarios.scenario import read_scenario
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.racer import racer_model, racer_options
+from papers.geofencing.ticks import read_ticks
 from support.fence_flights import STATUSES, fly_in
 from support.paths import ROOT
 
@@ -59,7 +59,7 @@ def test_states_without_answers_are_damage(tmp_path, monkeypatch):
     log = tmp_path / "wall.run.mcap"
     words = ["--set", "rules.max_time_s=0.05"]
     assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
-    monkeypatch.setattr("alula.schemas.log.fence_ticks.SAFETY_TOPIC", "/nothing")
+    monkeypatch.setattr("papers.geofencing.ticks.SAFETY_TOPIC", "/nothing")
     with pytest.raises(DamagedError, match="have different times"):
         read_ticks(log)
 
