@@ -22,15 +22,10 @@ Examples:
 @grouped.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
 @click.option(
-    "--map",
-    type=options.input_path(),
-    help="Cover, tiles or scene to fly in; required with a plan.",
+    "--map", type=options.input_path(), help="Cover, tiles or scene to fly in; required with a plan."
 )
 @grouped.option(
-    "--key",
-    group="Maps in tiles",
-    type=options.input_path(),
-    help="Key that must have signed the tiles.",
+    "--key", group="Maps in tiles", type=options.input_path(), help="Key that must have signed the tiles."
 )
 @click.option("--scene", type=options.input_path(), help="Metric scene, if --map is a cover.")
 @grouped.option(
@@ -75,11 +70,7 @@ Examples:
 @options.fields_of(FlyConfig)
 @options.output(".run.mcap")
 def command(
-    source: Path,
-    settings: tuple[str, ...],
-    fields: dict[str, Any],
-    common: options.Common,
-    **given: Any,
+    source: Path, settings: tuple[str, ...], fields: dict[str, Any], common: options.Common, **given: Any
 ) -> None:
     """Fly a plan on a real vehicle, behind a safety filter.
 

@@ -71,13 +71,7 @@ def command(
 
     folder = folder_of(splats[0], output)
     chosen: Choices = look(
-        splats,
-        colmap=colmap,
-        up=up,
-        metres_per_unit=metres_per_unit,
-        height_m=height_m,
-        lod=lod,
-        jobs=jobs,
+        splats, colmap=colmap, up=up, metres_per_unit=metres_per_unit, height_m=height_m, lod=lod, jobs=jobs
     )
     write_project(folder, splats, chosen, trials)
     if json:

@@ -55,12 +55,7 @@ Examples:
 @options.output(".run.mcap")
 @click.pass_context
 def command(
-    context: click.Context,
-    /,
-    source: Path,
-    settings: tuple[str, ...],
-    common: options.Common,
-    **given: Any,
+    context: click.Context, /, source: Path, settings: tuple[str, ...], common: options.Common, **given: Any
 ) -> None:
     """Fly missions through a world behind safety filters, and judge them.
 

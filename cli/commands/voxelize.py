@@ -33,11 +33,7 @@ Examples:
 @options.scheduler("Send tiles, 128 voxels wide unless --tile is given,")
 @options.output(".voxels.npz, or a folder .voxels")
 def command(
-    scene: Path,
-    fields: dict[str, Any],
-    tile_m: float | None,
-    scheduler: str | None,
-    common: options.Common,
+    scene: Path, fields: dict[str, Any], tile_m: float | None, scheduler: str | None, common: options.Common
 ) -> None:
     """Mark every voxel that an obstacle touches.
 

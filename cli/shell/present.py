@@ -105,11 +105,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         console = Console()
         if title:
             console.print(f"\n{one_line(title)}", style="bold", markup=False, highlight=False)
-        table = Table(
-            box=None,
-            show_header=any(columns),
-            pad_edge=False,
-        )
+        table = Table(box=None, show_header=any(columns), pad_edge=False)
         for name in columns:
             table.add_column(escape(one_line(name)), overflow="fold")
         for row in rows:

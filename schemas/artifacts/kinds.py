@@ -153,13 +153,7 @@ PLAN = Kind(
     PlanManifest,
     (
         ArrayRule(
-            "time",
-            "<f8",
-            ("K+1",),
-            "s",
-            "knots, strictly increasing from 0",
-            "knots",
-            largest=LONGEST_PLAN_S,
+            "time", "<f8", ("K+1",), "s", "knots, strictly increasing from 0", "knots", largest=LONGEST_PLAN_S
         ),
         ArrayRule(
             "coefficient",

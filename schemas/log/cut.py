@@ -18,13 +18,7 @@ from alula.schemas.errors import ArtifactError, DamagedError
 from alula.schemas.log.channels import SUPERVISOR_TOPIC, Supervisor
 from alula.schemas.log.flights import Flights, flights_of, read_flights
 from alula.schemas.log.mcap import entries, open_log
-from alula.schemas.log.run import (
-    FLIGHT_METADATA,
-    RUN_SCHEMA,
-    RUN_VERSION,
-    RunRecord,
-    read_run,
-)
+from alula.schemas.log.run import FLIGHT_METADATA, RUN_SCHEMA, RUN_VERSION, RunRecord, read_run
 
 
 @dataclass(frozen=True, slots=True)

@@ -209,10 +209,7 @@ def _hull_count(message: SceneUpdate) -> int | None:
 
 
 def _flight(
-    states: list[State],
-    safety: list[Safety],
-    bodies: dict[int, SceneUpdate],
-    each: dict[str, list[Safety]],
+    states: list[State], safety: list[Safety], bodies: dict[int, SceneUpdate], each: dict[str, list[Safety]]
 ) -> Flight:
     order = sorted(range(len(states)), key=lambda i: states[i].time_s)
     states = [states[i] for i in order]

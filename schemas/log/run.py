@@ -27,15 +27,7 @@ FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight
 # "held": a vehicle that hovers or flies by a pilot did so for the whole time.
 # "missed-via", "off-plan": it reached the goal of a plan, but missed a via point or gate, or left its tube.
 Outcome = Literal[
-    "reached",
-    "stuck",
-    "timeout",
-    "refused",
-    "passed",
-    "stopped",
-    "missed-via",
-    "off-plan",
-    "held",
+    "reached", "stuck", "timeout", "refused", "passed", "stopped", "missed-via", "off-plan", "held"
 ]
 PLAN_OUTCOMES: tuple[Outcome, ...] = ("missed-via", "off-plan")
 

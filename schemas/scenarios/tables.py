@@ -102,8 +102,7 @@ class VehicleTable(Table, frozen=True, kw_only=True):
         Length | None, about("radius of the sphere around it; default: the vehicle's [m]")
     ] = None
     max_speed_m_s: Annotated[
-        Limit | None,
-        about("limit of the speed of a point; default: the vehicle's [m/s]"),
+        Limit | None, about("limit of the speed of a point; default: the vehicle's [m/s]")
     ] = None
     max_acceleration_m_s2: Annotated[
         Limit | None,
@@ -249,8 +248,7 @@ class PilotTable(Table, frozen=True, kw_only=True):
         ),
     ] = "straight"
     heading_deg: Annotated[
-        float,
-        about("heading of straight and repeated; of diagonal 45 degrees to the left of it [deg]"),
+        float, about("heading of straight and repeated; of diagonal 45 degrees to the left of it [deg]")
     ] = 0.0
     tilt_deg: Annotated[float, about("tilt of straight, diagonal and repeated [deg]", ge=0, lt=90)] = 72.0
     climb_m_s2: Annotated[float, about("vertical acceleration of diagonal [m/s^2]")] = 0.0

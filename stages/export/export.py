@@ -187,10 +187,6 @@ ENCODERS: dict[str, dict[str, Encoder]] = {
         "onboard": map_binary,
         "c-header": map_c_header,
     },
-    "alula/voxels": {
-        "octomap": grids.octomap,
-        "ply": grids.voxels_ply,
-        "pcd": grids.voxels_pcd,
-    },
+    "alula/voxels": {"octomap": grids.octomap, "ply": grids.voxels_ply, "pcd": grids.voxels_pcd},
     "alula/scene": {**SCENE_ENCODERS, "glb": _scene_glb, "obj": _scene_obj},
 }

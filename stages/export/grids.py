@@ -198,10 +198,7 @@ def geojson(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
                 "type": "Feature",
                 "id": hull_name(number),
                 "geometry": {"type": "Polygon", "coordinates": [closed[:, 1::-1].tolist()]},
-                "properties": {
-                    "bottom_m": float(corners[:, 2].min()),
-                    "top_m": float(corners[:, 2].max()),
-                },
+                "properties": {"bottom_m": float(corners[:, 2].min()), "top_m": float(corners[:, 2].max())},
             }
         )
     yield msgspec.json.encode(

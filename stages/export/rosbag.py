@@ -90,14 +90,7 @@ def _converted(
 
 def _latched_qos() -> Any:
     """Reliable, and the last message is kept for late subscribers."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(9223372036, 854775807)  # as rosbag2 writes a time without limit
     return Qos(
