@@ -108,7 +108,6 @@ def command(
 def _identify(
     config: IdentifyConfig, guess: Vehicle, link: Link, provenance: Provenance, common: options.Common
 ) -> None:
-    """Fly, fit and write."""
     from alula.schemas.log.foxglove import INFO, SceneUpdate
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop

@@ -162,6 +162,5 @@ class JournalFile(Generic[J]):
         return count
 
     def _print(self, text: str) -> None:
-        """Print one line on stderr."""
         if not self._is_quiet:
             echo(f"alula: {text}", err=True)

@@ -98,7 +98,6 @@ def _is_name(word: str) -> bool:
 
 
 def _lines(lines: list[str]) -> str:
-    """Command lines, as they are."""
     return ".nf\n" + "".join(f"{escaped(line)}\n" for line in lines) + ".fi\n" if lines else ""
 
 

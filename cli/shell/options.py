@@ -295,7 +295,6 @@ def _of_fields(
 
 
 def _type_of(hint: Any) -> dict[str, Any]:
-    """Click's keywords for a type annotation."""
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         inner = [a for a in typing.get_args(hint) if a is not type(None)]
         return _type_of(inner[0])

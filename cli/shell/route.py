@@ -21,9 +21,6 @@ class Route(NamedTuple):
     """Options of a link besides its address.
 
     Attributes:
-        allow_remote: allow addresses of other machines.
-        mocap: address of motion capture.
-        key_path: file with the key.
         yaw: of the map [degrees].
         origin: of the map [m].
     """

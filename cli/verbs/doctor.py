@@ -47,7 +47,6 @@ class Check:
     """Result of one check.
 
     Attributes:
-        name: the subject of the check.
         status: ok, missing (required but not found) or optional (not found and not required).
         found: version or location that was found.
         note: remedy or purpose.

@@ -114,7 +114,6 @@ def export(artifact: Path | None, config: ExportConfig, key_path: Path | None, c
 
 
 def _header_of(raw: bytes, provenance: Provenance) -> bytes:
-    """Contents of the C header of a map's file."""
     return b"".join(image_c_header(raw[: decode_map(raw).image_bytes], provenance))
 
 

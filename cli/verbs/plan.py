@@ -82,7 +82,6 @@ class PlanInputs:
     """What a plan is made from.
 
     Attributes:
-        config: complete.
         maps: `cover`, `scene`, `image` (an onboard map) and `within`, those that there are.
         inputs: maps and further files, by role.
     """
@@ -177,7 +176,6 @@ def _resolved(config: PlanConfig, vehicle: Vehicle, roles: Container[str]) -> Pl
 
 
 def _maps_of(map: Source, scene: Source | None) -> dict[str, Result | File]:
-    """The maps by role: cover, scene or image."""
     found = source_of(map)
     role = _role_of(found)
     if role == "scene" and scene is not None:

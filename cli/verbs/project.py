@@ -46,17 +46,13 @@ class Choices:
     """All that a project fixes.
 
     Attributes:
-        importing: options of `import-splat`.
-        aligning: options of `scale-align`.
         voxelizing: options of `voxelize` besides the size.
-        size_m: of a voxel [m].
         beyond_m: distance around the mapped box that is assumed to be free [m].
         start_m, goal_m: of the plan [m].
         stand_m: where the rehearsed vehicle stands before it takes off [m].
         margin_m: distance that the plan keeps from the hulls beyond the vehicle's radius [m].
         assumed: sentences by subject.
         scale: metres per unit.
-        is_scale_assumed: nobody gave the scale.
     """
 
     importing: str

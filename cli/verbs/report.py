@@ -84,7 +84,6 @@ def report(
 
 
 def _files_of(runs: Sequence[Path], named: dict[str, Path]) -> dict[str, Path]:
-    """All files that a report depends on, by role."""
     inputs: dict[str, Path] = {}
     for number, log in enumerate(runs, 1):
         inputs[f"run-{number:03d}"] = log
@@ -201,7 +200,6 @@ def _figures_of(output: Path) -> list[Path]:
 def _read_material(
     title: str, runs: Sequence[Path], inputs: Mapping[str, Path], provenance: Provenance
 ) -> Material:
-    """Read the files of a report."""
     from alula.schemas.artifacts.certificate import decode_certificate
     from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
     from alula.schemas.artifacts.parts_join import read_whole

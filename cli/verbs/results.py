@@ -234,7 +234,6 @@ class Result:
         return path
 
     def __getattr__(self, name: str) -> Any:
-        """An array of the artifact."""
         if not name.startswith("_") and name != "artifact" and name in self.artifact.arrays:
             return self.artifact.arrays[name]
         raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")

@@ -230,7 +230,6 @@ class Proving:
         return certificate
 
     def _read(self) -> dict[str, Any]:
-        """All inputs by role, each as a whole."""
         from alula.stages.compression.imported_files import read_imported
         from alula.stages.compression.onboard.image import read_map
 
@@ -369,7 +368,6 @@ def _has_domains(cover: Result | File) -> bool:
 
 
 def _is_plan(path: Path) -> bool:
-    """Test whether a file is a plan."""
     from alula.schemas.artifacts.artifact import read_manifest
     from alula.schemas.files import is_special
 

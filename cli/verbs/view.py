@@ -105,7 +105,6 @@ def _write_view(files: Sequence[Path], config: ViewConfig, pictured: PictureConf
 
 
 def _parameters(pictured: PictureConfig, form: str) -> dict[str, Any]:
-    """Parameters of a picture that it depends on, with the form of its file."""
     found = parameters_of(pictured) if form in MOVING else {"size": pictured.size}
     return found | {"form": form.removeprefix(".")}
 

@@ -136,16 +136,12 @@ class _Carrier(msgspec.Struct, frozen=True):
 
 
 class _Listed(msgspec.Struct, frozen=True):
-    """One tile of a map in tiles."""
-
     i: int
     j: int
     sha256: str
 
 
 class _Listing(_Carrier, frozen=True, kw_only=True):
-    """The index of a map in tiles."""
-
     sha256: str
     tiles: list[_Listed]
 

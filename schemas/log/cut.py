@@ -26,8 +26,6 @@ class LoggedRun:
     """Run and its flights.
 
     Attributes:
-        record: of the run.
-        flights: by trial.
         damage: where a truncated log ends, in words; empty for a complete log.
     """
 

@@ -117,7 +117,6 @@ class Read(NamedTuple):
     """A scenario, and where its values come from.
 
     Attributes:
-        scenario: as read.
         given: the keys of the file.
         changed: keys that --set replaced, with dots between.
     """
@@ -351,7 +350,6 @@ def _remove(tree: Mapping[str, Any], key: str) -> None:
 
 
 def _check(scenario: Scenario) -> None:
-    """Refuse values that contradict each other."""
     ranges.require(bool(scenario.name.strip()), "name", "must not be empty")
     ranges.check_vehicle_table(scenario.vehicle)
     ranges.check_world_table(scenario.world)

@@ -31,7 +31,6 @@ class Value(NamedTuple):
 
     Attributes:
         path: of its key, with dots; a number is the place in a list.
-        value: plain, as in TOML.
         source: where it comes from: a file, `--set`, a preset, a vehicle, or `default`.
     """
 
@@ -145,7 +144,6 @@ class Key(NamedTuple):
 
     Attributes:
         path: with dots; `*` is a place in a list.
-        type: in words.
         default: as in TOML; empty for a key without one.
         about: a phrase that explains it.
     """
@@ -222,7 +220,6 @@ def _struct_in(kind: Any) -> type[msgspec.Struct] | None:
 
 
 def _type_words(kind: Any, metas: list[msgspec.Meta]) -> str:
-    """Describe a type and its limits."""
     if get_origin(kind) is Literal:
         return " | ".join(map(str, get_args(kind)))
     if get_origin(kind) in (Union, types.UnionType):

@@ -114,7 +114,6 @@ def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray,
 
 
 def _hulls(hulls: Hulls, frame: str, time_ns: int) -> SceneEntity:
-    """The surfaces of convex hulls."""
     starts = hulls.vertex_start
     corners = [hulls.vertices_world[starts[k] : starts[k + 1]] for k in range(len(hulls))]
     solids = [triangle_list(points, _surface(points), _MAP_COLOR) for points in corners]

@@ -19,9 +19,7 @@ class NativeStruct(NamedTuple):
     """A native struct that takes some of a filter's parameters.
 
     Attributes:
-        native: name of the struct in `alula._core`.
         argument: the field of the filter's own options that takes it; empty for these options themselves.
-        names: the parameters that it takes.
     """
 
     native: str
