@@ -19,7 +19,43 @@ class CbfQpParameters(Options, frozen=True, kw_only=True):
     velocity_time_s: Annotated[float, Meta(gt=0, description='time in which the filtered velocity is reached [s]')] = 0.1
 
 
-class ConeBackupParameters(Options, frozen=True, kw_only=True):
+class ShieldParameters(Options, frozen=True, kw_only=True):
+    """Parameters of shield, which passes the nominal wrench where a safe manoeuvre to rest remains after it."""
+
+    substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
+    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
+    max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
+    escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
+    escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
+    line_search: Annotated[int, Meta(ge=0, description='bisections between the input of the backup policy and a refused input')] = 2
+    rest_speed_m_s: Annotated[float, Meta(gt=0, description='speed below which the vehicle can count as at rest [m/s]')] = 0.1
+    rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
+    rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
+    rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
+    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
+    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
+    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
+    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
+    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
+    policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
+    k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
+    k_sigma: Annotated[float, Meta(description='gain K_sigma of the attitude (hover, heading-invariant) [N m]')] = 0.3
+    k_omega: Annotated[float, Meta(description='gain K_omega of the angular velocity (hover, heading-invariant) [N m s]')] = 0.02
+    k_vh: Annotated[float, Meta(description='gain of the horizontal velocity (hover, heading-invariant) [N s]')] = 0.006
+    kappa: Annotated[float, Meta(description='sharpness of the saturation (hover, heading-invariant)')] = 1.0
+    weight: Annotated[tuple[float, float, float, float], Meta(description='caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]')] = (2.0, 0.3, 0.3, 0.05)
+    eta_frac: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' margin about hover that the policy uses")] = 0.95
+    tilt_rad: Annotated[float, Meta(gt=0, description='maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]')] = 0.61
+    full_tilt_speed_m_s: Annotated[float, Meta(gt=0, description='speed scale v_0 of the tilt (brake, cone-escape) [m/s]')] = 1.5
+    climb_rate_1_s: Annotated[float, Meta(gt=0, description='gain k_z of the vertical speed (brake, cone-escape) [1/s]')] = 4.0
+    attitude_rad_s: Annotated[float, Meta(gt=0, description='natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]')] = 20.0
+    attitude_damping: Annotated[float, Meta(gt=0, description='damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)')] = 0.9
+    yaw_damping_1_s: Annotated[float, Meta(gt=0, description='gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]')] = 8.0
+    torque_share: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)")] = 0.4
+    torque_weight: Annotated[tuple[float, float, float], Meta(description='caps of the torques relative to each other (brake, cone-escape) [N m]')] = (0.3, 0.3, 0.03)
+
+
+class ConeBackupParameters(ShieldParameters, frozen=True, kw_only=True):
     """Parameters of cone-backup, the collision cone backup filter of a quadrotor among ellipsoids."""
 
     horizon_s: Annotated[float, Meta(gt=0, description='horizon of the backup flow [s]')] = 1.5
@@ -39,21 +75,6 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     clf_rate: Annotated[float, Meta(gt=0, description='decay rate c of the tracking row [1/s]')] = 1.0
     clf_kp: Annotated[float, Meta(gt=0, description='position gain of the closed loop that defines V [1/s^2]')] = 3.0
     clf_kv: Annotated[float, Meta(gt=0, description='velocity gain of the closed loop that defines V [1/s]')] = 2.0
-    substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
-    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
-    max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
-    escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
-    escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
-    line_search: Annotated[int, Meta(ge=0, description='bisections between the input of the backup policy and a refused input')] = 2
-    rest_speed_m_s: Annotated[float, Meta(gt=0, description='speed below which the vehicle can count as at rest [m/s]')] = 0.1
-    rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
-    rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
-    rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
-    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
-    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
-    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
-    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.3
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -62,22 +83,6 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
-    policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
-    k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
-    k_sigma: Annotated[float, Meta(description='gain K_sigma of the attitude (hover, heading-invariant) [N m]')] = 0.3
-    k_omega: Annotated[float, Meta(description='gain K_omega of the angular velocity (hover, heading-invariant) [N m s]')] = 0.02
-    k_vh: Annotated[float, Meta(description='gain of the horizontal velocity (hover, heading-invariant) [N s]')] = 0.006
-    kappa: Annotated[float, Meta(description='sharpness of the saturation (hover, heading-invariant)')] = 1.0
-    weight: Annotated[tuple[float, float, float, float], Meta(description='caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]')] = (2.0, 0.3, 0.3, 0.05)
-    eta_frac: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' margin about hover that the policy uses")] = 0.95
-    tilt_rad: Annotated[float, Meta(gt=0, description='maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]')] = 0.61
-    full_tilt_speed_m_s: Annotated[float, Meta(gt=0, description='speed scale v_0 of the tilt (brake, cone-escape) [m/s]')] = 1.5
-    climb_rate_1_s: Annotated[float, Meta(gt=0, description='gain k_z of the vertical speed (brake, cone-escape) [1/s]')] = 4.0
-    attitude_rad_s: Annotated[float, Meta(gt=0, description='natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]')] = 20.0
-    attitude_damping: Annotated[float, Meta(gt=0, description='damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)')] = 0.9
-    yaw_damping_1_s: Annotated[float, Meta(gt=0, description='gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]')] = 8.0
-    torque_share: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)")] = 0.4
-    torque_weight: Annotated[tuple[float, float, float], Meta(description='caps of the torques relative to each other (brake, cone-escape) [N m]')] = (0.3, 0.3, 0.03)
 
 
 class ConeDiParameters(Options, frozen=True, kw_only=True):
@@ -106,7 +111,7 @@ class ConeDiParameters(Options, frozen=True, kw_only=True):
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
 
 
-class ConeEcbfParameters(Options, frozen=True, kw_only=True):
+class ConeEcbfParameters(ShieldParameters, frozen=True, kw_only=True):
     """Parameters of cone-ecbf, the exponential collision cone filter of a quadrotor among ellipsoids."""
 
     lambda_: Annotated[float, Meta(gt=0, description='triple pole of the rows; poles slower than the time to contact brake early, much faster ones turn too late [1/s]')] = 14.0
@@ -136,21 +141,6 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     clf_rate: Annotated[float, Meta(gt=0, description='decay rate c of the tracking row [1/s]')] = 1.0
     clf_kp: Annotated[float, Meta(gt=0, description='position gain of the closed loop that defines V [1/s^2]')] = 3.0
     clf_kv: Annotated[float, Meta(gt=0, description='velocity gain of the closed loop that defines V [1/s]')] = 2.0
-    substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
-    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
-    max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
-    escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
-    escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
-    line_search: Annotated[int, Meta(ge=0, description='bisections between the input of the backup policy and a refused input')] = 2
-    rest_speed_m_s: Annotated[float, Meta(gt=0, description='speed below which the vehicle can count as at rest [m/s]')] = 0.1
-    rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
-    rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
-    rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
-    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
-    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
-    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
-    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
     reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.6
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
@@ -159,22 +149,6 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
-    policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
-    k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
-    k_sigma: Annotated[float, Meta(description='gain K_sigma of the attitude (hover, heading-invariant) [N m]')] = 0.3
-    k_omega: Annotated[float, Meta(description='gain K_omega of the angular velocity (hover, heading-invariant) [N m s]')] = 0.02
-    k_vh: Annotated[float, Meta(description='gain of the horizontal velocity (hover, heading-invariant) [N s]')] = 0.006
-    kappa: Annotated[float, Meta(description='sharpness of the saturation (hover, heading-invariant)')] = 1.0
-    weight: Annotated[tuple[float, float, float, float], Meta(description='caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]')] = (2.0, 0.3, 0.3, 0.05)
-    eta_frac: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' margin about hover that the policy uses")] = 0.95
-    tilt_rad: Annotated[float, Meta(gt=0, description='maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]')] = 0.61
-    full_tilt_speed_m_s: Annotated[float, Meta(gt=0, description='speed scale v_0 of the tilt (brake, cone-escape) [m/s]')] = 1.5
-    climb_rate_1_s: Annotated[float, Meta(gt=0, description='gain k_z of the vertical speed (brake, cone-escape) [1/s]')] = 4.0
-    attitude_rad_s: Annotated[float, Meta(gt=0, description='natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]')] = 20.0
-    attitude_damping: Annotated[float, Meta(gt=0, description='damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)')] = 0.9
-    yaw_damping_1_s: Annotated[float, Meta(gt=0, description='gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]')] = 8.0
-    torque_share: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)")] = 0.4
-    torque_weight: Annotated[tuple[float, float, float], Meta(description='caps of the torques relative to each other (brake, cone-escape) [N m]')] = (0.3, 0.3, 0.03)
 
 
 class MpcParameters(Options, frozen=True, kw_only=True):
@@ -303,42 +277,6 @@ class SaferSplatParameters(Options, frozen=True, kw_only=True):
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
-
-
-class ShieldParameters(Options, frozen=True, kw_only=True):
-    """Parameters of shield, which passes the nominal wrench where a safe manoeuvre to rest remains after it."""
-
-    substeps: Annotated[int, Meta(ge=1, description='minimum number of RK4 steps in a tick; no step is longer than 10 ms')] = 1
-    margin_m: Annotated[float, Meta(gt=0, description='distance beyond the radius that a new manoeuvre keeps until it rests; one being flown stays accepted down to half of it, and the radius is what is guaranteed [m]')] = 0.02
-    max_time_s: Annotated[float, Meta(gt=0, description='a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]')] = 8.0
-    escape_time_s: Annotated[float, Meta(ge=0, description='how long the policy cone-escape holds a velocity [s]')] = 0.6
-    escape_tries: Annotated[int, Meta(ge=0, description='maximum number of velocities that cone-escape tries, smallest turn first')] = 3
-    line_search: Annotated[int, Meta(ge=0, description='bisections between the input of the backup policy and a refused input')] = 2
-    rest_speed_m_s: Annotated[float, Meta(gt=0, description='speed below which the vehicle can count as at rest [m/s]')] = 0.1
-    rest_rate_rad_s: Annotated[float, Meta(gt=0, description='angular rate below which the vehicle can count as at rest [rad/s]')] = 0.2
-    rest_tilt_rad: Annotated[float, Meta(gt=0, description='tilt below which the vehicle can count as at rest [rad]')] = 0.05
-    rest_drift_m: Annotated[float, Meta(gt=0, description='maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]')] = 0.008
-    early_end: Annotated[bool, Meta(description="end rollouts before rest where a ball of twice the linear loop's excursion is free, which is tested and not proven; false: every manoeuvre is rolled out to rest")] = True
-    tube_horizon_s: Annotated[float, Meta(gt=0, le=10, description='how far ahead manoeuvres keep clear of the tubes of moving obstacles, where they can [s]')] = 1.0
-    tube_risk: Annotated[float, Meta(gt=0, lt=1, description='probability at each time that a moving obstacle is not within its tube in the direction of the vehicle, for any distribution with the covariance of its track')] = 0.05
-    tube_acceleration_m_s2: Annotated[float, Meta(ge=0, description='maximum acceleration of a moving obstacle, by which its tube grows [m/s^2]')] = 2.0
-    shield_map: Annotated[Literal['ellipsoids', 'hulls', 'both'], Meta(description='obstacles that manoeuvres keep clear of; where it is not set, all that the map has: hulls alone in a cover, both in a cover with a scene; ellipsoids: the ellipsoids of the scene; hulls: the hulls of the cover, which contain the ellipsoids where verify proves it; both: both of these')] = 'ellipsoids'
-    policy: Annotated[Literal['hover', 'heading-invariant', 'brake', 'cone-escape'], Meta(description='the backup policy; hover: regulator of FastBridge (eq. 17-19) to hover with yaw zero, symmetric caps; heading-invariant: the same without the yaw spring; brake: bounded tilt with lift compensation; caps split where the rotors have room; cone-escape: turns the velocity out of the cone at full speed first, then brakes')] = 'brake'
-    k_vz: Annotated[float, Meta(description='gain of the vertical speed (hover, heading-invariant) [1/s]')] = 2.0
-    k_sigma: Annotated[float, Meta(description='gain K_sigma of the attitude (hover, heading-invariant) [N m]')] = 0.3
-    k_omega: Annotated[float, Meta(description='gain K_omega of the angular velocity (hover, heading-invariant) [N m s]')] = 0.02
-    k_vh: Annotated[float, Meta(description='gain of the horizontal velocity (hover, heading-invariant) [N s]')] = 0.006
-    kappa: Annotated[float, Meta(description='sharpness of the saturation (hover, heading-invariant)')] = 1.0
-    weight: Annotated[tuple[float, float, float, float], Meta(description='caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]')] = (2.0, 0.3, 0.3, 0.05)
-    eta_frac: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' margin about hover that the policy uses")] = 0.95
-    tilt_rad: Annotated[float, Meta(gt=0, description='maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]')] = 0.61
-    full_tilt_speed_m_s: Annotated[float, Meta(gt=0, description='speed scale v_0 of the tilt (brake, cone-escape) [m/s]')] = 1.5
-    climb_rate_1_s: Annotated[float, Meta(gt=0, description='gain k_z of the vertical speed (brake, cone-escape) [1/s]')] = 4.0
-    attitude_rad_s: Annotated[float, Meta(gt=0, description='natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]')] = 20.0
-    attitude_damping: Annotated[float, Meta(gt=0, description='damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)')] = 0.9
-    yaw_damping_1_s: Annotated[float, Meta(gt=0, description='gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]')] = 8.0
-    torque_share: Annotated[float, Meta(gt=0, lt=1, description="fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)")] = 0.4
-    torque_weight: Annotated[tuple[float, float, float], Meta(description='caps of the torques relative to each other (brake, cone-escape) [N m]')] = (0.3, 0.3, 0.03)
 
 
 FILTERS: dict[str, type[Options]] = {

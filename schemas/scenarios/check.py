@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from alula.schemas.parameters.filter_options import ConeBackupParameters, ConeEcbfParameters, ShieldParameters
+from alula.schemas.parameters.filter_options import ShieldParameters
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.schemas.scenarios.defaults import completed
 from alula.schemas.scenarios.moving import ObstacleTable, interval
@@ -312,8 +312,7 @@ def _wrong_tiles(scenario: Scenario, vehicle: Vehicle) -> str | None:
 
 def _wrong_shield(scenario: Scenario, name: str) -> str | None:
     options: Any = scenario.safety.parameters(name)
-    is_switched = isinstance(options, ConeBackupParameters | ConeEcbfParameters)
-    if not isinstance(options, ShieldParameters) and not (is_switched and options.shield):
+    if not isinstance(options, ShieldParameters) or not getattr(options, "shield", True):
         return None
     world, against = scenario.world, options.shield_map
     others = world.has_hulls or world.fence is not None

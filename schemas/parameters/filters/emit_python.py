@@ -25,7 +25,7 @@ def module(structs: dict[str, Struct]) -> str:
         "",
     ]
     for struct in named:
-        out += _struct(struct)
+        out += _struct(struct, _base(struct, named))
     out += ["", "FILTERS: dict[str, type[Options]] = {"]
     out += [f'    "{name}": {_class(struct)},' for name, struct in filters(structs).items()]
     out += ["}", '"""The parameters of each filter."""', "", "TABLES: dict[str, str] = {"]
@@ -59,20 +59,35 @@ def module(structs: dict[str, Struct]) -> str:
     return "\n".join(out)
 
 
-def _named(structs: dict[str, Struct]) -> Iterable[Struct]:
-    """Structs with a Python class; tables stand before the structs that have them."""
+def _named(structs: dict[str, Struct]) -> list[Struct]:
+    """Structs with a Python class, after the tables that they have and the structs that they extend."""
     done: dict[str, Struct] = {}
+
+    classes = [struct for struct in structs.values() if struct.python]
 
     def add(struct: Struct) -> None:
         for part in struct.parts:
             if part.table:
                 add(part.struct)
+        if (base := _base(struct, classes)) is not None:
+            add(base)
         if struct.python:
             done.setdefault(struct.name, struct)
 
     for struct in structs.values():
         add(struct)
-    return done.values()
+    return list(done.values())
+
+
+def _base(struct: Struct, others: Iterable[Struct]) -> Struct | None:
+    """The largest other struct all of whose parameters this one has, with the same limits and defaults."""
+    own = set(_fields(struct))
+    found = [other for other in others if set(_fields(other)) < own and _fields(other)]
+    return max(found, key=lambda other: len(_fields(other)), default=None)
+
+
+def _fields(struct: Struct) -> list[str]:
+    return [f"    {p.name}: {_annotation(p)} = {_default(p)}" for p in struct.public()]
 
 
 def _all(struct: Struct) -> list[Parameter]:
@@ -88,10 +103,11 @@ def _class(struct: Struct) -> str:
     return f"{struct.python}Parameters"
 
 
-def _struct(struct: Struct) -> list[str]:
-    out = ["", f"class {_class(struct)}(Options, frozen=True, kw_only=True):", f'    """{struct.doc}"""', ""]
-    for p in struct.public():
-        out += [f"    {p.name}: {_annotation(p)} = {_default(p)}"]
+def _struct(struct: Struct, base: Struct | None) -> list[str]:
+    name = "Options" if base is None else _class(base)
+    out = ["", f"class {_class(struct)}({name}, frozen=True, kw_only=True):", f'    """{struct.doc}"""', ""]
+    inherited = [] if base is None else _fields(base)
+    out += [field for field in _fields(struct) if field not in inherited]
     for part in struct.parts:
         if part.table:
             out += [f"    {part.name}: {_class(part.struct)} = {_class(part.struct)}()"]
