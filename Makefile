@@ -6,12 +6,15 @@ MAKEFLAGS += --no-builtin-rules
 
 BIN := .venv/bin
 comma := ,
+space := $(subst ,, )
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 LOCKED := $(BIN)/pip install -q --disable-pip-version-check --no-compile --require-hashes
 
-# Long native tests that start no thread: not run under the thread sanitizer.
-UNTHREADED := teensy_flight|wrench_filters
+NATIVE_TESTS := $(basename $(notdir $(wildcard native/*/tests/*_test.cpp)))
+# Those that start no thread (`strace -f -e clone3`): not built and run with the thread sanitizer.
+UNTHREADED := dr_acbf geofence links map minimum_time moving_world plant polytope_cbf polytope_image polytope_map qp \
+  rates stack stack_flight teensy teensy_flight tiles tracker wall_planes wrench_filters
 
 # Smoke tests of the wheel: every command once, its artifacts, streams and exit codes.
 WHEEL_TESTS := tests/command/test_conduct.py tests/command/test_info.py tests/unit/schemas/test_artifact.py
@@ -98,19 +101,20 @@ test-native: setup ## build the native tests with sanitizers and run them, and f
 	@$(MAKE) --no-print-directory -j2 native-address native-thread
 	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
 
-# $(call sanitized,sanitizers,folder,options of ctest)
+# $(call sanitized,sanitizers,folder,tests)
 define sanitized
 	@$(BIN)/cmake -S . -B build/$(2) -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
 	  -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$(1) >/dev/null
-	@$(BIN)/cmake --build build/$(2) -j$$(( ($$(nproc) + 1) / 2 ))
-	@.ci/fixed-addresses $(BIN)/ctest --test-dir build/$(2) --output-on-failure -j$$(nproc) $(3)
+	@$(BIN)/cmake --build build/$(2) -j$$(( ($$(nproc) + 1) / 2 )) --target $(3)
+	@.ci/fixed-addresses $(BIN)/ctest --test-dir build/$(2) --output-on-failure -j$$(nproc) \
+	  -R '^($(subst $(space),|,$(3)))$$'
 endef
 
 native-address:
-	$(call sanitized,address$(comma)undefined,native-address)
+	$(call sanitized,address$(comma)undefined,native-address,$(NATIVE_TESTS))
 
 native-thread:
-	$(call sanitized,thread,native-thread,--exclude-regex '$(UNTHREADED)')
+	$(call sanitized,thread,native-thread,$(filter-out $(UNTHREADED:%=%_test),$(NATIVE_TESTS)))
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard

@@ -13,6 +13,9 @@ pytest_plugins = ["support.pipeline", "support.browser", "support.quick_clock"]
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")  # gsply's; it warns of others that are old
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # each has a processor; threads of numpy would wait for others'
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # `make test` runs tests that run make
     os.environ.pop(name, None)
 
