@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from html import escape
 
 from alula.stages.reporting.figures import Figure
-from alula.stages.reporting.page import inline_svg
-from alula.stages.reporting.style import STYLE, SWITCH
+from alula.stages.reporting.page import document, figure_html
 from papers.claims import Shown
 from papers.collected import JudgedClaim, JudgedPaper, Papers
 from papers.compared import VERDICTS, Compared, ShownNumber
@@ -43,23 +42,19 @@ def papers_page(
         The HTML text.
     """
     parts = [
-        "<!doctype html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        '<link rel="icon" href="data:,">',
-        f"<title>{TITLE}</title>",
-        f"<style>{STYLE}{PAPERS_STYLE}</style></head><body><main>",
-        f"<header><h1>{TITLE}</h1>"
-        f'<p class="soft">{len(papers.papers)} papers, {sum(papers.counts.values())} claims</p>'
-        f'<label class="switch"><input type="checkbox" id="{SWITCH}">dark / light</label></header>',
         _first_screen(papers),
         _words(),
         _choice(papers.counts),
         *(_paper(paper, drawings, folder) for paper in papers.papers),
-        "</main></body></html>",
     ]
-    return "\n".join(parts) + "\n"
+    return document(
+        TITLE,
+        f"{len(papers.papers)} papers, {sum(papers.counts.values())} claims",
+        parts,
+        style=PAPERS_STYLE,
+        policy=_POLICY,
+        head='<link rel="icon" href="data:,">',
+    )
 
 
 def sentence(counts: Mapping[str, int]) -> str:
@@ -227,10 +222,7 @@ def _beside(paper: JudgedPaper, found: JudgedClaim, drawings: Mapping[tuple[str,
         if svg is not None:
             few = " (quick setting)" if figure.setting == "quick" else ""
             own = Figure(f"{paper.name}-{figure.name}", f"{figure.title}{few}", figure.description, svg)
-            shown.append(
-                f'<figure id="{escape(own.name)}"><h3>{escape(own.title)}</h3>'
-                f"{inline_svg(own)}<figcaption>{escape(own.alt)}</figcaption></figure>"
-            )
+            shown.append(figure_html(own))
     ours = "".join(shown)
     if not ours and found.see:
         ours = f'<p>Ours: <a href="#{escape(paper.name)}-{escape(found.see)}-drawn">the figure above</a>.</p>'

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,7 +15,6 @@ from alula.schemas.artifacts.report import (
     REPORT_VERSION,
     Report,
     ReportFigure,
-    ReportNumber,
     ReportStatement,
     ReportSubject,
     ReportTable,
@@ -29,6 +27,8 @@ from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.table import Table, folded, markdown_cell, markdown_table, text
 from alula.stages.reporting.tables import LISTED_TRIALS, all_tables
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,57 +79,22 @@ def to_json(content: Content, figures: Sequence[Figure], provenance: Provenance)
         title=found.title,
         verdict=found.verdict,
         tone=found.tone,
-        subjects=[
-            ReportSubject(
-                kind=subject.kind,
-                title=subject.title,
-                words=subject.words,
-                verdict=subject.verdict,
-                tone=subject.tone,
-                numbers=[
-                    ReportNumber(
-                        key=number.key,
-                        label=number.label,
-                        value=_plain(number.value),
-                        shown=number.shown,
-                        detail=number.detail,
-                        good=number.good,
-                    )
-                    for number in subject.numbers
-                ],
-            )
-            for subject in found.subjects
-        ],
+        subjects=_records(found.subjects, ReportSubject),
         comparison=content.comparison,
-        differences=[_record(table) for table in content.differences],
+        differences=_records(content.differences, ReportTable),
         guaranteed=list(found.proofs),
         not_guaranteed=list(found.limits),
         statements=[ReportStatement(subject=name, statement=words) for name, words in found.statements],
-        tables=[_record(table) for table in content.tables],
+        tables=_records(content.tables, ReportTable),
         figures=[ReportFigure(name=one.name, title=one.title, description=one.alt) for one in figures],
     )
-    return msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n"
+    values = msgspec.json.encode(record, enc_hook=np.generic.item)
+    return msgspec.json.format(values, indent=1).decode() + "\n"
 
 
-def _record(table: Table) -> ReportTable:
-    return ReportTable(
-        name=table.name,
-        title=table.title,
-        columns=list(table.columns),
-        rows=[[_plain(value) for value in row] for row in table.rows],
-        note=table.note,
-    )
-
-
-def _plain(value: Any) -> Any:
-    """A value of JSON; None for a number that is not finite."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value
+def _records(each: Sequence[Any], kind: type[T]) -> list[T]:
+    """The same values as in the record of a report."""
+    return [msgspec.convert(one, kind, from_attributes=True) for one in each]
 
 
 def to_report_markdown(content: Content, first_line: str) -> str:

@@ -20,8 +20,7 @@ from alula.stages.reporting import curves
 from alula.stages.reporting.curves import paths_of
 from alula.stages.reporting.fenced import fence_shape, is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material, Run
-from alula.stages.reporting.palette import AXIS, DASHES, GRID, INK, RUN_COLORS, run_color
-from alula.stages.reporting.palette import COLORS as COLORS
+from alula.stages.reporting.palette import AXIS, COLORS, DASHES, GRID, INK, RUN_COLORS, run_color
 from alula.stages.reporting.table import text
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
 

@@ -13,17 +13,7 @@ from alula.schemas.log.flights import Course, Flight
 from alula.schemas.log.run import RunRecord, TrialResult
 
 OUTCOMES = (
-    *(
-        "reached",
-        "passed",
-        "held",
-        "stuck",
-        "timeout",
-        "refused",
-        "stopped",
-        "missed-via",
-        "off-plan",
-    ),
+    *("reached", "passed", "held", "stuck", "timeout", "refused", "stopped", "missed-via", "off-plan"),
     "collision",
 )
 NOT_JUDGED = "not judged"  # of a flight whose log was cut
@@ -113,35 +103,15 @@ def coverage(certificate: Mapping[str, Any] | None) -> bool | str:
 
 
 def omitted(certificate: Mapping[str, Any] | None) -> list[str]:
-    """What the proven map leaves out of the scan, in words; none where it contains all of it.
-
-    Certificates before version 1.3 name it in their level alone.
-    """
-    if certificate is None:
-        return []
-    if isinstance(named := certificate.get("omits"), list) and named:
-        return [str(words) for words in named]
-    level = certificate.get("level")
-    values: dict[str, Any] = level if isinstance(level, dict) else {}
-    found = {
-        f"voxels that fewer than {values.get('min_overlap')} obstacles touch": values.get("min_overlap", 1)
-        != 1,
-        f"Gaussians of opacity below {values.get('min_opacity')}": bool(values.get("min_opacity")),
-        "what lies outside its crop": values.get("crop") is not None,
-        "the loss of the splat file's format": bool(values.get("ignore_loss")),
-    }
-    return [words for words, is_so in found.items() if is_so]
+    """What the proven map leaves out of the scan, in words; none where it contains all of it."""
+    return [] if certificate is None else [str(words) for words in certificate.get("omits", ())]
 
 
 def proof(certificate: Mapping[str, Any] | None) -> str:
-    """State in words what a certificate proves; it covers the ellipsoids only when they were checked."""
+    """State in words what a certificate proves."""
     if certificate is None:
         return "this map was not checked by alula verify"
-    if isinstance(words := certificate.get("statement"), str) and words:
-        return words
-    if checks_ellipsoids(certificate):
-        return "ellipsoids in voxels and voxels in hulls, checked again"
-    return "voxels in hulls, checked again; ellipsoids not checked"
+    return str(certificate.get("statement") or "a certificate without a statement")
 
 
 def flew_through(run: Run, material: Material) -> bool | None:

@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from html import escape
 from importlib.resources import files
 from typing import Any
@@ -28,7 +28,6 @@ from alula.stages.reporting.material import Material
 from alula.stages.reporting.palette import run_color, themed
 from alula.stages.reporting.style import STYLE, SWITCH
 from alula.stages.reporting.table import Table, folded, text
-from alula.stages.reporting.view3d import View
 
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
 _OPEN_ROWS = 15  # longer tables are folded on pages without a verdict, too; shorter ones are their subject
@@ -37,11 +36,19 @@ _RUNS_AS_COLUMNS = 3  # more runs are rows
 
 _FOLLOW = files("alula.stages.reporting").joinpath("follow.js").read_text(encoding="utf-8")
 
-# The policy blocks every fetch, also those of the 3D view, whose code and workers are inside the page.
-_POLICY = (
+# It blocks every request of a page; the code, workers and data of a 3D view are inside the page.
+POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A page that shows the scene in 3D, and a note on what it leaves out."""
+
+    html: str
+    note: str
 
 
 def page(
@@ -69,14 +76,6 @@ def page(
     """
     found = brief(material)
     parts = [
-        "<!doctype html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        f"<!-- {comment(provenance_line)} -->" if provenance_line else "",
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(material.title)}</title>",
-        f"<style>{STYLE}</style></head><body><main>",
-        _header(material),
         _hero(found, picture),
         _in_short(facts or {}),
         *[_difference(table, is_open=len(differences) == 1) for table in differences],
@@ -86,7 +85,7 @@ def page(
         _guarantees(found),
     ]
     if figures:
-        parts += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
+        parts += ["<h2>Figures</h2>", '<div class="figures">', *map(figure_html, figures), "</div>"]
     if tables:
         parts += [
             "<h2>Tables</h2>",
@@ -95,8 +94,44 @@ def page(
                 for table in tables
             ],
         ]
-    parts += [_provenance(material), "</main></body></html>"]
-    return "\n".join(part for part in parts if part) + "\n"
+    parts.append(_provenance(material))
+    return document(material.title, _subtitle(material), parts, provenance_line=provenance_line)
+
+
+def document(
+    title: str,
+    subtitle: str,
+    parts: Iterable[str],
+    *,
+    style: str = "",
+    policy: str = POLICY,
+    head: str = "",
+    provenance_line: str = "",
+) -> str:
+    """Write a page in the style of reports around its parts; the empty ones are left out.
+
+    Args:
+        parts: HTML, in reading order.
+        style: style sheet in addition to that of reports.
+        policy: what the page may load.
+        head: further elements of the head.
+        provenance_line: put into the head, where `read_provenance` finds it.
+    """
+    lines = [
+        "<!doctype html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        f"<!-- {comment(provenance_line)} -->" if provenance_line else "",
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        head,
+        f"<title>{escape(title)}</title>",
+        f"<style>{STYLE}{style}</style></head><body><main>",
+        f'<header><h1>{escape(title)}</h1><p class="soft">{escape(subtitle)}</p>'
+        f'<label class="switch"><input type="checkbox" id="{SWITCH}">dark / light</label></header>',
+        *parts,
+        "</main></body></html>",
+    ]
+    return "\n".join(line for line in lines if line) + "\n"
 
 
 def report_page(
@@ -115,13 +150,6 @@ def report_page(
 def comment(line: str) -> str:
     """Escape JSON text for an HTML comment: JSON's own escapes hide the characters that would end it."""
     return line.replace("--", "-\\u002d").replace(">", "\\u003e").replace("<", "\\u003c")
-
-
-def _header(material: Material) -> str:
-    return (
-        f'<header><h1>{escape(material.title)}</h1><p class="soft">{escape(_subtitle(material))}</p>'
-        f'<label class="switch"><input type="checkbox" id="{SWITCH}">dark / light</label></header>'
-    )
 
 
 def _subtitle(material: Material) -> str:
@@ -241,7 +269,7 @@ def _playback(view: View | None, flights: Sequence[Figure]) -> str:
         parts.append(_view(view))
     elif flights:
         parts.append("<h2>The flight over time</h2>")
-    parts += [_figure(figure, name="flight") for figure in flights]
+    parts += [figure_html(figure, name="flight") for figure in flights]
     return "".join(parts)
 
 
@@ -298,7 +326,8 @@ def _lines(statements: Iterable[tuple[str, str]]) -> str:
     return "".join(f"<p><b>{escape(subject)}:</b> {escape(line)}</p>" for subject, line in statements if line)
 
 
-def _figure(figure: Figure, *, name: str = "") -> str:
+def figure_html(figure: Figure, *, name: str = "") -> str:
+    """A figure with title and caption as a part of a page; `name` is a class of the style sheet."""
     names = " ".join(word for word in ("wide" if figure.wide else "", name) if word)
     kind = f' class="{names}"' if names else ""
     if figure.time is not None:

@@ -17,17 +17,18 @@ _DARK = """--ink: #e4e8ed; --soft: #a3adb9; --line: #2c333c; --back: #12161b; --
   color-scheme: dark;"""
 
 
-def _colors(*, dark: bool) -> str:
+def colors(*, dark: bool) -> str:
+    """Variables of the style sheet: the colours of a page in the light or in the dark."""
     return f"{_DARK if dark else _LIGHT} {variables(dark=dark)}"
 
 
 STYLE = (
     f"""
-:root {{ {_colors(dark=False)} }}
-@media (prefers-color-scheme: dark) {{ :root {{ {_colors(dark=True)} }} }}
-@media screen and (prefers-color-scheme: light) {{ :root:has(#{SWITCH}:checked) {{ {_colors(dark=True)} }} }}
-@media screen and (prefers-color-scheme: dark) {{ :root:has(#{SWITCH}:checked) {{ {_colors(dark=False)} }} }}
-@media print {{ :root {{ {_colors(dark=False)} }} }}
+:root {{ {colors(dark=False)} }}
+@media (prefers-color-scheme: dark) {{ :root {{ {colors(dark=True)} }} }}
+@media screen and (prefers-color-scheme: light) {{ :root:has(#{SWITCH}:checked) {{ {colors(dark=True)} }} }}
+@media screen and (prefers-color-scheme: dark) {{ :root:has(#{SWITCH}:checked) {{ {colors(dark=False)} }} }}
+@media print {{ :root {{ {colors(dark=False)} }} }}
 """
     """
 * { box-sizing: border-box; }

@@ -14,9 +14,9 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
 from alula.stages.clearance import kept_obstacles
 from alula.stages.reporting.curves import plan_positions
-from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.flight_curves import sigma_of
 from alula.stages.reporting.material import Run
+from alula.stages.reporting.palette import COLORS
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.show.drawing.content import CUT, Content, Lines, Part, Play, hex_of, tree_name
 from alula.stages.show.drawing.solids import (

@@ -13,8 +13,8 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.log.flights import Flight
 from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.curves import encounter_clearance, paths_of
-from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, clearance_of, outcome_of
+from alula.stages.reporting.palette import COLORS, run_color
 from alula.stages.show.drawing.content import Body, Lines, Part, Play, Series, rgb, segments_of, tree_name
 from alula.stages.show.viewing.active import ROUTINE, Numbered, deciding
 from alula.stages.show.viewing.nearest import closest, to_balls, to_faces, to_obstacles
@@ -23,7 +23,6 @@ from alula.stages.vehicles.fence import fence_faces
 
 PLAY_HZ = 20.0
 MOST_PLAYED_S = 120.0
-RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _CONTACT = (215, 48, 31)
 _RADIUS_M = 0.15  # of a vehicle whose size is not recorded
 _LARGEST_M = 1e12
@@ -67,17 +66,12 @@ def path_parts(runs: Sequence[Run]) -> list[Part]:
                 lines = np.concatenate([segments_of(path.position_world) for path in some])
                 name = f"Flights by run/{tree_name(run.label)}"
                 parts.append(
-                    Lines(name=name, segments=lines, color=run_color(k), width_px=2.0, visible=False)
+                    Lines(name=name, segments=lines, color=rgb(run_color(k)), width_px=2.0, visible=False)
                 )
     contacts = [place for run in runs if (place := _contacts(run)) is not None]
     if contacts:
         parts.append(balls("Contacts", np.concatenate(contacts), max(0.04, size / 120), _CONTACT))
     return parts
-
-
-def run_color(number: int) -> tuple[int, int, int]:
-    """Colour of a run by its place in the order."""
-    return rgb(RUN_COLORS[number % len(RUN_COLORS)])
 
 
 def _contacts(run: Run) -> FloatArray | None:

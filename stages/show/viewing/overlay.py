@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from importlib.resources import files
 
+from alula.stages.reporting.style import colors
+
 MARKUP = """
 <div id="alula" class="no-plots">
 <details id="alula-head" open><summary>TITLE</summary>
@@ -19,3 +21,9 @@ in three dimensions: it needs WebGL 2 and scripts.</figcaption></figure>
 def asset(name: str) -> str:
     """Text of a file beside this module."""
     return files("alula.stages.show.viewing").joinpath(name).read_text(encoding="utf-8")
+
+
+def style() -> str:
+    """Style sheet of what stands over the scene, in the colours of reports."""
+    dark = f"@media (prefers-color-scheme: dark) {{ #alula {{ {colors(dark=True)} }} }}"
+    return f"#alula {{ {colors(dark=False)} }}\n{dark}\n{asset('overlay.css')}"

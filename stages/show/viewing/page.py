@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
+from alula.stages.reporting.page import POLICY
 from alula.stages.show.drawing.content import Content, Gaussians
 from alula.stages.show.viewing.draw import Span, draw, record
 from alula.stages.show.viewing.encode import still_webp
 from alula.stages.show.viewing.film import still
 from alula.stages.show.viewing.light import LIGHT_GAUSSIANS, lightened
-from alula.stages.show.viewing.overlay import MARKUP, asset
+from alula.stages.show.viewing.overlay import MARKUP, asset, style
 from alula.stages.show.viewing.plots import flight_data
 
 HOST = "127.0.0.1"
@@ -27,11 +28,6 @@ MOST_BYTES = 7_000_000
 _AROUND_BYTES = 350_000  # of what stands around the scene
 _STILL_PX, _STILL_BYTES = (1000, 625), 150_000  # of the picture for browsers without WebGL
 _DATA = re.compile(r'window\.__VISER_EMBED_DATA__="([A-Za-z0-9+/=]*)";')
-# The policy blocks every request. viser's code, workers and the decoder of the data are inside the page.
-POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
-    "script-src 'unsafe-inline' 'unsafe-eval' blob: data:; worker-src blob: data:; connect-src data: blob:"
-)
 _DARK = "{darkMode:false}"
 _DARK_BY_SYSTEM = "{darkMode:matchMedia('(prefers-color-scheme: dark)').matches}"
 
@@ -179,11 +175,11 @@ def _around(
     }
     facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
     camera = {"position": [*content.camera.position], "look_at": [*content.camera.look_at]}
-    style, before, script = (asset(name) for name in ("overlay.css", "before.js", "overlay.js"))
+    before, script = (asset(name) for name in ("before.js", "overlay.js"))
     head = (
         (f"\n<!-- {provenance_line} -->\n" if provenance_line else "")
         + f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        + f"<style>{style}</style><script>window.alulaCamera={json.dumps(camera)};{before}</script>"
+        + f"<style>{style()}</style><script>window.alulaCamera={json.dumps(camera)};{before}</script>"
         f"<script>{asset('measure.js')}</script>"
     )
     body = (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.reporting.figures import COLORS
+from alula.stages.reporting.palette import COLORS
 from alula.stages.show.drawing.content import Play, Series
 from alula.stages.show.viewing.draw import Span
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alula.stages.reporting.flight_curves import MOST_RUNS, closest_flight
 from alula.stages.reporting.material import Material, flew_through
-from alula.stages.reporting.view3d import View
+from alula.stages.reporting.page import View
 from alula.stages.show.viewing.compose import Shown, content_of
 from alula.stages.show.viewing.page import within
 

@@ -8,8 +8,8 @@ import pytest
 
 from alula.schemas.log.samples import Commands, Moving
 from alula.schemas.parameters.configs.view import MOST_GAUSSIANS
-from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import Run
+from alula.stages.reporting.palette import COLORS
 from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.show.drawing.content import CUT, Body, Gaussians, Lines, rgb, tree_name
 from alula.stages.show.drawing.sight import FIELD_RAD
