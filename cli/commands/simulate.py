@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +78,7 @@ def command(
     from alula.schemas.artifacts.journal import TRIALS
     from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.scenarios.scenario import TEXTS
-    from alula.stages.simulation.chunks import FlownChunk, TrialJournal
+    from alula.stages.simulation.chunks import TrialJournal
 
     check_log_name(common.output)
     flights = simulate.step(
@@ -90,7 +89,7 @@ def command(
         jobs=common.jobs,
     )
     mission = flights.mission
-    kept = JournalFile(common, TRIALS, partial(TrialJournal, FlownChunk))
+    kept = JournalFile(common, TRIALS, TrialJournal)
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         kept.begin(provenance)

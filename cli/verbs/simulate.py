@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from alula.schemas.artifacts.manifest import InputRef
     from alula.schemas.artifacts.provenance import Provenance
     from alula.schemas.artifacts.tiles import TileFiles
-    from alula.stages.simulation.chunks import FlownChunk, TrialJournal
+    from alula.stages.simulation.chunks import TrialJournal
 
 Filters = str | Callable[..., Any] | Sequence[str | Callable[..., Any]]
 
@@ -131,7 +131,7 @@ class Flights:
         self,
         progress: Progress,
         provenance: Provenance | None = None,
-        kept: Callable[[Progress], tuple[TrialJournal[FlownChunk], Progress]] | None = None,
+        kept: Callable[[Progress], tuple[TrialJournal, Progress]] | None = None,
     ) -> Run:
         """Fly all trials.
 

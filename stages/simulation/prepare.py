@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
 
 from alula import _core
 from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.progress import Progress
 from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
@@ -16,6 +16,7 @@ from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.among_hulls import note_of_psi
+from alula.stages.simulation.chunks import RunFiles
 from alula.stages.simulation.encounters import risk_window_s, seen_by, watcher
 from alula.stages.simulation.judge import WorldJudge
 from alula.stages.simulation.pairs import Pairs
@@ -36,20 +37,15 @@ def prepare(
     scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
-    cover: Artifact | None = None,
-    scene: Artifact | None = None,
-    seen: Artifact | None = None,
-    plan: Artifact | None = None,
-    tiles: TileFiles | None = None,
-    pairs: Pairs | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
+    **files: Unpack[RunFiles],
 ) -> PreparedRun:
     """Make all parts of a run.
 
     Args:
         vehicle: of the file that it names; default: the one built in by its name.
-        pairs: starts and goals of the run that it names.
+        **files: those that the scenario names; `pairs` are starts and goals of the run that it names.
 
     Raises:
         UsageError: parts that make no sense together, in one sentence with what would work instead; or values
@@ -58,17 +54,10 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
-    built = make_world(
-        scenario,
-        vehicle,
-        cover=cover,
-        scene=scene,
-        seen=seen,
-        plan=plan,
-        tiles=tiles,
-        ends=None if pairs is None else np.concatenate([pairs.start, pairs.goal]),
-        jobs=jobs,
-    )
+    pairs = files.pop("pairs", None)
+    ends = None if pairs is None else np.concatenate([pairs.start, pairs.goal])
+    built = make_world(scenario, vehicle, ends=ends, jobs=jobs, **files)
+    plan = files.get("plan")
     full, world, told, filters = built.scenario, built.static, built.told, built.filters
     rules, mission, table = full.rules, full.mission, full.vehicle
     assert table.radius_m is not None
@@ -88,7 +77,7 @@ def prepare(
         speed_m_s=built.peak_m_s,
         max_speed_m_s=most,
         plan=plan,
-        maps=PlanMaps(cover, scene, seen, world.among),
+        maps=PlanMaps(files.get("cover"), files.get("scene"), files.get("seen"), world.among),
         vehicle=built.vehicle,
         behind=built.behind() if mission.planned else None,
         given=pairs,

@@ -6,23 +6,29 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from threading import Lock
+from typing import Unpack
 from uuid import uuid4
 
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.log.run import TrialResult
 from alula.schemas.progress import Progress
 from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.durations import Times
 from alula.stages.progress import share
-from alula.stages.simulation.chunks import FlownChunk, RunParts, TrialChunk, TrialJournal, fly_missing, shown
+from alula.stages.simulation.chunks import (
+    FlownChunk,
+    RunFiles,
+    RunParts,
+    TrialChunk,
+    TrialJournal,
+    fly_missing,
+    shown,
+)
 from alula.stages.simulation.encounters import rows_of_obstacles
 from alula.stages.simulation.judge import worst_clearance
-from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.prepared_run import PreparedRun
 from alula.stages.simulation.result import WorldFlight
@@ -65,16 +71,11 @@ def simulate_world(
     scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
-    cover: Artifact | None = None,
-    scene: Artifact | None = None,
-    seen: Artifact | None = None,
-    plan: Artifact | None = None,
-    tiles: TileFiles | None = None,
-    pairs: Pairs | None = None,
-    journal: TrialJournal[FlownChunk] | None = None,
+    journal: TrialJournal | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
     progress: Progress | None = None,
+    **files: Unpack[RunFiles],
 ) -> WorldRun:
     """Fly all trials of a scenario, and judge each from the truth.
 
@@ -84,37 +85,26 @@ def simulate_world(
 
     Args:
         vehicle: of the file that it names; default: the one built in by its name.
-        pairs: starts and goals of the run that it names.
         journal: finished chunks are taken from it, others added.
         scheduler: address of a `dask.distributed` scheduler, whose workers fly the trials.
+        **files: those that the scenario names; `pairs` are starts and goals of the run that it names.
 
     Raises:
         UsageError, InputError, ArtifactError, InfeasibleError: as `prepare` and `PreparedRun.fly`.
         LinkError: see `distribute`.
     """
-    parts = RunParts(
-        key=uuid4().hex,
-        scenario=scenario,
-        vehicle=vehicle,
-        cover=cover,
-        scene=scene,
-        seen=seen,
-        plan=plan,
-        tiles=tiles,
-        pairs=pairs,
-    )
+    parts = RunParts(uuid4().hex, scenario, vehicle, files)
     planning = None
     if scenario.mission.planned:
         planning, progress = share(progress, 0, 0.5), share(progress, 0.5, 1)
-    ready = _prepared(parts, jobs, planning)
+    ready = prepare(scenario, vehicle, jobs=jobs, progress=planning, **files)
     total, rules = len(ready.missions.tasks), ready.scenario.rules
     chunks = fly_missing(
         partial(fly_chunk, ready, jobs) if scheduler is None else fly_elsewhere,
-        lambda first, count: TrialChunk(None if scheduler is None else parts, first, count),
+        None if scheduler is None else parts,
         total,
         chunk_size(ready),
-        TrialJournal(FlownChunk) if journal is None else journal,
-        jobs=1,  # threads are those of the native simulation
+        TrialJournal() if journal is None else journal,
         scheduler=scheduler,
         progress=progress,
     )
@@ -151,11 +141,7 @@ _ELSEWHERE = Lock()
 
 
 def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
-    """Fly a chunk on the calling thread of a worker, which prepares each run once.
-
-    Args:
-        chunk: with the parts of its run.
-    """
+    """Fly a chunk with its parts on the calling thread of a worker, which prepares each run once."""
     assert chunk.parts is not None
     with _ELSEWHERE:
         ready = _prepared_once(chunk.parts)
@@ -164,14 +150,9 @@ def fly_elsewhere(chunk: TrialChunk) -> FlownChunk:
         return fly_chunk(ready, 1, chunk)
 
 
-def _prepared(parts: RunParts, jobs: int, progress: Progress | None = None) -> PreparedRun:
-    given = {role: getattr(parts, role) for role in ("cover", "scene", "seen", "plan", "tiles", "pairs")}
-    return prepare(parts.scenario, parts.vehicle, **given, jobs=jobs, progress=progress)
-
-
 @lru_cache(maxsize=1)
 def _prepared_once(parts: RunParts) -> PreparedRun:
-    return _prepared(parts, 1)
+    return prepare(parts.scenario, parts.vehicle, jobs=1, **parts.files)
 
 
 def fly_chunk(ready: PreparedRun, jobs: int, chunk: TrialChunk) -> FlownChunk:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -32,6 +33,16 @@ from alula.stages.world.vehicle import vehicle_spec, velocity_lags_s
 
 PLANT_STEP_S = 1e-3  # longest step of the plant by default, and period of the modelled rate loop [s]
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
+
+
+class WorldFiles(TypedDict, total=False):
+    """Files of a world by role; those that the scenario does not name are left out, or None."""
+
+    cover: Artifact | None
+    scene: Artifact | None
+    seen: Artifact | None
+    plan: Artifact | None
+    tiles: TileFiles | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,19 +107,16 @@ def make_world(
     scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
-    cover: Artifact | None = None,
-    scene: Artifact | None = None,
-    seen: Artifact | None = None,
-    plan: Artifact | None = None,
-    tiles: TileFiles | None = None,
     ends: FloatArray | None = None,
     jobs: int = 0,
+    **files: Unpack[WorldFiles],
 ) -> World:
     """Make them.
 
     Args:
         vehicle: of the file that it names; default: the one built in by its name.
         ends: starts and goals of the run that it names, shape (N, 3) [m].
+        **files: those that the scenario names.
 
     Raises:
         UsageError: parts that make no sense together, in one sentence with what would work instead; or values
@@ -118,6 +126,8 @@ def make_world(
     """
     if vehicle is None:
         vehicle = vehicle_of(scenario, Path())
+    tiles, plan = files.pop("tiles", None), files.pop("plan", None)
+    cover, scene, seen = files.get("cover"), files.get("scene"), files.get("seen")
     require_named(scenario, cover=cover, scene=scene, seen=seen, plan=plan)
     if (tiles is None) != (scenario.world.tiles is None):
         raise UsageError("`$.world.tiles`: the tiles that the scenario names must be given, and no others")

@@ -20,7 +20,7 @@ from alula.schemas.log.flights import read_flights
 from alula.schemas.log.mcap import messages
 from alula.schemas.log.run import RunRecord, read_run
 from alula.stages.simulation import simulate as stage
-from alula.stages.simulation.chunks import FlownChunk, TrialJournal
+from alula.stages.simulation.chunks import TrialJournal
 
 # What is random is too small to matter: what comes out can be reckoned.
 SMALL = """
@@ -265,7 +265,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     error = capsys.readouterr().err.strip()
     assert error == "alula: interrupted; the same command continues from r.run.mcap.journal, 160 trials"
     assert not Path("r.run.mcap").exists()
-    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) == 160
+    assert len(TrialJournal(unpack(JOURNAL.read_bytes(), TRIALS)[1])) == 160
     other = [*WORDS, "--seed", "1", "--dry-run"]
     assert run(other) == 0
     assert "ignoring r.run.mcap.journal: it is of another run: seed was 0, now 1" in capsys.readouterr().err
@@ -311,4 +311,4 @@ def test_a_run_that_is_killed_loses_little(here, name):
     assert process.returncode == (130 if name == "SIGINT" else -signal.SIGKILL)
     assert ("the same command continues" in error) == (name == "SIGINT")
     assert not Path("r.run.mcap").exists()
-    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) >= 16
+    assert len(TrialJournal(unpack(JOURNAL.read_bytes(), TRIALS)[1])) >= 16

@@ -19,7 +19,7 @@ from alula.schemas.scenarios.scenario import Scenario, decoded, read_scenario
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.filtering.moving_filters import moving_options
 from alula.stages.simulation import simulate as module
-from alula.stages.simulation.chunks import FlownChunk, RunParts, TrialChunk, TrialJournal
+from alula.stages.simulation.chunks import RunParts, TrialChunk, TrialJournal
 from alula.stages.simulation.judge import worst_clearance
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.simulate import simulate_world
@@ -170,7 +170,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
     assert [flight.trial for flight in whole.flights] == [0, 1, *others]
     assert plain(fly(scenario, jobs=3)) == plain(whole)
 
-    journal = TrialJournal(FlownChunk)
+    journal = TrialJournal()
 
     def stop(done: int, total: int) -> None:
         if done >= 16:
@@ -180,7 +180,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
         fly(scenario, journal=journal, jobs=1, progress=stop)
     assert len(journal) == 16
     seen = []
-    resumed = TrialJournal(FlownChunk, journal.snapshot())
+    resumed = TrialJournal(journal.snapshot())
     again = fly(scenario, journal=resumed, jobs=2, progress=lambda *at: seen.append(at))
     assert seen[0] == (16, 40)
     assert seen[-1] == (40, 40)
@@ -188,7 +188,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
     monkeypatch.setattr(module, "CHUNK", 7)
     assert plain(fly(scenario, jobs=2)) == plain(whole)
     with pytest.raises(ValueError, match=r"."):
-        TrialJournal(FlownChunk, b"\x01\x02")
+        TrialJournal(b"\x01\x02")
 
 
 def test_the_filter_sees_its_own_state_with_the_noise_of_the_sensor():
@@ -226,8 +226,7 @@ def test_a_chunk_that_is_flown_elsewhere_is_the_same():
     walls = [{"lower_m": (-5, 1.5, 0), "upper_m": (60, 2.5, 20)}]
     scenario = made(world={"moving": [AHEAD], "walls": walls}, rules={"trials": 20})
     whole = fly(scenario)
-    given = {"cover": None, "scene": None, "plan": None, "pairs": None}
-    parts = RunParts(key="a", scenario=scenario, vehicle=vehicle_of(scenario, Path()), **given)
+    parts = RunParts("a", scenario, vehicle_of(scenario, Path()), {})
     sent = [pickle.loads(pickle.dumps(TrialChunk(parts, first, 5))) for first in (0, 15)]
     module._prepared_once.cache_clear()
     found = [module.fly_elsewhere(chunk) for chunk in sent]

@@ -17,7 +17,7 @@ from alula.schemas.log.run import RunRecord
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
 from alula.stages.simulation import simulate as stage
-from alula.stages.simulation.chunks import FlownChunk, TrialJournal
+from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.judge import worst_clearance
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.result import WorldFlight
@@ -123,18 +123,18 @@ def test_results_do_not_depend_on_jobs_or_on_what_a_journal_brings(room, monkeyp
     serial = fly()
     assert serial.trials == room.trials
     assert log_of(serial) == log_of(room)
-    journal = TrialJournal(FlownChunk)
+    journal = TrialJournal()
     seen = []
     fly(journal=journal, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(4, 10), (8, 10), (10, 10)]
     del journal.chunks[4]
-    taken = TrialJournal(FlownChunk, journal.snapshot())
+    taken = TrialJournal(journal.snapshot())
     assert len(taken) == 6
     resumed = fly(journal=taken)
     assert log_of(resumed) == log_of(room)
     assert resumed.filter_times.calls == 6000
     with pytest.raises(ValueError):
-        TrialJournal(FlownChunk, b"\x00\x01")
+        TrialJournal(b"\x00\x01")
 
 
 def topics_of(run):
