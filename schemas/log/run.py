@@ -312,7 +312,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         summary: dict[str, Any],
         guarantee: Guarantee,
     ) -> Self:
-        """Make the record of a simulated run, without measured times.
+        """Make the record of a run, without measured times.
 
         Args:
             provenance: that of the command; the record's also holds the summary.

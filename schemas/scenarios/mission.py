@@ -36,6 +36,7 @@ from msgspec import Meta
 
 from alula.schemas.artifacts.manifest import VERSION
 from alula.schemas.errors import UsageError
+from alula.schemas.scenarios.types import Box, SparseTable
 from alula.schemas.toml_file import first_beyond, read_toml
 
 MISSION_SCHEMA: Literal["alula/mission"] = "alula/mission"
@@ -43,15 +44,10 @@ MOST_PASSES = 1000  # of all laps
 _LARGEST_M = 1e6
 
 Vector = tuple[float, float, float]
-Box = tuple[float, float, float, float, float, float]
 Size = Annotated[float, Meta(ge=1e-3, le=1e3)]
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A table of the file: unknown keys are refused."""
-
-
-class PassTable(_Table, frozen=True, kw_only=True):
+class PassTable(SparseTable, frozen=True, kw_only=True):
     """A waypoint, `point_m`, or a gate, `gate_m` with `normal` and `radius_m`."""
 
     point_m: Annotated[Vector | None, Meta(description="a point to pass [m]")] = None
@@ -74,14 +70,14 @@ class PassTable(_Table, frozen=True, kw_only=True):
     look_at_m: Annotated[Vector | None, Meta(description="on the way to it: towards this point [m]")] = None
 
 
-class ZoneTable(_Table, frozen=True, kw_only=True):
+class ZoneTable(SparseTable, frozen=True, kw_only=True):
     """A box with a lower top speed."""
 
     box_m: Annotated[Box, Meta(description="XMIN YMIN ZMIN XMAX YMAX ZMAX [m]")]
     speed_m_s: Annotated[float, Meta(ge=1e-3, le=1e3, description="top speed in it [m/s]")]
 
 
-class Mission(_Table, frozen=True, kw_only=True):
+class Mission(SparseTable, frozen=True, kw_only=True):
     """A mission file.
 
     Attributes:

@@ -39,3 +39,7 @@ def about(description: str, **limits: Any) -> Meta:
 
 class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of the file: unknown keys are refused."""
+
+
+class SparseTable(Table, frozen=True, kw_only=True, omit_defaults=True):
+    """A table of the file without the keys that have their defaults."""

@@ -56,12 +56,12 @@ from msgspec import UNSET, Meta, UnsetType
 
 from alula.schemas.artifacts.manifest import VERSION
 from alula.schemas.errors import UsageError
-from alula.schemas.toml_file import read_toml, toml_value
+from alula.schemas.scenarios.types import Positive, SparseTable
+from alula.schemas.toml_file import first_beyond, read_toml, toml_value
 
 VEHICLE_SCHEMA: Literal["alula/vehicle"] = "alula/vehicle"
 
 Model = Literal["quadrotor", "double-integrator", "single-integrator"]
-Positive = Annotated[float, Meta(gt=0)]
 Size = Annotated[float, Meta(ge=0)]
 Sizes = tuple[Size, Size, Size]
 Lag = tuple[Size, Size]
@@ -76,11 +76,7 @@ _ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
 _RATE_PER_S = (36.0, 36.0, 11.0)
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A table of the file: unknown keys are refused."""
-
-
-class BodyTable(_Table, frozen=True, kw_only=True):
+class BodyTable(SparseTable, frozen=True, kw_only=True):
     """The rigid body.
 
     Attributes:
@@ -96,7 +92,7 @@ class BodyTable(_Table, frozen=True, kw_only=True):
     gravity_m_s2: Positive = 9.81
 
 
-class RotorsTable(_Table, frozen=True, kw_only=True):
+class RotorsTable(SparseTable, frozen=True, kw_only=True):
     """Four rotors that push along body z.
 
     Attributes:
@@ -114,7 +110,7 @@ class RotorsTable(_Table, frozen=True, kw_only=True):
     min_thrust_n: tuple[Size, Size, Size, Size] = (0.0, 0.0, 0.0, 0.0)
 
 
-class LimitsTable(_Table, frozen=True, kw_only=True):
+class LimitsTable(SparseTable, frozen=True, kw_only=True):
     """Limits of a point without rotors.
 
     Attributes:
@@ -126,7 +122,7 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
     max_acceleration_m_s2: Positive | None = None
 
 
-class RatesTable(_Table, frozen=True, kw_only=True):
+class RatesTable(SparseTable, frozen=True, kw_only=True):
     """Limits of rate commands, and the first-order lag of the rate loop within the rotors' limits.
 
     Attributes:
@@ -151,7 +147,7 @@ class RatesTable(_Table, frozen=True, kw_only=True):
         return max(self.axes_s[:2])
 
 
-class ThrottleTable(_Table, frozen=True, kw_only=True):
+class ThrottleTable(SparseTable, frozen=True, kw_only=True):
     """Acceleration by throttle, for flying as a racing pilot does.
 
     Attributes:
@@ -166,7 +162,7 @@ class ThrottleTable(_Table, frozen=True, kw_only=True):
     sag_time_s: Positive = 0.5
 
 
-class TrackingTable(_Table, frozen=True, kw_only=True):
+class TrackingTable(SparseTable, frozen=True, kw_only=True):
     """Gains of the geometric controller, and limits of its command; see
     `alula/dynamics/tracking_controller.hpp`.
 
@@ -192,7 +188,7 @@ class TrackingTable(_Table, frozen=True, kw_only=True):
     uses_acceleration: bool = True
 
 
-class DisturbanceTable(_Table, frozen=True, kw_only=True):
+class DisturbanceTable(SparseTable, frozen=True, kw_only=True):
     """Disturbances of the simulated plant, all off by default.
 
     Attributes:
@@ -222,7 +218,7 @@ class DisturbanceTable(_Table, frozen=True, kw_only=True):
     delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
 
 
-class AssumedTable(_Table, frozen=True, kw_only=True):
+class AssumedTable(SparseTable, frozen=True, kw_only=True):
     """What controller and filters assume; for a real vehicle the identified values.
 
     Attributes:
@@ -234,7 +230,7 @@ class AssumedTable(_Table, frozen=True, kw_only=True):
     delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
 
 
-class VelocitiesTable(_Table, frozen=True, kw_only=True):
+class VelocitiesTable(SparseTable, frozen=True, kw_only=True):
     """How the vehicle's own controller follows velocity set-points; the defaults are ArduPilot Copter's.
 
     63 % of a stop from the speed v take a + b v.
@@ -255,7 +251,7 @@ class VelocitiesTable(_Table, frozen=True, kw_only=True):
     deceleration_m_s2: Positive = 2.5
 
 
-class IdentifiedTable(_Table, frozen=True, kw_only=True):
+class IdentifiedTable(SparseTable, frozen=True, kw_only=True):
     """What `alula identify` measured; an interval [low, high] contains the value in 95 of 100 measurements.
 
     Attributes:
@@ -304,16 +300,15 @@ class IdentifiedTable(_Table, frozen=True, kw_only=True):
     thrust_time_constant_interval_s: Interval | None = None
 
 
+_OF_QUADROTORS = (
+    *("body.mass_kg", "body.inertia_kg_m2", "body.gravity_m_s2", "rotors", "rates", "throttle"),
+    *("assumed", "velocities", "identified"),
+)
 # Keys that do not apply to each model.
 _UNUSED = {
     "quadrotor": ("limits",),
     "double-integrator": (
-        "body.mass_kg",
-        "body.inertia_kg_m2",
-        "body.gravity_m_s2",
-        "rotors",
-        "rates",
-        "throttle",
+        *_OF_QUADROTORS,
         "limits.max_speed_m_s",
         "tracking.attitude_n_m",
         "tracking.rate_n_m_s",
@@ -328,24 +323,8 @@ _UNUSED = {
         "disturbance.gust_time_s",
         "disturbance.attitude_noise_rad",
         "disturbance.rate_noise_rad_s",
-        "assumed",
-        "velocities",
-        "identified",
     ),
-    "single-integrator": (
-        "body.mass_kg",
-        "body.inertia_kg_m2",
-        "body.gravity_m_s2",
-        "rotors",
-        "rates",
-        "throttle",
-        "limits.max_acceleration_m_s2",
-        "tracking",
-        "disturbance",
-        "assumed",
-        "velocities",
-        "identified",
-    ),
+    "single-integrator": (*_OF_QUADROTORS, "limits.max_acceleration_m_s2", "tracking", "disturbance"),
 }
 _NEEDED = {
     "quadrotor": ("body.mass_kg", "body.inertia_kg_m2", "rotors"),
@@ -354,7 +333,7 @@ _NEEDED = {
 }
 
 
-class Vehicle(_Table, frozen=True, kw_only=True):
+class Vehicle(SparseTable, frozen=True, kw_only=True):
     """A vehicle file.
 
     Attributes:
@@ -476,7 +455,8 @@ def check_vehicle(vehicle: Vehicle) -> None:
         UsageError: they do not; the message has the path of the key.
     """
     values = msgspec.to_builtins(vehicle)
-    _check_finite("$", values)
+    if wrong := first_beyond(values, "$", math.inf):
+        raise UsageError(f"{wrong}: must be finite")
     for key in _NEEDED[vehicle.model]:
         if not _has(values, key):
             raise UsageError(f"`$.{key}`: a {vehicle.model} needs it")
@@ -533,15 +513,3 @@ def _has(values: Any, key: str) -> bool:
             return False
         values = values[part]
     return True
-
-
-def _check_finite(where: str, value: Any) -> None:
-    """Refuse inf and nan, which TOML allows."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise UsageError(f"`{where}`: must be finite")
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _check_finite(f"{where}.{key}", item)
-    elif isinstance(value, list | tuple):
-        for item in value:
-            _check_finite(f"{where}[...]", item)

@@ -226,7 +226,7 @@ def _finish(
 
     from alula.cli.shell.runner import show
     from alula.schemas.artifacts.artifact import encode_artifact
-    from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.schemas.log.run import RunRecord, record_path
     from alula.stages.flight.judge import guarantee_of, judge, summary_of, timing_of
     from alula.stages.flight.mission import describe
 
@@ -249,10 +249,8 @@ def _finish(
     summary = summary_of(trial, loop.supervision, loop.taken, new_plans)
     if mission.notes:
         summary["notes"] = mission.notes
-    record = RunRecord(
-        schema=RUN_SCHEMA,
-        version=RUN_VERSION,
-        provenance=msgspec.structs.replace(provenance, summary=summary),
+    record = RunRecord.of(
+        provenance,
         name=mission.config.name,
         filter=mission.config.filter,
         vehicle=describe(mission),
