@@ -16,7 +16,6 @@ from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.planning.adherence import FINISHED_M_S, PlanJudge, require_room, via_tolerance
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.among_hulls import note_of_psi
-from alula.stages.simulation.chunks import RunFiles
 from alula.stages.simulation.encounters import risk_window_s, seen_by, watcher
 from alula.stages.simulation.judge import WorldJudge
 from alula.stages.simulation.pairs import Pairs
@@ -26,7 +25,7 @@ from alula.stages.simulation.prepared_run import PreparedRun
 from alula.stages.simulation.tasks import Missions, missions_of
 from alula.stages.world.moving import moving_spec
 from alula.stages.world.obstacles import StaticWorld
-from alula.stages.world.world import has_losses, make_world, plant_steps_of
+from alula.stages.world.world import WorldFiles, has_losses, make_world, plant_steps_of
 
 _STUCK_S = 2.0
 _STUCK_POINT_S = 1.0
@@ -37,15 +36,17 @@ def prepare(
     scenario: Scenario,
     vehicle: Vehicle | None = None,
     *,
+    pairs: Pairs | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
-    **files: Unpack[RunFiles],
+    **files: Unpack[WorldFiles],
 ) -> PreparedRun:
     """Make all parts of a run.
 
     Args:
         vehicle: of the file that it names; default: the one built in by its name.
-        **files: those that the scenario names; `pairs` are starts and goals of the run that it names.
+        pairs: starts and goals of the run that it names.
+        **files: those that the scenario names.
 
     Raises:
         UsageError: parts that make no sense together, in one sentence with what would work instead; or values
@@ -54,7 +55,6 @@ def prepare(
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
     """
-    pairs = files.pop("pairs", None)
     ends = None if pairs is None else np.concatenate([pairs.start, pairs.goal])
     built = make_world(scenario, vehicle, ends=ends, jobs=jobs, **files)
     plan = files.get("plan")
