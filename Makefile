@@ -44,7 +44,8 @@ test-all: setup ## run all tests: long ones too, with new random examples, then 
 	ALULA_TESTS=all $(BIN)/pytest tests -m realtime
 	ALULA_TESTS=all $(BIN)/pytest tests -n auto --dist worksteal -m "not realtime"
 
-setup: .venv/.dependencies .venv/.installed ## make the environment in .venv/
+setup: ## make the environment in .venv/
+	@$(MAKE) --no-print-directory --quiet -j2 .venv/.dependencies .venv/.installed
 
 .venv/.native: .ci/native.lock
 	.ci/system-packages "$$(.ci/find-python)"

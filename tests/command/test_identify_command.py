@@ -93,6 +93,7 @@ def test_a_dry_run_checks_and_writes_nothing(output, capsys, quick_clock):
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_a_file_for_the_simulated_link(output, capfd, quick_clock):
     """Its lag is known: 0.27 s from 1 m/s."""
     words = [*SIM, "--box", "-4 -4 0 4 4 8", "--speeds", "0.5,1", "--date", "today", "-o", str(output)]
