@@ -70,11 +70,7 @@ class Page:
         """
         from alula.stages.show.viewing.serve import PageServer
 
-        def make(flight: int | None) -> str | None:
-            return self._make(flight, lambda done, total: None)
-
-        first = make(None)  # complains before there is an address
-        return PageServer(lambda flight: first if flight is None else make(flight), port)
+        return PageServer(lambda flight: self._make(flight, lambda done, total: None), port)
 
     def serve(self, port: int = 0) -> None:
         """Serve the page to a browser on this machine until it is interrupted; print its address.

@@ -91,8 +91,11 @@ def _write_view(files: Sequence[Path], config: ViewConfig, pictured: PictureConf
         from alula.stages.show.viewing.files import read_files
 
         compose = _composer(read_files(files, config.title), config)
-        draw = _page if form in PAGES else _picture
-        data, summary = draw(compose, config, pictured, form, provenance, progress, common.jobs)
+        if form in PAGES:
+            data, summary = _page(compose, config.gaussians, provenance, progress)
+        else:
+            content = compose(config.most_gaussians)
+            data, summary = _picture(content, pictured, form, provenance, progress, common.jobs)
 
         def write() -> None:
             with atomic_output(common.output) as file:
@@ -111,12 +114,9 @@ def _parameters(pictured: PictureConfig, form: str) -> dict[str, Any]:
 
 def _page(
     compose: Callable[[int], Content],
-    config: ViewConfig,
-    _pictured: PictureConfig,
-    _form: str,
+    gaussians: int | None,
     provenance: Provenance,
     progress: Progress,
-    _jobs: int,
 ) -> tuple[bytes, dict[str, Any]]:
     """Text of a page, and the figures to print."""
     from alula.stages.reporting.page import comment
@@ -124,7 +124,7 @@ def _page(
 
     progress(1, 2)
     # The summary is part of the page, so it is known before the page is bounded.
-    text, content = within(compose, gaussians=config.gaussians, provenance_line="PROVENANCE")
+    text, content = within(compose, gaussians=gaussians, provenance_line="PROVENANCE")
     summary = _summary(content)
     text = text.replace("PROVENANCE", comment(provenance.line(summary)), 1)
     progress(2, 2)
@@ -132,8 +132,7 @@ def _page(
 
 
 def _picture(
-    compose: Callable[[int], Content],
-    config: ViewConfig,
+    content: Content,
     pictured: PictureConfig,
     form: str,
     provenance: Provenance,
@@ -145,7 +144,6 @@ def _picture(
     from alula.stages.show.viewing import encode
     from alula.stages.show.viewing.film import film, still
 
-    content = compose(config.most_gaussians)
     summary = _summary(content)
     if form in STILLS:
         size = pictured.size_px(_STILL_PX)

@@ -20,6 +20,16 @@ def _of_obstacles(printed: Mapping[str, Any]) -> dict[str, float]:
     return {f"{name}_{i + 1}": printed[symbol][i] for symbol, name in names.items() for i in (0, 1)}
 
 
+_SCENARIO_2: dict[str, dict[str, float]] = {
+    variant: dict(
+        zip(
+            ("success_mean", "closing_mean", "reaction", "command", "tick", "separation_mean"),
+            row["values"],
+            strict=True,
+        )
+    )
+    for variant, row in DRACBF_PRINTED["table-2"].items()
+}
 # DR-ACBF's values by scenario or group of runs and by variant, under the names of our tables.
 DRACBF: dict[str, dict[str, dict[str, float]]] = {
     "scenario-1": {
@@ -30,16 +40,7 @@ DRACBF: dict[str, dict[str, dict[str, float]]] = {
         }
         for variant, row in DRACBF_PRINTED["table-1"].items()
     },
-    "scenario-2": {
-        variant: dict(
-            zip(
-                ("success_mean", "closing_mean", "reaction", "command", "tick", "separation_mean"),
-                row["values"],
-                strict=True,
-            )
-        )
-        for variant, row in DRACBF_PRINTED["table-2"].items()
-    },
+    "scenario-2": _SCENARIO_2,
     "trigger": {
         variant: {
             name: value
@@ -49,8 +50,8 @@ DRACBF: dict[str, dict[str, dict[str, float]]] = {
         for variant, state in (("dr-acbf", "on"), ("trigger-simple", "off"))
     },
     "solver": {
-        "dr-acbf-gs": {"tick": 0.475, "command": 2.24},
-        "dr-acbf-qp": {"tick": 0.766, "command": 5.36},
+        "dr-acbf-gs": {name: _SCENARIO_2["dr-acbf"][name] for name in ("tick", "command")},
+        **DRACBF_PRINTED["solver"],
     },
     "hardware": {
         flight: {name: row[name][0] for name in row["flights"]} | {"success": 100.0}

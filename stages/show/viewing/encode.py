@@ -59,20 +59,7 @@ def webp(film: Film, rate_hz: float, line: str) -> bytes:
         line: of provenance, kept as a comment of its XMP data.
     """
     xmp = f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><!-- {comment(line)} --></x:xmpmeta>'
-    frames = _labelled(film)
-    out = io.BytesIO()
-    frames[0].save(
-        out,
-        format="WEBP",
-        save_all=True,
-        append_images=frames[1:],
-        duration=_durations(len(frames), rate_hz, 1),
-        loop=0,
-        quality=_QUALITY,
-        method=4,
-        xmp=xmp.encode(),
-    )
-    return out.getvalue()
+    return _moving("WEBP", _labelled(film), rate_hz, 1, quality=_QUALITY, method=4, xmp=xmp.encode())
 
 
 def gif(film: Film, rate_hz: float, line: str) -> bytes:
@@ -89,25 +76,17 @@ def gif(film: Film, rate_hz: float, line: str) -> bytes:
     sample = Image.fromarray(np.concatenate([np.asarray(frame)[::3, ::3] for frame in some]))
     palette = sample.quantize(256, method=Image.Quantize.MEDIANCUT)
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    out = io.BytesIO()
-    flat[0].save(
-        out,
-        format="GIF",
-        save_all=True,
-        append_images=flat[1:],
-        duration=_durations(len(flat), rate_hz, 10),
-        loop=0,
-        optimize=False,
-        comment=line.encode("ascii"),
-    )
-    return out.getvalue()
+    return _moving("GIF", flat, rate_hz, 10, optimize=False, comment=line.encode("ascii"))
 
 
-def _durations(count: int, rate_hz: float, step_ms: int) -> list[int]:
-    """Time of each frame in multiples of a step, so that their sum keeps to the rate [ms]."""
-    ends = np.round(np.arange(count + 1) * 1000 / rate_hz / step_ms).astype(np.int64)
+def _moving(form: str, frames: list[Any], rate_hz: float, step_ms: int, **options: Any) -> bytes:
+    """Encode frames; their times are multiples of a step, and the sum of these keeps to the rate."""
+    ends = np.round(np.arange(len(frames) + 1) * 1000 / rate_hz / step_ms).astype(np.int64)
     found = (np.maximum(np.diff(ends), 1) * step_ms).tolist()
-    return [*found[:-1], _LAST_MS]
+    times: Any = {"append_images": frames[1:], "duration": [*found[:-1], _LAST_MS], "loop": 0}
+    out = io.BytesIO()
+    frames[0].save(out, format=form, save_all=True, **times, **options)
+    return out.getvalue()
 
 
 def _labelled(film: Film) -> list[Any]:
