@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -80,19 +80,18 @@ def print_sections(facts: Mapping[str, Any]) -> None:
         if rows is not None:
             print_table(title, *rows)
         elif isinstance(value, Mapping):
-            _pairs(title, _flat(value))
+            _pairs(title, {key: item for key, item in flat(value) if not _blank(item)})
         else:
             _pairs(title, {str(number): item for number, item in enumerate(value, 1)})
 
 
-def _flat(facts: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in facts.items():
+def flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Keys and values, those of a nested table after its name and a dot."""
+    for key, value in table.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{path}{key}.")
-        elif not _blank(value):
-            found[f"{path}{key}"] = value
-    return found
+            yield from ((f"{key}.{inner}", found) for inner, found in flat(value))
+        else:
+            yield key, value
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -35,17 +35,22 @@ def write_run(
     Raises:
         OutputError: a file cannot be written.
     """
+    from alula.schemas.atomic import atomic_outputs
+    from alula.schemas.log.run import record_path
+
+    text = record_text(record, timing)
+    with atomic_outputs(output, record_path(output)) as (log, beside):
+        write_log(log)
+        beside.write(text)
+
+
+def record_text(record: RunRecord, timing: Mapping[str, Any]) -> bytes:
+    """Contents of the file of a record, with measured times and a description of the machine."""
     import os
     import platform
 
     import msgspec
 
-    from alula.schemas.atomic import atomic_outputs
-    from alula.schemas.log.run import record_path
-
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     timed = msgspec.structs.replace(record, timing=machine | dict(timing))
-    text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
-    with atomic_outputs(output, record_path(output)) as (log, beside):
-        write_log(log)
-        beside.write(text)
+    return msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 
 from alula.cli.shell.options import Common
-from alula.cli.shell.present import digits_of, echo, plain, print_json
+from alula.cli.shell.present import digits_of, echo, flat, plain, print_json
 from alula.cli.shell.progress import shown_progress
 from alula.schemas.artifacts.provenance import Provenance, differences, parameters_of, read_provenance
 from alula.schemas.atomic import write_text
@@ -356,7 +356,7 @@ def facts(summary: Mapping[str, Any]) -> dict[str, str]:
     """
     return {
         key: plain(value, digits=digits_of(key))
-        for key, value in _flat(summary)
+        for key, value in flat(summary)
         if key != "notes" and not _says_nothing(key, value)
     }
 
@@ -366,15 +366,6 @@ def _says_nothing(key: str, value: Any) -> bool:
 
     is_counted = key.endswith("_steps") or (key in get_args(Outcome) and key != "reached")
     return value is None or (is_counted and value == 0 and not isinstance(value, bool))
-
-
-def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Keys and values, those of a nested table after its name and a dot."""
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from ((f"{key}.{inner}", found) for inner, found in _flat(value))
-        else:
-            yield key, value
 
 
 def make_escape(path: Path, special: str = " \t#:*?[") -> str:

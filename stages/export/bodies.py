@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.provenance import Provenance
-from alula.stages.export.pieces import ROUNDED, hull_color, pieces
+from alula.stages.export.pieces import ROUNDED, hull_color, obj_object, pieces
 
 Files = Iterator[tuple[str, bytes]]
 
@@ -68,7 +67,7 @@ def urdf(cover: Artifact, provenance: Provenance) -> Files:
     """Write a robot description with one fixed link, and the mesh of each hull beside it."""
     lines = [_head(provenance).decode(), '<robot name="map">\n  <link name="map">\n']
     for name, points, faces in pieces(cover):
-        yield f"{name}.obj", _obj(name, points, faces)
+        yield f"{name}.obj", obj_object(name, points, faces)
         mesh = f'<geometry><mesh filename="{name}.obj"/></geometry>'
         lines.append(f'    <visual name="{name}">{mesh}</visual>\n')
         lines.append(f'    <collision name="{name}">{mesh}</collision>\n')
@@ -83,7 +82,7 @@ def gazebo(cover: Artifact, provenance: Provenance) -> Files:
     ]
     lines.append('    <link name="map">\n')
     for name, points, faces in pieces(cover):
-        yield f"{name}.obj", _obj(name, points, faces)
+        yield f"{name}.obj", obj_object(name, points, faces)
         for kind in ("visual", "collision"):
             geometry = f"<geometry><mesh><uri>{name}.obj</uri></mesh></geometry>"
             lines.append(f'      <{kind} name="{name}">{geometry}</{kind}>\n')
@@ -105,10 +104,3 @@ def _head(provenance: Provenance) -> bytes:
 
 def _numbers(points: FloatArray) -> str:
     return " ".join(map(repr, points.ravel().tolist()))
-
-
-def _obj(name: str, points: FloatArray, faces: NDArray[np.int64]) -> bytes:
-    lines = [f"o {name}"]
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()

@@ -15,7 +15,7 @@ from alula.schemas.errors import UsageError, WrongKindError
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import map_binary, map_c_header
 from alula.stages.export import bodies, grids
-from alula.stages.export.pieces import ROUNDED, hull_color, hull_name, pieces
+from alula.stages.export.pieces import ROUNDED, hull_color, hull_name, obj_object, pieces
 from alula.stages.export.scene import COPIED, SCENE_ENCODERS
 
 _UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # alula: z up; glTF: y up
@@ -107,10 +107,7 @@ def _cover_obj(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     yield _comment(provenance, ROUNDED, "Metres, z up; one object per hull.")
     first = 1
     for name, points, faces in pieces(cover):
-        lines = [f"o {name}"]
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]
-        yield ("\n".join(lines) + "\n").encode()
+        yield obj_object(name, points, faces, first)
         first += len(points)
 
 

@@ -43,3 +43,11 @@ def pieces(cover: Artifact) -> Iterator[tuple[str, FloatArray, NDArray[np.int64]
             solid.points_voxel[points] * edge,
             solid.triangles[faces] - solid.point_start[hull],
         )
+
+
+def obj_object(name: str, points: FloatArray, faces: NDArray[np.int64], first: int = 1) -> bytes:
+    """An object of an OBJ file, whose first corner has a number."""
+    lines = [f"o {name}"]
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]
+    return ("\n".join(lines) + "\n").encode()

@@ -125,10 +125,10 @@ def test_a_writer_that_dies_is_told_after_a_flight_that_went_well(fly, old, seco
 
 
 def test_a_record_that_cannot_be_written_is_told_after_the_flight(fly, monkeypatch, capsys):
-    def full(path, record):
-        raise OutputError(f"{path}: cannot write: No space left on device")
+    def full(record, timing):
+        raise OutputError(f"{fly.record}: cannot write: No space left on device")
 
-    monkeypatch.setattr(fly_run, "_write_record", full)
+    monkeypatch.setattr("alula.cli.shell.run_files.record_text", full)
     with pytest.raises(OutputError, match=r"the flight went well, but .*f.run.json: cannot write: No space"):
         fly()
     assert read_run(fly.log).trials[0].outcome == "reached"

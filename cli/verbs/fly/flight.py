@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,7 +15,7 @@ from alula.schemas.errors import CheckError, LinkError, OutputError
 
 if TYPE_CHECKING:
     from alula.schemas.artifacts.provenance import Provenance
-    from alula.schemas.log.run import RunRecord, TrialResult
+    from alula.schemas.log.run import TrialResult
     from alula.stages.flight.links.protocol import Link
     from alula.stages.flight.loop.control_loop import ControlLoop
     from alula.stages.flight.mission import PlannedFlight
@@ -220,12 +219,12 @@ def _finish(
     common: Common,
 ) -> _Flown:
     """Complete the log and write the record; a flight that never took off leaves neither."""
-    import platform
-
     import msgspec
 
+    from alula.cli.shell.run_files import record_text
     from alula.cli.shell.runner import show
     from alula.schemas.artifacts.artifact import encode_artifact
+    from alula.schemas.atomic import atomic_output
     from alula.schemas.log.run import RunRecord, record_path
     from alula.stages.flight.judge import guarantee_of, judge, summary_of, timing_of
     from alula.stages.flight.mission import describe
@@ -267,9 +266,9 @@ def _finish(
     timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
     if recorder.is_viewed:
         timing |= {"unseen_samples": recorder.unseen}
-    machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     try:
-        _write_record(record_path(log), msgspec.structs.replace(record, timing=machine | timing))
+        with atomic_output(record_path(log)) as beside:
+            beside.write(record_text(record, timing))
     except OutputError as error:  # the result of the flight is still shown
         trouble.append(str(error))
     show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})
@@ -278,15 +277,6 @@ def _finish(
 
 def _cut(log: Path | None) -> str:
     return f"{log}: the log was cut because its writer failed; it is readable up to its last complete chunk"
-
-
-def _write_record(path: Path, record: RunRecord) -> None:
-    import msgspec
-
-    from alula.schemas.atomic import atomic_output
-
-    with atomic_output(path) as beside:
-        beside.write(msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2) + b"\n")
 
 
 def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
