@@ -469,14 +469,14 @@ def producer() -> Producer:
     root = Path(__file__).resolve().parents[2]
     if not commit and (root / ".git").exists():  # not the commit of a repository around an installation
         try:
+            # `git describe --dirty` would lock the index, and leave the lock where it is killed
+            words = ["--no-optional-locks", "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
             done = subprocess.run(
-                ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
-                capture_output=True,
-                text=True,
-                timeout=10,
-                check=True,
+                ["git", "-C", str(root), *words], capture_output=True, text=True, timeout=10, check=True
             )
-            commit = done.stdout.strip()
+            found = re.match("# branch.oid ([0-9a-f]{12})", done.stdout)
+            is_dirty = re.search("^[^#]", done.stdout, re.MULTILINE) is not None
+            commit = found[1] + "-dirty" * is_dirty if found is not None else ""
         except (OSError, subprocess.SubprocessError):
             commit = ""
     return Producer("alula", __version__, commit or "unknown")

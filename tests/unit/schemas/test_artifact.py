@@ -1,6 +1,7 @@
 """Artifacts: round trips, identical bytes, alignment, and all kinds of damage."""
 
 import json
+import os
 import subprocess
 import zipfile
 
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from alula.schemas import errors
+from alula.schemas.artifacts import manifest
 from alula.schemas.artifacts.artifact import (
     Artifact,
     artifact_hash,
@@ -332,3 +334,23 @@ def test_a_manifest_whose_numbers_mean_nothing_is_refused(path, edit):
     rewrite(path, lambda m: m.update(edit))
     with pytest.raises(errors.DamagedError, match=next(iter(edit))):
         read_artifact(path)
+
+
+def test_the_commit_of_a_checkout_is_read_without_a_lock_of_it(tmp_path, monkeypatch):
+    def git(*words):
+        command = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b", *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    file, index = tmp_path / "file", tmp_path / ".git/index"
+    git("init", "-q")
+    file.write_text("1")
+    git("add", "file")
+    git("commit", "-qm", "first")
+    commit, before = git("rev-parse", "HEAD")[:12], index.read_bytes()
+    monkeypatch.setattr(manifest, "__file__", str(tmp_path / "schemas/artifacts/manifest.py"))
+    monkeypatch.setattr(manifest, "native_commit", lambda: "")
+    os.utime(file, (1, 1))  # a lock would be taken to write this into the index
+    assert manifest.producer.__wrapped__().commit == commit
+    assert index.read_bytes() == before
+    file.write_text("22")
+    assert manifest.producer.__wrapped__().commit == f"{commit}-dirty"
