@@ -127,7 +127,7 @@ class Judge:
         followed = PlanJudge(plan, [self.hulls], self.radius_m, via_tolerance(None, self.radius_m)).result(
             path
         )
-        away = cKDTree(sample_plan(plan, 0.01).position_world).query(path)[0]
+        away = cKDTree(sample_plan(plan, 0.01)).query(path)[0]
         return {
             "hull_clearance_m": float(path_clearance(path, self.hulls).min()) - self.radius_m,
             "scene_clearance_m": float(path_clearance(path, self.scene).min()) - self.radius_m,

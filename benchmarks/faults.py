@@ -326,7 +326,7 @@ class Judge:
         self.radius_m, self.following = vehicle.body.radius_m, vehicle.following
         self.plan = read_artifact(plan_path(folder, name), PLAN)
         self.walls = hull_obstacles(Hulls.from_cover(read_artifact(folder / "corridor.cover.npz", COVER)))
-        self.course = sample_plan(self.plan, 0.01).position_world
+        self.course = sample_plan(self.plan, 0.01)
         self.away = cKDTree(self.course)
         gone = np.linalg.norm(np.diff(self.course, axis=0), axis=1).cumsum()
         self.part = np.concatenate([[0.0], gone / gone[-1]])

@@ -285,7 +285,7 @@ def gate_figures(world: World, count: int, seed: int) -> dict[str, Any]:
             continue
         seconds.append(time.process_time() - begin)
         unproven += not verify_plan(made, cover=world.cover, jobs=1).covered
-        found = PlanJudge(made, [], world.radius_m, 0.1).result(sample_plan(made, 1e-3).position_world)
+        found = PlanJudge(made, [], world.radius_m, 0.1).result(sample_plan(made, 1e-3))
         passed += sum(one.passed for one in found.passes)
     return {
         "gate_missions": count,

@@ -53,11 +53,12 @@ from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.adherence import PlanJudge, require_fit, require_room, via_tolerance
-from alula.stages.planning.curve_certificate import Certificate, certify, certify_among
+from alula.stages.planning.curve_certificate import Certificate, certify_curve
 from alula.stages.planning.joins import require_motion
 from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.mapped import Mapped
 from alula.stages.planning.plan_samples import curve_of, sample_plan
+from alula.stages.planning.space import scene_map
 from alula.stages.planning.unseen import is_seen
 from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.vehicles.fence import KeepOut, fence
@@ -168,7 +169,7 @@ def resolve_fly(
         raise UsageError(f"{vehicle.name} is a {vehicle.model}; real flights need the file of a quadrotor")
     speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
     duration = float(plan["time"][-1])
-    points = sample_plan(plan, 0.02).position_world
+    points = sample_plan(plan, 0.02)
     low, high = points.min(axis=0) - _ROOM_M, points.max(axis=0) + _ROOM_M
     parameters = dict(config.filter_parameters)
     if is_splat:
@@ -243,7 +244,7 @@ def make_mission(
 ) -> PlannedFlight:
     """Build a mission from its artifacts, and prove again that the plan is clear of the map.
 
-    The proof holds in continuous time, against hulls (`certify`) and against ellipsoids (`certify_among`).
+    The proof holds in continuous time, against hulls and against ellipsoids (`certify_curve`).
 
     Args:
         config: as given by the user.
@@ -301,21 +302,19 @@ def make_mission(
         needs_index=needs_index(scenario, scenario.safety.filters),
         jobs=jobs,
     )
-    if cover is not None and world.hulls is not None:
+    time, coefficient = plan["time"], plan["coefficient"]
+    if cover is not None and world.polytopes is not None:
         level = level_of(cover)
         what = f"hulls made for {obstacles_words(level)}{without(omissions(level))}"
         what += "" if within is None else ", and from unseen space"
-        proofs.append(_proof(certify(plan, world.hulls, radius, jobs=jobs), what, radius))
+        found = certify_curve(time, coefficient, world.polytopes, radius, jobs=jobs)
+        proofs.append(_proof(found, what, radius))
         if within is not None and not is_seen(within, curve_of(plan).at(np.zeros(1))[:, :3]).all():
             proofs.append((False, "the plan begins outside of the space that was seen"))
     if scene is not None:
-        proofs.append(
-            _proof(
-                certify_among(plan, scene, config.sigma, radius, jobs=jobs),
-                f"ellipsoids at {level_words(config.sigma)}",
-                radius,
-            )
-        )
+        one = scene_map(scene, config.sigma, radius)
+        found = certify_curve(time, coefficient, one.obstacles, radius, jobs=jobs, extent_m=one.extent_m)
+        proofs.append(_proof(found, f"ellipsoids at {level_words(config.sigma)}", radius))
     proofs += _mapped(plan, world.mapped, radius)
     require_fit(plan, vehicle)
     curve = curve_of(plan)

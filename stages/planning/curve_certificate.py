@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from alula._core import ObstacleMap, PolytopeSet, check_curves
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import InputError
-from alula.stages.clearance import hull_obstacles
-from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.space import PlanSpace, scene_map
+from alula.stages.planning.space import PlanSpace
 from alula.stages.planning.trajectory import DEGREE, control_points
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
@@ -25,7 +22,7 @@ _JOINED_M = 1e-6  # consecutive pieces meet up to this, with all errors of the a
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """Result of `certify`.
+    """Result of `certify_curve`.
 
     Attributes:
         proven: per piece, True when all of it keeps the radius, shape (K,).
@@ -46,25 +43,6 @@ class Certificate:
         return bool(self.proven.all())
 
 
-def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> Certificate:
-    """Prove that a plan keeps `radius_m` from every hull at every instant, not only at samples.
-
-    Each piece lies in the convex hull of its Bernstein control points; a sub-piece is clear of a
-    hull when a plane separates its control points from the hull's vertices with a gap of at least
-    the radius plus a bound on all rounding errors. Sub-pieces are halved until that decides. A
-    proof is never wrong; a curve within about 1e-9 m of the radius may stay unproven. A piece that
-    ends more than 1e-6 m from where the next begins is not proven.
-
-    Args:
-        hulls: the obstacles, world frame [m].
-        radius_m: distance to keep, positive [m].
-
-    Raises:
-        InputError: the radius is not positive, or the trajectory leaves all bounds.
-    """
-    return certify_curve(plan["time"], plan["coefficient"], hull_obstacles(hulls), radius_m, jobs=jobs)
-
-
 def certify_curve(
     time: ArrayLike,
     coefficient: ArrayLike,
@@ -74,7 +52,13 @@ def certify_curve(
     jobs: int = 0,
     extent_m: float = 0.0,
 ) -> Certificate:
-    """Do the same as `certify` for the arrays of a trajectory and obstacles in a search tree.
+    """Prove that a trajectory keeps `radius_m` from every obstacle at every instant, not only at samples.
+
+    Each piece lies in the convex hull of its Bernstein control points; a sub-piece is clear of a hull when a
+    plane separates its control points from the hull's vertices with a gap of at least the radius plus a bound
+    on all rounding errors. Sub-pieces are halved until that decides. A proof is never wrong; a curve within
+    about 1e-9 m of the radius may stay unproven. A piece that ends more than 1e-6 m from where the next
+    begins is not proven.
 
     In an obstacle map, as of ellipsoids, a sub-piece is clear when the distance of the chord between its ends
     is at least the radius, the largest distance of a control point from the chord, and the errors.
@@ -119,24 +103,6 @@ def certify_curve(
     return Certificate(clear, clearance, pairs, depth)
 
 
-def certify_among(
-    plan: Artifact, scene: Artifact, sigma: float, radius_m: float, *, jobs: int = 0
-) -> Certificate:
-    """Prove that a plan keeps `radius_m` from every ellipsoid of a scene at every instant.
-
-    Args:
-        radius_m: distance to keep, positive [m].
-
-    Raises:
-        InputError: the radius is not positive, or the trajectory has no finite bounds.
-        UsageError: the level is invalid for these ellipsoids.
-    """
-    one = scene_map(scene, sigma, radius_m)
-    return certify_curve(
-        plan["time"], plan["coefficient"], one.obstacles, radius_m, jobs=jobs, extent_m=one.extent_m
-    )
-
-
 def certify_in(
     time: ArrayLike, coefficient: ArrayLike, space: PlanSpace, *, jobs: int = 0, radius_m: float | None = None
 ) -> Certificate:
@@ -170,3 +136,8 @@ def certify_in(
         sum(each.pairs for each in found),
         max(each.depth for each in found),
     )
+
+
+def methods(space: PlanSpace) -> str:
+    """Methods of the proofs against the maps of a space, in words."""
+    return "; ".join(dict.fromkeys(METHOD if one.is_of_hulls else MAP_METHOD for one in space.maps))

@@ -15,18 +15,16 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact, make_artifact
 from alula.schemas.artifacts.kinds import PLAN
-from alula.schemas.artifacts.manifest import Guarantee, PlanPass, PlanZone
-from alula.schemas.artifacts.provenance import parameters_of
+from alula.schemas.artifacts.manifest import PlanPass, PlanZone
 from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.parameters.configs.plan import MARGIN_M, PlanConfig, Point
 from alula.schemas.progress import Progress
 from alula.schemas.scenarios.mission import Mission
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.compression.level import without
 from alula.stages.planning.behind import Behind, slowed
 from alula.stages.planning.corridor import Corridor, find_corridor
-from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, certify_in
+from alula.stages.planning.curve_certificate import certify_in, methods
 from alula.stages.planning.exact import THROUGH_M, is_crossed
 from alula.stages.planning.exact import control_points as control_fractions
 from alula.stages.planning.fastest import (
@@ -48,12 +46,11 @@ from alula.stages.planning.heading import (
     is_turning,
 )
 from alula.stages.planning.limits import Limits, motion_limits
-from alula.stages.planning.mapped import words_beyond
 from alula.stages.planning.opening import Opening
 from alula.stages.planning.passes import Passage, mission_of, passages_of
 from alula.stages.planning.path import Polyline, find_polyline
 from alula.stages.planning.space import PlanSpace, plan_space
-from alula.stages.planning.straight import straight_plan
+from alula.stages.planning.straight import claimed, proven, straight_plan
 from alula.stages.planning.trajectory import DEGREE, control_points, evaluate, peak_bounds
 from alula.stages.planning.unseen import require_seen
 from alula.stages.planning.zones import Zone, split_at
@@ -200,20 +197,14 @@ def plan(
         },
         frame=space.frame,
         unit="m",
-        parameters=parameters_of(config),
-        radius_m=space.keep_m,
-        speed_m_s=config.speed_m_s,
-        margin_m=config.margin_m or 0.0,
-        beyond_map_m=config.beyond_map_m,
+        **claimed(config, space, limits),
         via_m=[curve.point[i, 0].tolist() for i in _passed(curve, corridor, path)],
         passes=passes,
         zones=[PlanZone(box_m=list(each.box_m), speed_m_s=each.speed_m_s) for each in mission.zones],
-        maps=[one.facts for one in space.maps],
-        limits=limits.record(),
         method=METHOD_FASTEST if (curve.cell >= 0).all() else f"{METHOD_FASTEST}; {METHOD_STRAIGHT}",
         vehicle=vehicle.name,
         certificate={
-            "method": "; ".join(dict.fromkeys(METHOD if p.is_of_hulls else MAP_METHOD for p in space.maps)),
+            "method": methods(space),
             "pieces": len(coefficient),
             "checked_pairs": proof.pairs,
             "depth": proof.depth,
@@ -235,15 +226,11 @@ def plan(
             "visited_points": path.visited,
             **({"notes": notes} if (notes := _notes(path, behind, acting)) else {}),
         },
-        guarantee=Guarantee(
-            f"Every point of the trajectory is at least {space.distances()}, and its motion stays within the "
-            f"limits at every instant{without(space.omits())}.{words_beyond(config.beyond_map_m)}",
-            {
-                "radius_m": space.keep_m,
-                **limits.record(),
-                **({"beyond_map_m": config.beyond_map_m} if config.beyond_map_m else {}),
-                **({} if within is None else {"within_seen_space": True}),
-            },
+        guarantee=proven(
+            space,
+            limits,
+            config.beyond_map_m,
+            **({} if within is None else {"within_seen_space": True}),
         ),
     )
 

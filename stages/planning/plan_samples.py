@@ -1,8 +1,6 @@
-"""A plan as a curve, and samples of it that a controller tracks."""
+"""A plan as a curve, and points along it."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,18 +9,6 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.stages.planning.trajectory import evaluate
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """Position and velocity at times 0, dt, 2 dt, ...; shapes (K, 3), world frame [m, m/s].
-
-    The last row is the plan's end; from then on the velocity is zero.
-    """
-
-    position_world: FloatArray
-    velocity_world: FloatArray
-
 
 MOST_SAMPLES = 2_000_000
 _DRAWN = 500
@@ -41,10 +27,8 @@ def path_of(curve: _core.ReferenceCurve) -> list[tuple[float, float, float]]:
     return [(x, y, z) for x, y, z in rows]
 
 
-def sample_plan(plan: Artifact, dt_s: float) -> Reference:
-    """Evaluate a plan's polynomials every `dt_s`, and once at its end.
-
-    On segment k position is sum_j c_kj (t - t_k)^j, velocity its derivative.
+def sample_plan(plan: Artifact, dt_s: float) -> FloatArray:
+    """Positions of a plan every `dt_s`, and once at its end, shape (K, 3), world frame [m].
 
     Raises:
         UsageError: that would be more than `MOST_SAMPLES`.
@@ -57,5 +41,4 @@ def sample_plan(plan: Artifact, dt_s: float) -> Reference:
             f"the plan of {knots[-1]:g} s has {steps} ticks, more than {MOST_SAMPLES}; raise --dt"
         )
     time = np.minimum(np.arange(steps + 1) * dt_s, knots[-1])
-    position, velocity = (evaluate(knots, coefficient, time, derivative) for derivative in (0, 1))
-    return Reference(position, velocity)
+    return evaluate(knots, coefficient, time)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from alula.schemas.decimals import at_least
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.parameters.configs.plan import PlanConfig, Point
 from alula.stages.compression.level import without
-from alula.stages.planning.curve_certificate import MAP_METHOD, METHOD, Certificate, certify_in
+from alula.stages.planning.curve_certificate import Certificate, certify_in, methods
 from alula.stages.planning.endpoints import free_points_of_flight
 from alula.stages.planning.limits import Limits
 from alula.stages.planning.mapped import words_beyond
@@ -124,17 +125,11 @@ def straight_plan(
         },
         frame=space.frame,
         unit="m",
-        parameters=parameters_of(config),
-        radius_m=space.keep_m,
-        speed_m_s=config.speed_m_s,
-        margin_m=config.margin_m or 0.0,
-        beyond_map_m=config.beyond_map_m,
-        maps=[one.facts for one in space.maps],
-        limits=limits.record(),
+        **claimed(config, space, limits),
         method=METHOD_SEPTIC,
         vehicle=vehicle,
         certificate={
-            "method": "; ".join(dict.fromkeys(METHOD if p.is_of_hulls else MAP_METHOD for p in space.maps)),
+            "method": methods(space),
             "pieces": len(coefficient),
             "unproven_pieces": int((~proof.proven).sum()),
             "checked_pairs": proof.pairs,
@@ -161,17 +156,36 @@ def straight_plan(
     )
 
 
+def claimed(config: PlanConfig, space: PlanSpace, limits: Limits) -> dict[str, Any]:
+    """Fields of a plan's manifest that say which distances and limits it keeps."""
+    return {
+        "parameters": parameters_of(config),
+        "radius_m": space.keep_m,
+        "speed_m_s": config.speed_m_s,
+        "margin_m": config.margin_m or 0.0,
+        "beyond_map_m": config.beyond_map_m,
+        "maps": [one.facts for one in space.maps],
+        "limits": limits.record(),
+    }
+
+
+def proven(space: PlanSpace, limits: Limits, beyond_m: float, **claims: Any) -> Guarantee:
+    """Guarantee of a plan that is proven."""
+    return Guarantee(
+        f"Every point of the trajectory is at least {space.distances()}, and its motion stays within the "
+        f"limits at every instant{without(space.omits())}.{words_beyond(beyond_m)}",
+        {
+            "radius_m": space.keep_m,
+            **limits.record(),
+            **({"beyond_map_m": beyond_m} if beyond_m else {}),
+            **claims,
+        },
+    )
+
+
 def _guarantee(proof: Certificate, space: PlanSpace, limits: Limits, beyond_m: float) -> Guarantee:
     if proof.holds:
-        return Guarantee(
-            f"Every point of the trajectory is at least {space.distances()}, and its motion stays within "
-            f"the limits at every instant{without(space.omits())}.{words_beyond(beyond_m)}",
-            {
-                "radius_m": space.keep_m,
-                **limits.record(),
-                **({"beyond_map_m": beyond_m} if beyond_m else {}),
-            },
-        )
+        return proven(space, limits, beyond_m)
     return Guarantee(
         "The motion stays within the limits at every instant. The trajectory is not proven to keep any "
         "distance from the map, and may lead through obstacles: only a safety filter keeps a vehicle that "

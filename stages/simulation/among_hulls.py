@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.decimals import at_least, at_most
 from alula.schemas.log.run import TrialResult
 from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.clearance import is_collision
-from alula.stages.planning.plan_samples import Reference
 
 FILTER = "polytope-cbf"
 _NOISE = ("position_noise_m", "velocity_noise_m_s", "delay_s", "lost_share", "lost_from_s")
@@ -35,13 +35,14 @@ def note_of_starts(trials: Sequence[TrialResult]) -> list[str]:
     ]
 
 
-def note_of_psi(reference: Reference, among: _core.PolytopeCbf, keep_m: float) -> list[str]:
+def note_of_psi(points: FloatArray, among: _core.PolytopeCbf, keep_m: float) -> list[str]:
     """Note for the summary where psi is below what the filter keeps, although the plan is far enough away.
 
     Args:
+        points: along the plan, shape (K, 3), world frame [m].
         keep_m: distance that the filter keeps from hulls [m].
     """
-    lowest = float(among.psi(reference.position_world)[0].min(initial=math.inf))
+    lowest = float(among.psi(points)[0].min(initial=math.inf))
     if lowest >= keep_m:
         return []
     return [

@@ -208,7 +208,7 @@ def _points(mission: PlannedFlight) -> Any:
     """Points of the plan every 0.1 s, shape (T, 3), world frame [m]."""
     from alula.stages.planning.plan_samples import sample_plan
 
-    return sample_plan(mission.plan, 0.1).position_world
+    return sample_plan(mission.plan, 0.1)
 
 
 def _finish(

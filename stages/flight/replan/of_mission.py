@@ -64,7 +64,7 @@ def replan_facts(mission: PlannedFlight) -> ReplanFacts | None:
         goal=(x, y, z),
         maps=tuple(maps),
         fence=config.fence,
-        lowest_m=float(sample_plan(mission.plan, _STEP_S).position_world[:, 2].min()),
+        lowest_m=float(sample_plan(mission.plan, _STEP_S)[:, 2].min()),
         fence_room_m=radius + config.fence_reserve_m + _FENCE_ROOM_M,
         join_m=join,
         foot_m=_FOOT * keep,

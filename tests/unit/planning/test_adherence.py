@@ -44,7 +44,7 @@ def judge_of(flight, cover, *, radius=0.1, tolerance=0.1):
 
 
 def test_a_flight_on_the_plan_passes_all(flight, cover):
-    path = sample_plan(flight, 0.01).position_world
+    path = sample_plan(flight, 0.01)
     result = judge_of(flight, cover).result(path)
     assert result.missed == []
     assert max(result.closest_m) < 0.02
@@ -54,7 +54,7 @@ def test_a_flight_on_the_plan_passes_all(flight, cover):
 
 
 def test_via_points_are_passed_in_their_order(flight, cover):
-    path = sample_plan(flight, 0.01).position_world
+    path = sample_plan(flight, 0.01)
     result = judge_of(flight, cover).result(path[::-1])  # the second one first
     assert result.missed == [2]
     assert outcome_of_plan("reached", result) == "missed-via"
@@ -77,7 +77,7 @@ def test_the_closest_approach_is_that_of_dense_samples(flight, cover, seed):
 
 def test_the_tube_is_as_wide_as_the_plan_is_clear(flight, cover):
     """Beside the door the tube ends where a box test of the vehicle's sphere touches the wall."""
-    judge, path = judge_of(flight, cover), sample_plan(flight, 0.01).position_world
+    judge, path = judge_of(flight, cover), sample_plan(flight, 0.01)
     door = np.abs(path[:, 0] - 1.1) < 0.3
     for aside, is_outside in ((0.25, False), (0.36, True)):
         moved = path.copy()

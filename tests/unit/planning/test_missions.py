@@ -60,9 +60,9 @@ def crossings(made, gate):
 
 def judged(made, cover, radius=0.15):
     judge = PlanJudge(made, [hull_obstacles(Hulls.from_cover(cover))], radius, 0.1)
-    reference = sample_plan(made, 0.004)
-    times = np.minimum(0.004 * np.arange(len(reference.position_world)), made["time"][-1])
-    return judge, reference.position_world, times
+    path = sample_plan(made, 0.004)
+    times = np.minimum(0.004 * np.arange(len(path)), made["time"][-1])
+    return judge, path, times
 
 
 def test_each_lap_flies_through_each_gate_in_its_direction(course, cover):
@@ -75,7 +75,7 @@ def test_each_lap_flies_through_each_gate_in_its_direction(course, cover):
             at, off = min(rising, key=lambda each: abs(each[0] - time_s))
             assert at == pytest.approx(time_s, abs=1e-6)
             assert off <= gate[6] - 0.25 + 1e-9  # the radius and the margin are kept from the rim
-    assert box_distance(sample_plan(course, 0.01).position_world, WALL).min() >= 0.25
+    assert box_distance(sample_plan(course, 0.01), WALL).min() >= 0.25
     assert course.manifest.summary["stops"] == 0
     certificate = verify_plan(course, cover=cover)
     assert certificate.covered

@@ -16,7 +16,7 @@ from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.planning.curve_certificate import certify, certify_curve
+from alula.stages.planning.curve_certificate import certify_curve
 from alula.stages.planning.fastest import MovingState
 from alula.stages.planning.limits import motion_limits
 from alula.stages.planning.path import find_polyline
@@ -63,7 +63,9 @@ def test_in_random_worlds_plans_keep_the_radius_and_the_limits(seed):
     assert summary["min_clearance_m"] == pytest.approx(box_distance(points, boxes).min(), abs=1e-3)
     assert 0.2 <= certificate["min_proven_clearance_m"] <= max(summary["min_clearance_m"], 0.4)
     assert summary["length_m"] >= summary["straight_m"] == pytest.approx(4 * math.sqrt(3))
-    assert certify(result, Hulls.from_cover(boxes_cover(boxes)), 0.2).holds
+    assert certify_curve(
+        result["time"], result["coefficient"], hull_obstacles(Hulls.from_cover(boxes_cover(boxes))), 0.2
+    ).holds
     waypoints = result["waypoint"]
     np.testing.assert_allclose(evaluate(time, c, time), waypoints, atol=1e-9)
     for order in (1, 2, 3):

@@ -289,7 +289,7 @@ def test_a_plan_is_flown_as_it_is_when_it_is_clear():
     assert trial.outcome == "reached"
     assert trial.filtered_steps == 0
     # forward Euler lags by about half a step of the reference
-    reference = sample_plan(plan, 0.01).position_world
+    reference = sample_plan(plan, 0.01)
     position, stride = flight.rows("state")[:, :3], round(1 / (0.01 * run.scenario.rules.log_rate_hz))
     count = min(len(position) - 1, len(reference) // stride)
     lag = np.linalg.norm(position[:count] - reference[::stride][:count], axis=1)
