@@ -12,6 +12,7 @@ PUBLIC: dict[str, tuple[str, tuple[str, ...]]] = {
             "cli.verbs.import_splat.import_splat",
             "cli.verbs.align.align",
             "cli.verbs.voxelize.voxelize",
+            "cli.verbs.observe.observe",
             "cli.verbs.merge.merge",
             "cli.verbs.verify.verify",
             "cli.verbs.plan.plan",

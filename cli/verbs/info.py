@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from alula.cli.shell.runner import INDEX
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.parts import open_parts
@@ -15,16 +13,7 @@ from alula.schemas.artifacts.salvage import is_artifact_like, salvage
 from alula.schemas.artifacts.tiles import is_tiles, read_tiles, read_tiles_index
 from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
 from alula.schemas.files import check_no_stream
-from alula.schemas.log.cut import salvage_run
-from alula.schemas.log.flights import count_messages
-from alula.schemas.log.run import read_run
-from alula.schemas.scenarios.scenario import plain, read_scenario
-from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
-from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, read_vehicle
-from alula.schemas.toml_file import read_tree
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, is_map, read_map
-from alula.stages.reconstruction.formats.containers import ContainerError
-from alula.stages.reconstruction.formats.registry import SplatFile
 from alula.stages.reporting.inspect import (
     about,
     artifact_facts,
@@ -97,6 +86,10 @@ def _artifact(path: Path) -> Explained:
 
 
 def _run(path: Path) -> Explained:
+    from alula.schemas.log.cut import salvage_run
+    from alula.schemas.log.flights import count_messages
+    from alula.schemas.log.run import read_run
+
     messages, complete = count_messages(path)
     try:
         facts = run_facts(read_run(path), messages)
@@ -134,6 +127,13 @@ def _tiles(path: Path) -> Explained:
 
 def _toml(path: Path) -> Explained:
     """Read a vehicle, recognised by its `model`, or else a scenario."""
+    import msgspec
+
+    from alula.schemas.scenarios.scenario import plain, read_scenario
+    from alula.schemas.scenarios.tables import SCENARIO_SCHEMA
+    from alula.schemas.scenarios.vehicle import VEHICLE_SCHEMA, read_vehicle
+    from alula.schemas.toml_file import read_tree
+
     if "model" in read_tree(path):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
@@ -143,6 +143,9 @@ def _toml(path: Path) -> Explained:
 
 
 def _splat(path: Path) -> Explained:
+    from alula.stages.reconstruction.formats.containers import ContainerError
+    from alula.stages.reconstruction.formats.registry import SplatFile
+
     try:
         found = SplatFile.find(path)
     except ArtifactError as error:
