@@ -25,14 +25,14 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("artifact", metavar="[INPUT]", required=False, type=options.input_path())
+@click.argument("artifact", metavar="[INPUT]", required=False, type=options.PATH)
 @options.from_config(ExportConfig)
 @grouped.option(
     "--sign",
     "key_path",
     group="Maps in tiles",
     metavar="KEYFILE",
-    type=options.input_path(),
+    type=options.PATH,
     help="Tiles: sign the index with this key, a file of 32 bytes or of 64 hexadecimal digits.",
 )
 @options.output(".glb .obj .json .stl .bin .h .xml .usda .npz .geojson .ply .splat .spz .bt .pcd")

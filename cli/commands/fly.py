@@ -20,18 +20,16 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("source", type=options.input_path())
-@click.option(
-    "--map", type=options.input_path(), help="Cover, tiles or scene to fly in; required with a plan."
-)
+@click.argument("source", type=options.PATH)
+@click.option("--map", type=options.PATH, help="Cover, tiles or scene to fly in; required with a plan.")
 @grouped.option(
-    "--key", group="Maps in tiles", type=options.input_path(), help="Key that must have signed the tiles."
+    "--key", group="Maps in tiles", type=options.PATH, help="Key that must have signed the tiles."
 )
-@click.option("--scene", type=options.input_path(), help="Metric scene, if --map is a cover.")
+@click.option("--scene", type=options.PATH, help="Metric scene, if --map is a cover.")
 @grouped.option(
     "--within",
     group="Flight",
-    type=options.input_path(),
+    type=options.PATH,
     help="Seen space (.seen.npz) to stay in, beside a cover; unseen space counts like hulls.",
 )
 @options.vehicle("Built-in vehicle, or vehicle file (.toml); default: the quadrotor of FastBridge.")

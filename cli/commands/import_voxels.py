@@ -20,7 +20,7 @@ Examples:
 
 
 @grouped.command("import-voxels", epilog=EXAMPLES)
-@click.argument("source", metavar="FILE", type=options.input_path())
+@click.argument("source", metavar="FILE", type=options.PATH)
 @options.fields_of(ImportVoxelsConfig)
 @options.output(".voxels.npz")
 def command(source: Path, fields: dict[str, Any], common: options.Common) -> None:

@@ -23,7 +23,7 @@ Examples:
 
 
 @grouped.command("init", epilog=EXAMPLES)
-@click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.input_path())
+@click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.PATH)
 @click.option("--colmap", type=options.PATH, help="COLMAP model (folder) of the splat: its cameras tell up.")
 @click.option(
     "--up",

@@ -27,7 +27,7 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("source", type=options.input_path(), metavar="VOXELS|COVER")
+@click.argument("source", type=options.PATH, metavar="VOXELS|COVER")
 @options.fields_of(MergeConfig)
 @options.scheduler("Send blocks")
 @options.output(".cover.npz, or a folder .cover")

@@ -19,7 +19,7 @@ Examples:
 
 
 @grouped.command("observe", epilog=EXAMPLES)
-@click.argument("scene", type=options.input_path())
+@click.argument("scene", type=options.PATH)
 @click.option("--colmap", type=PATH, help="COLMAP model (folder) with cameras in the splat file's frame.")
 @click.option(
     "--cameras",

@@ -27,12 +27,12 @@ from alula.schemas.parameters.configs.plan import PlanConfig
   alula plan room.scene.npz -o among.plan.npz --start "-1 0 1" --goal "3 2 1" --sigma 2 --nearest-free
   alula plan room.cover.npz -o seen.plan.npz --start "-1 0 1" --goal "3 2 1.2" --within room.seen.npz""",
 )
-@click.argument("map_path", metavar="MAP", type=options.input_path())
+@click.argument("map_path", metavar="MAP", type=options.PATH)
 @grouped.option(
     "--scene",
     "scene",
     group="Obstacles of a scene",
-    type=options.input_path(),
+    type=options.PATH,
     help="Scene, beside a cover or onboard map.",
 )
 @options.vehicle(
@@ -41,14 +41,11 @@ from alula.schemas.parameters.configs.plan import PlanConfig
 @click.option(
     "--mission",
     "mission",
-    type=options.input_path(),
+    type=options.PATH,
     help="Waypoints, gates, laps and zones (.toml), in place of --via, --gate, --loops and --yaw.",
 )
 @grouped.option(
-    "--within",
-    group="Search",
-    type=options.input_path(),
-    help="Seen space (.seen.npz) that the flight must stay in.",
+    "--within", group="Search", type=options.PATH, help="Seen space (.seen.npz) that the flight must stay in."
 )
 @grouped.option(
     "--free-points",

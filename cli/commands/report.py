@@ -19,11 +19,11 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("runs", nargs=-1, type=options.input_path())
-@click.option("--cover", type=options.input_path(), help="Cover that the runs flew through (.cover.npz).")
-@click.option("--scene", type=options.input_path(), help="Scene that the cover was made from (.scene.npz).")
-@click.option("--plan", type=options.input_path(), help="Plan that was flown (.plan.npz).")
-@click.option("--certificate", type=options.input_path(), help="Certificate that `verify` wrote (.json).")
+@click.argument("runs", nargs=-1, type=options.PATH)
+@click.option("--cover", type=options.PATH, help="Cover that the runs flew through (.cover.npz).")
+@click.option("--scene", type=options.PATH, help="Scene that the cover was made from (.scene.npz).")
+@click.option("--plan", type=options.PATH, help="Plan that was flown (.plan.npz).")
+@click.option("--certificate", type=options.PATH, help="Certificate that `verify` wrote (.json).")
 @options.fields_of(ReportConfig)
 @options.output(".html .md .csv .json .tex .pdf .png")
 def command(runs: tuple[Path, ...], fields: dict[str, Any], common: options.Common, **named: Any) -> None:

@@ -22,7 +22,7 @@ Examples:
 
 
 @grouped.command("scale-align", epilog=EXAMPLES)
-@click.argument("scene", type=options.input_path())
+@click.argument("scene", type=options.PATH)
 @click.option("--colmap", type=PATH, help="COLMAP model (folder) with cameras in the scene's frame.")
 @click.option("--cameras", type=PATH, help="CSV image,x,y,z of cameras in the scene's frame.")
 @click.option(

@@ -22,7 +22,7 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("file", type=options.input_path(), required=False)
+@click.argument("file", type=options.PATH, required=False)
 @options.settings(
     "Replace a value by the path of its key; may be repeated. Names of files are relative to FILE."
 )

@@ -94,7 +94,7 @@ _CRTP = "udp://"
 @click.option(
     "--ground",
     "ground_path",
-    type=options.input_path(),
+    type=options.PATH,
     help="Cover whose height below the vehicle is the ground, with --mocap-start; default: a flat floor.",
 )
 @click.option(

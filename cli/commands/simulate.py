@@ -26,19 +26,19 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("source", type=options.input_path())
-@click.option("--map", type=options.input_path(), help="Cover, tiles or scene to fly in.")
+@click.argument("source", type=options.PATH)
+@click.option("--map", type=options.PATH, help="Cover, tiles or scene to fly in.")
 @grouped.option(
-    "--key", group="Maps in tiles", type=options.input_path(), help="Key that must have signed the tiles."
+    "--key", group="Maps in tiles", type=options.PATH, help="Key that must have signed the tiles."
 )
-@click.option("--scene", type=options.input_path(), help="Scene, beside a cover.")
+@click.option("--scene", type=options.PATH, help="Scene, beside a cover.")
 @click.option(
     "--vehicle",
     metavar="NAME|FILE",
     help="Built-in vehicle, or vehicle file (.toml).",
     shell_complete=completion.vehicles,
 )
-@click.option("--pairs-from", type=options.input_path(), help="Run whose pairs to fly.")
+@click.option("--pairs-from", type=options.PATH, help="Run whose pairs to fly.")
 @click.option("--planned", is_flag=True, help="Plan each pair first, for the vehicle and the filters.")
 @click.option(
     "--filter",

@@ -29,31 +29,27 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("proven", metavar="COVER", type=options.input_path())
-@click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
-@click.option(
-    "--map", "map_path", type=options.input_path(), help="The cover or scene that a plan keeps away from."
-)
+@click.argument("proven", metavar="COVER", type=options.PATH)
+@click.option("--cover", type=options.PATH, help="The cover that an onboard map must contain.")
+@click.option("--map", "map_path", type=options.PATH, help="The cover or scene that a plan keeps away from.")
 @click.option(
     "--allow-other-map",
     is_flag=True,
     help="Prove a plan against a map that it was not made in, nor in one of the same scene.",
 )
-@click.option("--within", type=options.input_path(), help="Seen space (.seen.npz) that a plan stays in.")
-@click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
-@click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
+@click.option("--within", type=options.PATH, help="Seen space (.seen.npz) that a plan stays in.")
+@click.option("--voxels", type=options.PATH, help="The voxels that the cover must contain.")
+@click.option("--scene", type=options.PATH, help="The scene that the voxels must contain.")
 @click.option(
     "--source",
-    type=options.input_path(),
+    type=options.PATH,
     help="The mesh, cloud or OctoMap that the voxels of import-voxels must contain.",
 )
-@click.option(
-    "--key", "key_path", type=options.input_path(), help="Key that must have signed the index of tiles."
-)
+@click.option("--key", "key_path", type=options.PATH, help="Key that must have signed the index of tiles.")
 @click.option(
     "--certificate",
     "listed",
-    type=options.input_path(),
+    type=options.PATH,
     help="Certificate of a cover in parts: prove one of its parts again, and that it is the listed one.",
 )
 @options.scheduler("Send the parts of a cover")

@@ -28,7 +28,7 @@ Examples:
 
 
 @grouped.command(epilog=EXAMPLES)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.input_path())
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "--port",
     type=options.Whole(0, 65535),

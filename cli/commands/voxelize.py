@@ -19,7 +19,7 @@ Examples:
 
 
 @grouped.command("voxelize", epilog=EXAMPLES)
-@click.argument("scene", type=options.input_path())
+@click.argument("scene", type=options.PATH)
 @options.fields_of(VoxelizeConfig)
 @grouped.option(
     "--tile",

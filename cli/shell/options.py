@@ -121,7 +121,7 @@ class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class FilePath(click.Path):
-    """The name of a file or folder; the reader or writer checks the file itself.
+    """The name of a file or folder; the reader or writer checks the file itself, with exit code 3.
 
     Args:
         stdin: `-` is standard input.
@@ -358,11 +358,6 @@ def scheduler(what: str) -> Callable[[F], F]:
         )(function)
 
     return add
-
-
-def input_path() -> FilePath:
-    """Type of a file to read; the reader checks that it exists and is a file, with exit code 3."""
-    return PATH
 
 
 def vehicle(help: str) -> Callable[[F], F]:

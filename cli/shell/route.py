@@ -89,7 +89,7 @@ def of_link(function: F) -> F:
             "--signing-key",
             "key_path",
             group="Link",
-            type=options.input_path(),
+            type=options.PATH,
             help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
         ),
         grouped.option(

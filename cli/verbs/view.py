@@ -113,10 +113,7 @@ def _parameters(pictured: PictureConfig, form: str) -> dict[str, Any]:
 
 
 def _page(
-    compose: Callable[[int], Content],
-    gaussians: int | None,
-    provenance: Provenance,
-    progress: Progress,
+    compose: Callable[[int], Content], gaussians: int | None, provenance: Provenance, progress: Progress
 ) -> tuple[bytes, dict[str, Any]]:
     """Text of a page, and the figures to print."""
     from alula.stages.reporting.page import comment
