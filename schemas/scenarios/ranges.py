@@ -1,4 +1,7 @@
-"""Ranges of a scenario that depend on several of its keys."""
+"""Ranges of a scenario that depend on several of its keys.
+
+Each check raises a UsageError whose message has the path of the key.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +63,6 @@ def require(good: bool, where: str, words: str) -> None:
     Args:
         where: path of its key.
         words: the rest of the sentence after the path.
-
-    Raises:
-        UsageError: it is not.
     """
     if not good:
         raise UsageError(f"`$.{where}` {words}")
@@ -82,9 +82,6 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
 
     Args:
         path: of the table, with a dot at its end.
-
-    Raises:
-        UsageError: a number is not finite; the message has its path.
     """
     for item in _fields(type(table)):
         value, where = getattr(table, item.name), path + item.encode_name
@@ -104,22 +101,14 @@ def check_finite(table: msgspec.Struct, path: str = "") -> None:
 
 
 def check_vehicle_table(table: VehicleTable) -> None:
-    """Refuse a name and a file at once.
-
-    Raises:
-        UsageError: both are given.
-    """
+    """Refuse a name and a file at once."""
     require(
         table.type is None or table.file is None, "vehicle.file", "and `$.vehicle.type`: give one of the two"
     )
 
 
 def check_world_table(table: WorldTable) -> None:
-    """Check levels, fence, walls and moving obstacles.
-
-    Raises:
-        UsageError: values contradict each other; the message has the path of the key.
-    """
+    """Check levels, fence, walls and moving obstacles."""
     require(
         table.confidence is None or table.sigma == WorldTable().sigma,
         "world.confidence",
@@ -156,11 +145,7 @@ def _check_box(where: str, box: tuple[float, ...] | None, limit: float) -> None:
 
 
 def check_mission_table(table: MissionTable) -> None:
-    """Refuse keys of other missions, and those that contradict each other.
-
-    Raises:
-        UsageError: a key has no effect or contradicts another; the message has its path.
-    """
+    """Refuse keys of other missions, and those that contradict each other."""
     default = MissionTable()
     for key, kinds in USED.items():
         given = getattr(table, key) != getattr(default, key)
@@ -198,11 +183,7 @@ def _check_outage(what: str, begins_s: float | None, lasts_s: float | None) -> N
 
 
 def check_estimation_table(table: EstimationTable) -> None:
-    """Check outages, sensor and tracker.
-
-    Raises:
-        UsageError: values contradict each other; the message has the path of the key.
-    """
+    """Check outages, sensor and tracker."""
     _check_outage("estimation.lost", table.lost_from_s, table.lost_for_s)
     estimated_s = table.disturbance_time_s
     fits = estimated_s == 0 or estimated_s >= 0.05
@@ -218,9 +199,6 @@ def check_safety_table(table: SafetyTable, dt_s: float) -> None:
 
     Args:
         dt_s: duration of a time step [s].
-
-    Raises:
-        UsageError: values contradict each other; the message has the path of the key.
     """
     names = table.filters
     require(NO_FILTER not in names, "safety.filters", "has none beside others")
@@ -239,11 +217,7 @@ def check_safety_table(table: SafetyTable, dt_s: float) -> None:
 
 
 def check_rules_table(table: RulesTable) -> None:
-    """Check the duration of a flight.
-
-    Raises:
-        UsageError: it is too short or too long for the time step.
-    """
+    """Check the duration of a flight."""
     if table.max_time_s is not None:
         require(table.max_time_s >= table.dt_s, "rules.max_time_s", "is below dt_s")
         ticks = table.max_time_s / table.dt_s
@@ -251,11 +225,7 @@ def check_rules_table(table: RulesTable) -> None:
 
 
 def check_speeds(vehicle: VehicleTable, mission: MissionTable) -> None:
-    """Refuse a mission that is faster than the limit that the scenario itself sets.
-
-    Raises:
-        UsageError: a speed is above the limit.
-    """
+    """Refuse a mission that is faster than the limit that the scenario itself sets."""
     limit = math.inf if vehicle.max_speed_m_s is None else vehicle.max_speed_m_s
     for key in ("speed_m_s", "start_speed_m_s"):
         speed = getattr(mission, key)
