@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from alula.schemas.errors import InputError
@@ -31,6 +33,19 @@ def check_no_stream(path: Path) -> None:
         )
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Context in which a file is read.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+
+
 def read_small(path: Path, most_bytes: int) -> bytes:
     """Read a file of limited length; never waits for the writer of a pipe.
 
@@ -41,11 +56,8 @@ def read_small(path: Path, most_bytes: int) -> bytes:
         InputError: it is a folder, a device or a pipe, is too long, or cannot be read.
     """
     check_no_stream(path)
-    try:
-        with path.open("rb") as file:
-            raw = file.read(most_bytes + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        raw = file.read(most_bytes + 1)
     if len(raw) > most_bytes:
         raise InputError(f"{path}: is longer than {most_bytes} bytes")
     return raw

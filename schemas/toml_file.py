@@ -11,7 +11,7 @@ import msgspec
 from alula.schemas.artifacts.manifest import VERSION, parse_version
 from alula.schemas.decode import MOST_TOML, MalformedError, convert, decode_toml
 from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.files import check_no_stream
+from alula.schemas.files import check_no_stream, reading
 
 Table = TypeVar("Table", bound=msgspec.Struct)
 
@@ -56,12 +56,10 @@ def read_tree(path: Path) -> dict[str, Any]:
 
 def _decoded(path: Path) -> dict[str, Any]:
     """Plain values of a file; a file that is not TOML raises MalformedError."""
-    try:
+    with reading(path):
         check_no_stream(path)
         with path.open("rb") as file:
             raw = file.read(MOST_TOML + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
     if not raw.strip():
         raise InputError(f"{path}: is empty")
     return decode_toml(raw)

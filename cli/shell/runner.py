@@ -17,7 +17,7 @@ from alula.cli.shell.progress import shown_progress
 from alula.schemas.artifacts.provenance import Provenance, differences, parameters_of, read_provenance
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
-from alula.schemas.files import check_no_stream, is_special, printable
+from alula.schemas.files import check_no_stream, is_special, printable, reading
 from alula.schemas.progress import Progress
 
 INDEX = "index.json"  # as `alula.schemas.artifacts.parts` has it, which imports NumPy
@@ -65,10 +65,8 @@ def _check_input(path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
     check_no_stream(path)
-    try:
+    with reading(path):
         path.open("rb").close()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
 
 
 def run_stage(

@@ -11,8 +11,8 @@ from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.artifacts.provenance import read_provenance
 from alula.schemas.artifacts.salvage import is_artifact_like, salvage
 from alula.schemas.artifacts.tiles import is_tiles, read_tiles, read_tiles_index
-from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
-from alula.schemas.files import check_no_stream
+from alula.schemas.errors import AlulaError, ArtifactError, DamagedError
+from alula.schemas.files import check_no_stream, reading
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, is_map, read_map
 from alula.stages.reporting.inspect import (
     about,
@@ -40,11 +40,8 @@ def explain(path: Path) -> Explained:
     if path.is_dir():
         return _parts(path) if (path / INDEX).is_file() else _splat(path)
     check_no_stream(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        head = file.read(4096)
     if not head:
         raise ArtifactError(f"{path}: is empty")
     if head.startswith(b"\x89MCAP0\r\n"):

@@ -12,7 +12,8 @@ from alula.cli.verbs.results import Cover, File, Plan, Result, Scene, Source, so
 from alula.cli.verbs.sources import map_role
 from alula.cli.verbs.verb import Step, verb
 from alula.schemas.artifacts.kinds import COVER, SCENE, SEEN
-from alula.schemas.errors import InputError, UsageError, WrongKindError
+from alula.schemas.errors import UsageError, WrongKindError
+from alula.schemas.files import reading
 from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.parameters.flight_defaults import filter_in, planned_interface
 from alula.schemas.progress import Progress
@@ -195,8 +196,5 @@ def _role_of(map: Result | File) -> str:
 
 
 def _first_bytes(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(4)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+    with reading(path), path.open("rb") as file:
+        return file.read(4)

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifacts.checks import check_arrays, check_shapes, present
 from alula.schemas.artifacts.kinds import KINDS, Kind
-from alula.schemas.artifacts.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
+from alula.schemas.artifacts.manifest import ArraySpec, Manifest, check_known, producer
 from alula.schemas.artifacts.mapping import let_go, owned
 from alula.schemas.atomic import atomic_output
 from alula.schemas.decode import MalformedError, decode_json
-from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
-from alula.schemas.files import READ_AT_ONCE, check_no_stream, what_it_is
+from alula.schemas.errors import ArtifactError, DamagedError, InputError, WrongKindError
+from alula.schemas.files import READ_AT_ONCE, check_no_stream, reading, what_it_is
 
 ALIGNMENT = 64
 _MIN_THREADED_BYTES = 2**22  # fewer bytes are hashed without threads
@@ -98,11 +98,8 @@ def file_hash(path: Path) -> str:
     Raises:
         InputError: the file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+    with reading(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def describe_arrays(
@@ -374,15 +371,9 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
     if kind is None:
         raise WrongKindError(f"{path}: unknown kind of artifact {head.schema!r}")
     try:
-        major, _ = parse_version(head.version)
+        check_known(path, f"{head.schema} ", head.version, kind.version, head.requires)
     except ValueError as error:
         raise DamagedError(f"{path}: {error}") from error
-    if major > parse_version(kind.version)[0]:
-        raise VersionError(
-            f"{path}: {head.schema} version {head.version} is newer than {kind.version}; update alula"
-        )
-    if unknown := [feature for feature in head.requires if feature not in FEATURES]:
-        raise VersionError(f"{path}: needs {', '.join(unknown)}, which this version lacks; update alula")
     try:
         return decode_json(raw, kind.manifest)
     except MalformedError as error:
@@ -434,10 +425,8 @@ def _map_member(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray[Any]
         return np.empty(shape, dtype)
     if size > READ_AT_ONCE:
         return np.memmap(path, dtype, "r", offset, shape)
-    try:
+    with reading(path):
         array = np.fromfile(path, dtype, size // dtype.itemsize, offset=offset)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
     if array.nbytes != size:
         raise DamagedError(f"{path}: truncated in member {name}")
     array.flags.writeable = False

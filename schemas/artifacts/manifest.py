@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +13,7 @@ import msgspec
 
 from alula import __version__
 from alula.schemas.artifacts import contents
+from alula.schemas.errors import VersionError
 
 VERSION = "1.0"
 
@@ -480,6 +482,24 @@ def producer() -> Producer:
         except (OSError, subprocess.SubprocessError):
             commit = ""
     return Producer("alula", __version__, commit or "unknown")
+
+
+def check_known(where: object, name: str, version: str, known: str, requires: Sequence[str]) -> None:
+    """Refuse a file of a newer major version, or with features that this program lacks.
+
+    Args:
+        where: the file, for the message.
+        name: what has the version, with a space behind it, or nothing for the file itself.
+        known: version of this program.
+
+    Raises:
+        VersionError: it is one.
+        ValueError: the version is not MAJOR.MINOR.
+    """
+    if parse_version(version)[0] > parse_version(known)[0]:
+        raise VersionError(f"{where}: {name}version {version} is newer than {known}; update alula")
+    if unknown := [feature for feature in requires if feature not in FEATURES]:
+        raise VersionError(f"{where}: needs {', '.join(unknown)}, which this version lacks; update alula")
 
 
 def parse_version(text: str) -> tuple[int, int]:

@@ -20,16 +20,15 @@ import numpy as np
 from alula.schemas.artifacts.artifact import Artifact, file_hash, read_artifact, read_manifest
 from alula.schemas.artifacts.kinds import COVER, KINDS, SCENE, VOXELS, Kind
 from alula.schemas.artifacts.manifest import (
-    FEATURES,
     ArraySpec,
     Index,
     Manifest,
     Margin,
     Vector,
-    parse_version,
+    check_known,
 )
 from alula.schemas.decode import MalformedError, convert, decode_json
-from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
+from alula.schemas.errors import ArtifactError, DamagedError, InputError, WrongKindError
 from alula.schemas.files import read_small
 
 PARTS_SCHEMA = "alula/parts"
@@ -381,10 +380,7 @@ def _decoded(at: Path, raw: bytes) -> tuple[PartsIndex, Kind]:
         head = decode_json(raw, _Head)
         if head.schema != PARTS_SCHEMA:
             raise WrongKindError(f"{at}: is {head.schema!r}, not {PARTS_SCHEMA}")
-        if parse_version(head.version)[0] > parse_version(PARTS_VERSION)[0]:
-            raise VersionError(f"{at}: version {head.version} is newer than {PARTS_VERSION}; update alula")
-        if unknown := [feature for feature in head.requires if feature not in FEATURES]:
-            raise VersionError(f"{at}: needs {', '.join(unknown)}, which this version lacks; update alula")
+        check_known(at, "", head.version, PARTS_VERSION, head.requires)
         mark = b'\n  "sha256": "%s"' % head.sha256.encode()
         if (
             raw.count(mark) != 1
@@ -394,12 +390,7 @@ def _decoded(at: Path, raw: bytes) -> tuple[PartsIndex, Kind]:
         index = decode_json(raw, PartsIndex)
         kind = PARTED[index.of]
         inner = convert(index.whole, _Head)
-        if parse_version(inner.version)[0] > parse_version(kind.version)[0]:
-            raise VersionError(
-                f"{at}: {kind.name} version {inner.version} is newer than {kind.version}; update alula"
-            )
-        if unknown := [feature for feature in inner.requires if feature not in FEATURES]:
-            raise VersionError(f"{at}: needs {', '.join(unknown)}, which this version lacks; update alula")
+        check_known(at, f"{kind.name} ", inner.version, kind.version, inner.requires)
     except (MalformedError, ValueError) as error:
         raise DamagedError(f"{at}: is not valid ({error})") from error
     return index, kind

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from alula.schemas.decode import MalformedError, decode_json
-from alula.schemas.errors import InputError
+from alula.schemas.files import reading
 
 _HEADER = struct.Struct("<4s5H3I2H")
 _STEP = 2**22
@@ -50,11 +50,8 @@ def is_artifact_like(path: Path) -> bool:
     Raises:
         InputError: the file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_HEADER.size + len("manifest.json"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        raw = file.read(_HEADER.size + len("manifest.json"))
     if not raw.startswith(b"PK\x03\x04"):
         return False
     return len(raw) < _HEADER.size + 13 or raw[_HEADER.size :] == b"manifest.json"
@@ -70,7 +67,7 @@ def salvage(path: Path) -> Salvage:
     whole: list[str] = []
     damaged: list[str] = []
     cut = ""
-    try:
+    with reading(path):
         size = path.stat().st_size
         with path.open("rb") as file:
             while True:
@@ -96,8 +93,6 @@ def salvage(path: Path) -> Salvage:
                 (whole if found == checksum else damaged).append(name.removesuffix(".npy"))
                 if keep:
                     manifest = _decode(bytes(text))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
     return Salvage(manifest, tuple(whole), tuple(damaged), cut.removesuffix(".npy"))
 
 

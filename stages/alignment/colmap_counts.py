@@ -12,6 +12,7 @@ from struct import Struct
 from struct import error as StructError
 
 from alula.schemas.errors import InputError
+from alula.schemas.files import reading
 
 _COUNT = Struct("<Q")
 _SENSORS = Struct("<I")
@@ -34,14 +35,11 @@ def check_counts(files: Mapping[str, Path]) -> None:
     for role, path in files.items():
         if path.suffix != ".bin":
             continue
-        try:
-            with path.open("rb") as file:
-                if not path.stat().st_size:
-                    raise InputError(f"{path}: is empty")
-                with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                    _check(data, _ENTRIES[role], path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+        with reading(path), path.open("rb") as file:
+            if not path.stat().st_size:
+                raise InputError(f"{path}: is empty")
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                _check(data, _ENTRIES[role], path)
 
 
 def _check(data: mmap.mmap, entry: Callable[[mmap.mmap, int], int], path: Path) -> None:

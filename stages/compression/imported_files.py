@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError, InputError
-from alula.schemas.files import check_no_stream
+from alula.schemas.files import check_no_stream, reading
 from alula.stages.alignment.cloud_files import SUFFIXES as CLOUDS
 from alula.stages.alignment.cloud_files import points_of, read_cloud
 from alula.stages.compression.element_counts import count_elements
@@ -46,10 +46,8 @@ def read_imported(path: Path) -> ImportedSource:
     check_no_stream(path)
     if suffix == ".npz":
         return Cloud(read_cloud(path))
-    try:
+    with reading(path):
         raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
     try:
         if suffix in OCTREES:
             return octree_of(raw)

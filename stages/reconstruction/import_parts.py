@@ -12,7 +12,7 @@ from alula.schemas.artifacts.manifest import SPLAT_LOSS, Manifest, SceneManifest
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.parameters.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.stages.reconstruction.faint import FAINT
-from alula.stages.reconstruction.formats.capture import lacking, level_facts
+from alula.stages.reconstruction.formats.capture import lacking, level_facts, reasons
 from alula.stages.reconstruction.formats.splats import LOSSES, Level
 from alula.stages.reconstruction.import_splat import (
     NOTABLE,
@@ -31,7 +31,6 @@ from alula.stages.reconstruction.import_splat import (
 from alula.stages.reconstruction.pieces import Piece, decode_piece, sliced
 
 _NOTES = 10  # maximum number of notes of the whole
-_LISTED = 3  # maximum number of reasons of an unbounded loss
 
 
 def check_parted(config: ImportSplatConfig, levels: Sequence[Level]) -> None:
@@ -139,10 +138,7 @@ def _loss(losses: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for one in losses:
         for quantity, why in one["unbounded"].items():
             whys.setdefault(quantity, {})[why] = None
-    found["unbounded"] = {
-        quantity: "; ".join([*why][:_LISTED]) + ("; ..." if len(why) > _LISTED else "")
-        for quantity, why in whys.items()
-    }
+    found["unbounded"] = {quantity: reasons([*why]) for quantity, why in whys.items()}
     return found
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.stages.reconstruction.formats.capture import merged_levels
 from alula.stages.reconstruction.formats.registry import SOG, STREAMED_SOG, SplatFile, formats
 from alula.stages.reconstruction.formats.sog import META
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Level, Loss, Splats
+from alula.stages.reconstruction.formats.splats import Level, Splats
 from alula.stages.reconstruction.formats.streamed_sog import (
     INDEX,
     chosen_level,
@@ -172,7 +173,7 @@ def levels_of(files: Sequence[SplatFile]) -> tuple[Level, ...]:
     Raises:
         UsageError, ArtifactError: an index is damaged, or a file of a level is missing.
     """
-    found: dict[tuple[str, int | None], Level] = {}
+    found = []
     for one in files:
         source, level = one.fresh().source, None
         try:
@@ -183,10 +184,8 @@ def levels_of(files: Sequence[SplatFile]) -> tuple[Level, ...]:
         except ArtifactError as error:
             raise ArtifactError(f"{one.path}: {error}") from error
         if level is not None:
-            key = level.index, level.number
-            names = dict.fromkeys((*(found[key].files if key in found else ()), *level.files))
-            found[key] = dataclasses.replace(level, files=tuple(names))
-    return tuple(found.values())
+            found.append(level)
+    return merged_levels(found)
 
 
 def sliced(splats: Splats, most: int) -> Iterator[Splats]:
@@ -199,14 +198,4 @@ def sliced(splats: Splats, most: int) -> Iterator[Splats]:
         yield splats
         return
     for first in range(0, len(splats), most):
-        rows = slice(first, first + most)
-        loss = splats.loss
-        yield dataclasses.replace(
-            splats,
-            mean=splats.mean[rows],
-            scale=splats.scale[rows],
-            quat_wxyz=splats.quat_wxyz[rows],
-            opacity=splats.opacity[rows],
-            color=splats.color[rows],
-            loss=None if loss is None else Loss(loss.bound[rows], loss.opacity, loss.unbounded),
-        )
+        yield splats.part(slice(first, first + most))

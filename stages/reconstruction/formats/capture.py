@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.splats import Level, Loss, Properties, Splats
 
-_LISTED = 3  # maximum number of files that a phrase names
+_LISTED = 3  # maximum number of files, or of reasons, that a phrase names
 _COMMENTS = 100
 
 
@@ -94,7 +94,7 @@ def joined(parts: Sequence[tuple[str, Splats]]) -> Splats:
         comments=tuple(comments)[:_COMMENTS],
         tags=tags,
         notes=tuple(notes),
-        levels=_joined_levels(splats),
+        levels=merged_levels(level for one in splats for level in one.levels),
         properties=_joined_properties(names, splats),
     )
 
@@ -122,17 +122,22 @@ def _joined_loss(names: Sequence[str], splats: Sequence[Splats]) -> Loss | None:
     for name, one in zip(names, splats, strict=True):
         for quantity, why in one.loss.unbounded.items() if one.loss is not None else ():
             whys.setdefault(quantity, []).append(f"{name}: {why}")
-    unbounded = {
-        quantity: "; ".join(why[:_LISTED]) + ("; ..." if len(why) > _LISTED else "")
-        for quantity, why in whys.items()
-    }
-    return Loss(bound, max(0.0 if one.loss is None else one.loss.opacity for one in splats), unbounded)
+    return Loss(
+        bound,
+        max(0.0 if one.loss is None else one.loss.opacity for one in splats),
+        {quantity: reasons(found) for quantity, found in whys.items()},
+    )
 
 
-def _joined_levels(splats: Sequence[Splats]) -> tuple[Level, ...]:
-    """Levels of all files; files of the same level of the same capture count together."""
+def reasons(found: Sequence[str]) -> str:
+    """The first reasons of a loss without a bound, in words."""
+    return "; ".join(found[:_LISTED]) + ("; ..." if len(found) > _LISTED else "")
+
+
+def merged_levels(levels: Iterable[Level]) -> tuple[Level, ...]:
+    """Levels of several files; files of the same level of the same capture count together."""
     found: dict[tuple[str, int | None], Level] = {}
-    for level in (level for one in splats for level in one.levels):
+    for level in levels:
         key = level.index, level.number
         files = dict.fromkeys((*found[key].files, *level.files)) if key in found else level.files
         found[key] = dataclasses.replace(level, files=tuple(files))

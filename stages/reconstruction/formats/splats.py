@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,6 +100,12 @@ class Splats:
 
     def __len__(self) -> int:
         return len(self.mean)
+
+    def part(self, rows: slice | NDArray[np.bool_]) -> Splats:
+        """Some of the Gaussians."""
+        names = ("mean", "scale", "quat_wxyz", "opacity", "color")
+        loss = None if self.loss is None else replace(self.loss, bound=self.loss.bound[rows])
+        return replace(self, **{name: getattr(self, name)[rows] for name in names}, loss=loss)
 
 
 def loss_bound(

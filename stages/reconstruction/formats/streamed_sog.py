@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula.schemas.errors import AlulaError, ArtifactError, UsageError
 from alula.schemas.progress import Progress
@@ -18,7 +17,7 @@ from alula.stages.reconstruction.formats.capture import joined
 from alula.stages.reconstruction.formats.sog import META, decode_sog, sog_members
 from alula.stages.reconstruction.formats.sog_meta import parse_json
 from alula.stages.reconstruction.formats.source import Source, relative_name
-from alula.stages.reconstruction.formats.splats import Level, Loss, Splats
+from alula.stages.reconstruction.formats.splats import Level, Splats
 
 INDEX = "lod-meta.json"
 INDEX_LIMIT = 2**24  # bytes
@@ -211,20 +210,7 @@ def _rows_of_level(index: LevelIndex, number: int, at: int, splats: Splats) -> S
                     f"SOG: has {len(splats)} Gaussians, but the index lists rows {first} to {end - 1}"
                 )
             keep[first:end] = level == number
-    return splats if keep.all() else _selected(splats, keep)
-
-
-def _selected(splats: Splats, keep: NDArray[np.bool_]) -> Splats:
-    loss = splats.loss
-    return dataclasses.replace(
-        splats,
-        mean=splats.mean[keep],
-        scale=splats.scale[keep],
-        quat_wxyz=splats.quat_wxyz[keep],
-        opacity=splats.opacity[keep],
-        color=splats.color[keep],
-        loss=None if loss is None else Loss(loss.bound[keep], loss.opacity, loss.unbounded),
-    )
+    return splats if keep.all() else splats.part(keep)
 
 
 def _chosen(source: Source, index: LevelIndex) -> int:

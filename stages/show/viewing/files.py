@@ -12,7 +12,7 @@ from alula.schemas.artifacts.parts import is_parts, open_parts
 from alula.schemas.artifacts.parts_join import joined
 from alula.schemas.artifacts.salvage import is_artifact_like
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
-from alula.schemas.files import check_no_stream, printable
+from alula.schemas.files import check_no_stream, printable, reading
 from alula.schemas.log.cut import read_logged
 from alula.schemas.log.mcap import MAGIC
 from alula.schemas.parameters.configs.import_splat import ImportSplatConfig
@@ -84,11 +84,8 @@ def read_files(paths: Sequence[Path], title: str = "") -> Shown:
 
 def _is_run(path: Path) -> bool:
     check_no_stream(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(MAGIC))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        head = file.read(len(MAGIC))
     if not head:
         raise ArtifactError(f"{path}: is empty")
     return head == MAGIC
