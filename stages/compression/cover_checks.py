@@ -64,18 +64,21 @@ def files_agree(cover: Artifact, voxels: Artifact | Parts | None, scene: Artifac
         assert isinstance(voxels.manifest, VoxelsManifest)
         offences += unclaimed(voxels.manifest, "voxels")
         names += LEVEL
-        offences += [
-            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
-            for name in names
-            if (theirs := getattr(voxels.manifest, name)) != getattr(mine, name)
-        ]
+        offences += differences(names, "the cover", mine, "the voxels", voxels.manifest)
     if scene is not None:
-        offences += [
-            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the scene {theirs}")
-            for name in ("frame", "unit")
-            if (theirs := getattr(scene.manifest, name)) != getattr(mine, name)
-        ]
+        offences += differences(("frame", "unit"), "the cover", mine, "the scene", scene.manifest)
     return check("files agree", len(names), offences, "size, level, frame and unit")
+
+
+def differences(
+    names: Sequence[str], one: str, manifest: Manifest, other: str, theirs: Manifest
+) -> list[Offence]:
+    """Fields in which the manifest of one file differs from that of another."""
+    return [
+        Offence(fault=f"{name} of {one} is {getattr(manifest, name)}, of {other} {getattr(theirs, name)}")
+        for name in names
+        if getattr(manifest, name) != getattr(theirs, name)
+    ]
 
 
 def unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:

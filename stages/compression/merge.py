@@ -124,7 +124,6 @@ def merge(
             for name in ("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start")
         ),
     }
-    earlier = manifest.guarantee or Guarantee("", {})
     level = level_fields(manifest)
     return make_artifact(
         COVER,
@@ -133,17 +132,7 @@ def merge(
         unit=manifest.unit,
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=Guarantee(
-            " ".join(
-                [
-                    f"Each of the {len(voxels)} occupied voxels lies in"
-                    f" {'an outer polytope' if is_outer else 'a hull'} that lists it as a member,"
-                    " exactly, in integers.",
-                    _statement_of_voxels(earlier),
-                ]
-            ).strip(),
-            {**earlier.claims, "covered_voxels": len(voxels), "uncovered_voxels": 0},
-        ),
+        guarantee=cover_guarantee(manifest.guarantee, len(voxels), is_outer=is_outer),
         polytopes="outer" if is_outer else "hull",
         **level | {"requires": [*[OUTER_POLYTOPES] * is_outer, *level["requires"]]},
         conservativeness=growth,
@@ -335,10 +324,16 @@ def _volume_method(found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _statement_of_voxels(guarantee: Guarantee) -> str:
-    """The guarantee of the voxels, also when the source is an earlier cover."""
-    _, mark, rest = guarantee.statement.partition("exactly, in integers.")
-    return rest.strip() if mark else guarantee.statement
+def cover_guarantee(earlier: Guarantee | None, voxels: int, *, is_outer: bool) -> Guarantee:
+    """Guarantee of a cover of a number of voxels, from that of the voxels or of an earlier cover of them."""
+    before = earlier or Guarantee("", {})
+    _, mark, rest = before.statement.partition("exactly, in integers.")
+    kind = "an outer polytope" if is_outer else "a hull"
+    statement = f"Each of the {voxels} occupied voxels lies in {kind} that lists it as a member, exactly, in"
+    return Guarantee(
+        f"{statement} integers. {rest.strip() if mark else before.statement}".strip(),
+        {**before.claims, "covered_voxels": voxels, "uncovered_voxels": 0},
+    )
 
 
 def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.artifacts.manifest import CoverManifest, Guarantee, Manifest, VoxelsManifest, level_fields
+from alula.schemas.artifacts.manifest import CoverManifest, Manifest, VoxelsManifest, level_fields
 from alula.schemas.artifacts.parts import Parts
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.parameters.configs.merge import MergeConfig
@@ -34,7 +34,7 @@ from alula.stages.compression.block_tree import (
     regions_of,
 )
 from alula.stages.compression.limits import MERGE_VOXELS
-from alula.stages.compression.merge import require_possible
+from alula.stages.compression.merge import cover_guarantee, require_possible
 from alula.stages.distribute import distribute
 from alula.stages.progress import WHOLE
 
@@ -186,20 +186,15 @@ def whole_fields(config: MergeConfig, plan: BlockPlan, parts: Sequence[Manifest]
     manifests = [each for each in parts if isinstance(each, CoverManifest)]
     first = manifests[0]
     growth = _growth(manifests)
-    assert first.guarantee is not None
-    _, mark, rest = first.guarantee.statement.partition("exactly, in integers.")
-    kind = "an outer polytope" if first.polytopes == "outer" else "a hull"
-    claims = {**first.guarantee.claims, "covered_voxels": plan.voxels, "uncovered_voxels": 0}
     sums = ("voxels", "hulls", "half_planes", "vertices", "onboard_bytes", "geometry_bytes")
     summary: dict[str, Any] = {name: sum(each.summary[name] for each in manifests) for name in sums}
     most = "most_half_planes_of_a_hull"
     summary |= {most: max(each.summary[most] for each in manifests), "conservativeness": growth}
-    statement = f"Each of the {plan.voxels} occupied voxels lies in {kind} that lists it as a member, {mark}"
     return level_fields(first) | {
         "frame": first.frame,
         "unit": first.unit,
         "summary": summary | plan.summary(),
-        "guarantee": Guarantee(statement + rest, claims),
+        "guarantee": cover_guarantee(first.guarantee, plan.voxels, is_outer=first.polytopes == "outer"),
         "polytopes": first.polytopes,
         "requires": first.requires,
         "conservativeness": growth,

@@ -21,6 +21,7 @@ from alula.stages.compression.cell_hulls import CUBE_CHECK
 from alula.stages.compression.cover_checks import (
     SCENE_CHECK,
     VOLUME_TOLERANCE,
+    differences,
     files_agree,
     history_check,
     hull_words,
@@ -280,18 +281,11 @@ def _whole(cover: Parts, counts: Sequence[int], scene: Parts | None) -> Check:
     for number, ref in enumerate(cover.refs):
         mine = cover[number].manifest
         assert isinstance(mine, CoverManifest)
-        offences += [
-            Offence(fault=f"{name} of {ref.file} is {theirs}, of the whole {getattr(whole, name)}")
-            for name in (*LEVEL, "frame", "unit", "polytopes")
-            if (theirs := getattr(mine, name)) != getattr(whole, name)
-        ]
+        names = (*LEVEL, "frame", "unit", "polytopes")
+        offences += differences(names, ref.file, mine, "the whole", whole)
         excess += (mine.conservativeness - 1) * counts[number]
     if scene is not None:
-        offences += [
-            Offence(fault=f"{name} of the cover is {getattr(whole, name)}, of the scene {theirs}")
-            for name in ("frame", "unit")
-            if (theirs := getattr(scene.manifest, name)) != getattr(whole, name)
-        ]
+        offences += differences(("frame", "unit"), "the cover", whole, "the scene", scene.manifest)
     growth = 1 + excess / max(sum(counts), 1)
     if not abs(growth - whole.conservativeness) <= VOLUME_TOLERANCE * growth:
         text = f"conservativeness of the parts is {growth}, of the whole {whole.conservativeness}"
