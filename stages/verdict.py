@@ -13,6 +13,8 @@ from alula.schemas.errors import InputError
 from alula.schemas.log.run import Outcome, TrialResult
 
 UNFILTERED = "No filter was flown; nothing was guaranteed beforehand."
+STATIC = ("map", "scene", "fence")  # parts of the world that do not move
+FENCED = ("map", "fence")  # those that a geofence keeps out of
 _CLOSED_SHARE = 0.005  # of the path: a course that ends so near to where it begins is closed
 
 
@@ -114,6 +116,15 @@ def path_ratio(trial: TrialResult) -> float | None:
     straight = trial.straight_length_m
     is_closed = straight <= _CLOSED_SHARE * trial.path_length_m
     return None if is_closed else trial.path_length_m / straight
+
+
+def clearance_of(trial: TrialResult, *parts: str) -> float | None:
+    """Minimum clearance of a flight to some parts of the world [m]; None where none of them was judged.
+
+    Args:
+        parts: of "map", "scene", "fence" and "moving"; all by default.
+    """
+    return minimum(getattr(trial, f"{part}_clearance_m") for part in parts or (*STATIC, "moving"))
 
 
 def minimum(values: Iterable[float | None]) -> float | None:

@@ -210,17 +210,19 @@ def check_trials(name: Path | str, scenario: Scenario, trials: list[TrialResult]
     """
     from alula.stages.planning.adherence import complaint
     from alula.stages.simulation.certificate import uncertified_words
-    from alula.stages.simulation.judge import hits_static, static_clearance
+    from alula.stages.simulation.judge import hits_static
     from alula.stages.simulation.summary import good_outcomes
+    from alula.stages.verdict import STATIC, clearance_of
 
     hits = [trial for trial in trials if hits_static(trial)]
     if hits and scenario.safety.filters:
-        deepest = min(hits, key=static_clearance)
+        clearances = [clearance_of(trial, *STATIC) or 0.0 for trial in hits]
+        deepest = hits[clearances.index(min(clearances))]
         start = " ".join(f"{value:.3f}" for value in deepest.start_m)
         beyond = uncertified_words(scenario, hits)
         raise CheckError(
             f"{name}: {len(hits)} of {len(trials)} filtered flights touched a static obstacle or left the "
-            f"fence; the deepest is trial {deepest.index} from ({start}), {-static_clearance(deepest):.4g} m"
+            f"fence; the deepest is trial {deepest.index} from ({start}), {-min(clearances):.4g} m"
             + (f"; {beyond}" if beyond else "")
         )
     good = good_outcomes(scenario.mission)

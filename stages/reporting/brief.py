@@ -19,7 +19,6 @@ from alula.stages.reporting.headline import successes
 from alula.stages.reporting.material import (
     Material,
     Run,
-    clearance_of,
     coverage,
     elsewhere,
     outcome_of,
@@ -27,6 +26,7 @@ from alula.stages.reporting.material import (
 )
 from alula.stages.reporting.tables import BYTES_PER_HALF_PLANE, gaussian_count, success_interval, voxel_count
 from alula.stages.unlike import unlike
+from alula.stages.verdict import clearance_of
 
 Tone = Literal["good", "fair", "bad", "plain"]
 GOOD: Final = "good"

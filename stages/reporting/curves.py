@@ -19,12 +19,11 @@ from alula.stages.reporting.material import (
     OUTCOMES,
     Material,
     Run,
-    clearance_of,
     flew_through,
     outcome_of,
 )
 from alula.stages.reporting.tables import voxel_count
-from alula.stages.verdict import path_ratio
+from alula.stages.verdict import clearance_of, path_ratio
 
 _GAP_S = 0.2
 _PLAN_SAMPLES = 400

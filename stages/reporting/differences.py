@@ -18,7 +18,7 @@ import numpy as np
 from alula.schemas.log.run import TrialResult
 from alula.stages.reporting import plain
 from alula.stages.reporting.headline import successful
-from alula.stages.reporting.material import Material, Run, clearance_of
+from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.statistics import (
     Estimate,
     difference_estimate,
@@ -28,7 +28,7 @@ from alula.stages.reporting.statistics import (
 )
 from alula.stages.reporting.table import HIGH, LOW, Table
 from alula.stages.unlike import unlike, unlike_words
-from alula.stages.verdict import path_ratio
+from alula.stages.verdict import clearance_of, path_ratio
 
 _SAME_PLACE_M = 1e-6
 _PERCENT = 100.0

@@ -15,6 +15,7 @@ from alula.schemas.log.run import FenceResult, TrialResult
 from alula.stages.reporting.material import Run, outcome_of
 from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
+from alula.stages.verdict import FENCED, clearance_of
 
 FENCE_NOTE = (
     "Distances are those of the vehicle's sphere to the nearest face or hull, computed from the true path "
@@ -37,8 +38,8 @@ def fence_figures(run: Run) -> dict[str, Any]:
 
 def fence_distance(trial: TrialResult) -> float:
     """Minimum distance of a flight to its fence, faces and hulls, infinite where unknown [m]."""
-    known = [each for each in (trial.map_clearance_m, trial.fence_clearance_m) if each is not None]
-    return min(known, default=math.inf)
+    found = clearance_of(trial, *FENCED)
+    return math.inf if found is None else found
 
 
 def fence_rows(run: Run) -> dict[str, Any]:

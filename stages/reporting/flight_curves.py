@@ -15,7 +15,8 @@ from alula.stages.clearance import hull_obstacles, kept_obstacles, path_clearanc
 from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.curves import Spell, encounter_clearance, spells
 from alula.stages.reporting.fenced import fence_distance, is_fenced
-from alula.stages.reporting.material import Material, Run, clearance_of, outcome_of
+from alula.stages.reporting.material import Material, Run, outcome_of
+from alula.stages.verdict import clearance_of
 
 MOST_RUNS = 4
 _CAP_M = 20.0  # larger clearances are drawn as this

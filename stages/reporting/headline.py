@@ -7,7 +7,7 @@ from typing import Any
 
 from alula.schemas.log.run import TrialResult
 from alula.schemas.parameters.flight_defaults import NO_FILTER
-from alula.stages.reporting.material import Material, Run, clearance_of, coverage, is_composed, outcome_of
+from alula.stages.reporting.material import Material, Run, coverage, is_composed, outcome_of
 from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
@@ -15,6 +15,7 @@ from alula.stages.reporting.tables import (
     voxel_count,
 )
 from alula.stages.unlike import unlike, unlike_words
+from alula.stages.verdict import clearance_of
 
 
 def headline(material: Material) -> dict[str, Any]:

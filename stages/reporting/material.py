@@ -67,15 +67,6 @@ def outcome_of(trial: TrialResult) -> str:
     return "collision" if trial.collision else trial.outcome
 
 
-def clearance_of(trial: TrialResult) -> float | None:
-    """Minimum clearance of a trial to all that was judged [m]; None when nothing was."""
-    each = (
-        *(trial.map_clearance_m, trial.scene_clearance_m),
-        *(trial.fence_clearance_m, trial.moving_clearance_m),
-    )
-    return min((clearance for clearance in each if clearance is not None), default=None)
-
-
 def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:
     """Result of a certificate of `verify`; None without a certificate."""
     found = certificate.get("covered") if certificate is not None else None

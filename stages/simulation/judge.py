@@ -17,7 +17,7 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
 from alula.stages.simulation.encounters import encounter_figures, obstacle_results
 from alula.stages.simulation.piloted import fence_result
-from alula.stages.verdict import minimum
+from alula.stages.verdict import STATIC, clearance_of, minimum
 from alula.stages.world.obstacles import StaticWorld
 
 REFUSED, STALE, LIMITED = 1, 2, 4  # bits of `mark` of a native log
@@ -209,22 +209,15 @@ class WorldJudge:
         )
 
 
-def static_clearance(trial: TrialResult) -> float:
-    """Minimum clearance of a flight to what does not move, infinite without obstacles [m]."""
-    parts = (trial.map_clearance_m, trial.scene_clearance_m, trial.fence_clearance_m)
-    return min((part for part in parts if part is not None), default=math.inf)
-
-
 def worst_clearance(trial: TrialResult) -> float:
     """Minimum clearance of a flight to anything, infinite without obstacles [m]."""
-    return min(
-        static_clearance(trial), math.inf if trial.moving_clearance_m is None else trial.moving_clearance_m
-    )
+    found = clearance_of(trial)
+    return math.inf if found is None else found
 
 
 def hits_static(trial: TrialResult) -> bool:
     """True when a flight touched a static obstacle or left the fence."""
-    return is_collision(static_clearance(trial))
+    return is_collision(clearance_of(trial, *STATIC))
 
 
 def _finite(points: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from alula.schemas.scenarios.tables import MissionTable
 from alula.stages.clearance import is_collision
 from alula.stages.filtering.fence_filters import native_geofence
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.verdict import minimum
+from alula.stages.verdict import FENCED, clearance_of, minimum
 from alula.stages.world.obstacles import StaticWorld, require_clear
 
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
@@ -162,11 +162,6 @@ def _known(value: float) -> float | None:
     return float(value) if abs(value) < 1e30 else None
 
 
-def fence_distance(trial: TrialResult) -> float | None:
-    """Minimum distance to the fence, faces and hulls, less the radius [m]; None without one."""
-    return minimum([trial.map_clearance_m, trial.fence_clearance_m])
-
-
 def fence_summary(trials: list[TrialResult], start_h_i_m: float | None) -> dict[str, Any] | None:
     """Extremes and sums of the figures of flights in a fence; None for others.
 
@@ -179,9 +174,10 @@ def fence_summary(trials: list[TrialResult], start_h_i_m: float | None) -> dict[
     found = [trial.fence for trial in trials if trial.fence is not None]
     if not found:
         return None
+    distances = [clearance_of(trial, *FENCED) for trial in trials]
     return {
-        "violations": sum(is_collision(fence_distance(trial)) for trial in trials),
-        "min_distance_m": minimum(map(fence_distance, trials)),
+        "violations": sum(map(is_collision, distances)),
+        "min_distance_m": minimum(distances),
         "max_speed_km_h": 3.6 * max(trial.max_speed_m_s for trial in trials),
         "interventions": sum(result.interventions for result in found),
         "engaged_trials": sum(result.interventions > 0 for result in found),

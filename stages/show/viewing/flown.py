@@ -13,13 +13,14 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.log.flights import Flight
 from alula.schemas.log.run import TrialResult
 from alula.stages.reporting.curves import encounter_clearance, paths_of
-from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, clearance_of, outcome_of
+from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Run, outcome_of
 from alula.stages.reporting.palette import COLORS, run_color
 from alula.stages.show.drawing.content import Body, Lines, Part, Play, Series, rgb, segments_of, tree_name
 from alula.stages.show.viewing.active import ROUTINE, Numbered, deciding
 from alula.stages.show.viewing.nearest import closest, to_balls, to_faces, to_obstacles
 from alula.stages.show.viewing.shapes import UPRIGHT_WXYZ, balls
 from alula.stages.vehicles.fence import fence_faces
+from alula.stages.verdict import clearance_of
 
 PLAY_HZ = 20.0
 MOST_PLAYED_S = 120.0

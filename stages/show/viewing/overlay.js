@@ -8,7 +8,7 @@
     const item = document.createElement("span"), dot = document.createElement("i");
     dot.style.background = color; item.append(dot, name); at("legend").append(item);
   }
-  if (window.self === window.top || window.alulaNote) at("notes").textContent = data.notes.concat(window.alulaNote || [], data.other || []).join("; ");
+  if (window.self === window.top || window.alulaNote) at("notes").textContent = data.notes.concat(window.alulaNote || []).join("; ");
   if (window.alulaFlat) {  // nothing plays: a picture, and what became of the first flight
     at("still").hidden = false;
     if (flights.length) at("words").textContent = flights[0].label + " " + flights[0].words;

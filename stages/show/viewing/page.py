@@ -73,15 +73,14 @@ class _Recording:
         return len(self.before) + len(self.after)
 
 
-def page(content: Content, *, provenance_line: str = "", other: str = "") -> str:
+def page(content: Content, *, provenance_line: str = "") -> str:
     """Write the page of a view; it loads nothing from elsewhere, and the same content gives the same text.
 
     Args:
         provenance_line: put into the head, where `read_provenance` finds it; without <, > and --.
-        other: how to see a flight that the page does not play, in words; "" when it plays all.
     """
     found = _record(content)
-    return _around(found, f'"{found.data}"', content, provenance_line, other, _image(content))
+    return _around(found, f'"{found.data}"', content, provenance_line, _image(content))
 
 
 def _image(content: Content) -> str:
@@ -96,7 +95,6 @@ def within(
     maximum: int = MOST_BYTES,
     gaussians: int | None = None,
     provenance_line: str = "",
-    other: str = "",
 ) -> tuple[str, Content]:
     """Write the page of a view in at most `maximum` bytes, with fewer Gaussians if it must be.
 
@@ -107,14 +105,13 @@ def within(
         gaussians: show so many, whatever the number of bytes; None: at most `MOST_GAUSSIANS`, and fewer where
             the page would be too large.
         provenance_line: as of `page`.
-        other: as of `page`.
     """
     content = make(MOST_GAUSSIANS if gaussians is None else gaussians)
     light = lightened(content, make)
     image = _image(content)
     few = _record(light)
     if light is content:
-        return _around(few, f'"{few.data}"', content, provenance_line, other, image), content
+        return _around(few, f'"{few.data}"', content, provenance_line, image), content
     each = _bytes_each(content)
     room: float = maximum - few.frame_bytes - 2 * len(few.data) - _AROUND_BYTES
     while True:
@@ -123,7 +120,7 @@ def within(
             content = make(count)
         many = _record(content)
         data = f'alulaDraws("{few.data}",{json.dumps(_less(light, content))},"{many.data}")'
-        text = _around(many, data, content, provenance_line, other, image)
+        text = _around(many, data, content, provenance_line, image)
         if gaussians is not None or len(text) <= maximum or content.gaussians <= LIGHT_GAUSSIANS:
             return text, content
         room -= 1.2 * (len(text) - maximum)
@@ -162,16 +159,13 @@ def _record(content: Content) -> _Recording:
     return _Recording(text[: found.start()], found[1], text[found.end() :], spans)
 
 
-def _around(
-    found: _Recording, data: str, content: Content, provenance_line: str, other: str, image: str
-) -> str:
+def _around(found: _Recording, data: str, content: Content, provenance_line: str, image: str) -> str:
     """Add the data, a title, a policy, and what stands over the scene, to the page of viser."""
     facts = {
         "title": content.title,
         "flights": flight_data(content.plays, found.spans),
         "legend": content.legend,
         "notes": list(content.notes),
-        "other": other,
     }
     facts_text = json.dumps(facts, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
     camera = {"position": [*content.camera.position], "look_at": [*content.camera.look_at]}

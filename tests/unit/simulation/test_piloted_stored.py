@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from alula.schemas.scenarios.scenario import read_scenario
-from alula.stages.simulation.piloted import fence_distance
 from alula.stages.simulation.prepare import prepare
+from alula.stages.verdict import FENCED, clearance_of
 from support.paths import EXAMPLES
 from support.piloted_runs import RACER, TICK_S
 from support.small_scenes import box_cover
@@ -165,7 +165,7 @@ def test_flights_are_those_that_an_earlier_stage_flew(stored):
     (log,) = ready.fly(stored.trial, 1)
     trial = ready.judged(stored.trial, log)
     # The radius of that stage was rounded to single precision.
-    assert fence_distance(trial) == pytest.approx(stored.distance_m, rel=1e-9, abs=1e-8)
+    assert clearance_of(trial, *FENCED) == pytest.approx(stored.distance_m, rel=1e-9, abs=1e-8)
     assert trial.max_speed_m_s == pytest.approx(stored.speed_m_s, rel=1e-9)
     assert trial.start_m == pytest.approx(stored.start_m, rel=1e-12)
     assert trial.goal_m == pytest.approx(stored.end_m, rel=1e-9)
