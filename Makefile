@@ -57,6 +57,7 @@ setup: ## make the environment in .venv/
 .venv/.demo: .ci/demo.lock | .venv/.native
 	@echo "installing the packages of the pipeline and of its pictures"
 	@$(LOCKED) -r .ci/demo.lock
+	@$(BIN)/python -c 'import matplotlib.pyplot, scipy.optimize, scipy.spatial, trimesh, viser' # compiles these, lists fonts
 	@touch $@
 
 .venv/.dependencies: .ci/requirements.lock .ci/peers.lock | .venv/.demo
