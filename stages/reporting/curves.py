@@ -76,7 +76,7 @@ class Compression:
 
 @dataclass(frozen=True, slots=True)
 class Spell:
-    """Time interval in one state of the supervisor [s]."""
+    """Time interval in one state of the supervisor, or with one status of a filter [s]."""
 
     state: str
     begin_s: float

@@ -20,7 +20,6 @@ from alula.stages.reporting import plain
 from alula.stages.reporting.headline import successful
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.statistics import (
-    Estimate,
     difference_estimate,
     rate_difference,
     sign_test,
@@ -188,7 +187,12 @@ def _row(one: _Quantity, first: Run, second: Run, *, paired: bool) -> tuple[Any,
     if not ours or not theirs or (not any(ours) and not any(theirs)):
         return None
     factor = _PERCENT if one.is_rate else 1.0
-    found = _paired(ours, theirs, one) if paired else _unpaired(ours, theirs, one)
+    if paired:
+        found = difference_estimate(theirs, ours, bounds=(-1.0, 1.0) if one.is_rate else None)
+    elif one.is_rate:
+        found = rate_difference([value > 0 for value in theirs], [value > 0 for value in ours])
+    else:
+        found = two_sample_estimate(theirs, ours)
     if found is None:
         return None
     ends = [None if end is None else factor * end for end in (found.value, found.low, found.high)]
@@ -198,16 +202,6 @@ def _row(one: _Quantity, first: Run, second: Run, *, paired: bool) -> tuple[Any,
     higher = sum(y > x for x, y in zip(ours, theirs, strict=True))
     lower = sum(y < x for x, y in zip(ours, theirs, strict=True))
     return (*row, higher, lower, sign_test(higher, lower))
-
-
-def _paired(ours: Sequence[float], theirs: Sequence[float], one: _Quantity) -> Estimate | None:
-    return difference_estimate(theirs, ours, bounds=(-1.0, 1.0) if one.is_rate else None)
-
-
-def _unpaired(ours: Sequence[float], theirs: Sequence[float], one: _Quantity) -> Estimate | None:
-    if one.is_rate:
-        return rate_difference([value > 0 for value in theirs], [value > 0 for value in ours])
-    return two_sample_estimate(theirs, ours)
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -6,7 +6,6 @@ Every row has the same time axis, and a line marks the worst moment in all of th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,15 +49,6 @@ _NAMED_FRACTION = 0.08  # of a flight's time; shorter states have no room for th
 _KM_H_FROM = 15.0  # top speed [m/s] from which speeds are in km/h
 
 Row = tuple[float, Callable[[Any], None]]
-
-
-@dataclass(frozen=True, slots=True)
-class _Span:
-    """Interval in which a filter reported one status [s]."""
-
-    status: str
-    begin_s: float
-    end_s: float
 
 
 def flight_figures(material: Material) -> list[Figure]:
@@ -235,9 +225,9 @@ def _draw_filters(axes: Any, filters: Sequence[FilterAnswers]) -> None:
     named: dict[str, str] = {}
     for row, filter_ in enumerate(filters):
         spans = _spans(filter_)
-        colors = [_STATUS.get(span.status, GREY) for span in spans]
+        colors = [_STATUS.get(span.state, GREY) for span in spans]
         for span, color in zip(spans, colors, strict=True):
-            named.setdefault(_WORDS.get(span.status, span.status), color)
+            named.setdefault(_WORDS.get(span.state, span.state), color)
         # All at once: each call looks through all earlier spans for the limits of the axes.
         times = [(span.begin_s, span.end_s - span.begin_s) for span in spans]
         axes.broken_barh(times, (row - 0.38, 0.76), facecolors=colors, linewidth=0)
@@ -258,7 +248,7 @@ def _draw_filters(axes: Any, filters: Sequence[FilterAnswers]) -> None:
     )
 
 
-def _spans(filter_: FilterAnswers) -> list[_Span]:
+def _spans(filter_: FilterAnswers) -> list[Spell]:
     """Intervals of one status; each answer holds until the next one."""
     if not filter_.status:
         return []
@@ -268,7 +258,7 @@ def _spans(filter_: FilterAnswers) -> list[_Span]:
     edges = np.append(filter_.time_s, filter_.time_s[-1] + step)
     ends = np.append(begins[1:], len(status))
     return [
-        _Span(str(status[a]), float(edges[a]), float(edges[b]))
+        Spell(str(status[a]), float(edges[a]), float(edges[b]))
         for a, b in zip(begins.tolist(), ends.tolist(), strict=True)
     ]
 

@@ -12,7 +12,7 @@ from alula.schemas.arrays import FloatArray
 from alula.stages.reporting.palette import COLORS
 from alula.stages.show.drawing.content import CUT, Camera, Content, Gaussians, Lines, Part, Play, rgb
 from alula.stages.show.drawing.picture import Model, model_of, picture
-from alula.stages.show.drawing.sight import Sight, sight_of
+from alula.stages.show.drawing.sight import sight_of
 from alula.stages.show.viewing.actors import moment
 from alula.stages.show.viewing.camera import upright, view_direction
 from alula.stages.show.viewing.follow import FLOWN, ORBIT, sights
@@ -88,14 +88,12 @@ def film(
     frames = []
     for number, (at, sight) in enumerate(zip(time_s, sights(kind, content, play, time_s, size), strict=True)):
         progress(number, len(time_s))
-        models = world if play is None else [*world, _moving(play, at, kind)]
+        models = list(world)
+        if play is not None:
+            models.append(model_of(moment(play, at, color=_color(play), vehicle=kind != "cockpit")))
         frames.append(picture(models, sight, through=THROUGH, jobs=jobs))
     words = [("", False) if play is None else _words(play, at) for at in time_s]
     return Film(frames=frames, words=words, faster=faster)
-
-
-def _moving(play: Play, at: float, kind: str) -> Model:
-    return model_of(moment(play, at, color=_color(play), vehicle=kind != "cockpit"))
 
 
 def _color(play: Play) -> tuple[int, int, int]:
@@ -164,23 +162,16 @@ def framed(content: Content, world: Model, size: tuple[int, int]) -> Camera:
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     for _ in range(_ROUNDS):
         sight = sight_of(Camera(centre - away * along, centre), size, up)
-        if _least_depth(sight, points) <= 0:
+        if ((points - sight.position) @ sight.R_camera_world[2]).min() <= 0:
             away *= 1.5
             continue
-        low, high = _span(sight.pixels(points))
+        pixels = sight.pixels(points)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
         shift = ((low + high - np.array(size)) / 2) * away / sight.focal
         centre = centre + shift @ sight.R_camera_world[:2]
         away *= float(np.clip(((high - low) / (_FILLS * np.array(size))).max(), 0.5, 2.0))
         away = max(away, least)
     return Camera(centre - away * along, centre, camera.far_m)
-
-
-def _least_depth(sight: Sight, points: FloatArray) -> float:
-    return float(((points - sight.position) @ sight.R_camera_world[2]).min())
-
-
-def _span(pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return pixels.min(axis=0), pixels.max(axis=0)
 
 
 def _outline(world: Model, centre: FloatArray, reach: float) -> FloatArray:
