@@ -58,7 +58,7 @@ Interface = Literal["velocity", "acceleration", "wrench", "body-rates", "sticks"
 MissionKind = Literal["pairs", "goal", "waypoints", "plan", "hover", "pilot"]
 
 
-class DisturbanceTable(Table, frozen=True, kw_only=True):
+class DisturbanceChanges(Table, frozen=True, kw_only=True):
     """Disturbances of the simulated plant; None: the vehicle file's."""
 
     motor_time_constant_s: Annotated[NotNegative | None, about("lag of the rotors' thrust [s]")] = None
@@ -77,7 +77,7 @@ class DisturbanceTable(Table, frozen=True, kw_only=True):
     sag_time_s: Annotated[Positive | None, about("time constant of that loss [s]")] = None
 
 
-class AssumedTable(Table, frozen=True, kw_only=True):
+class AssumedChanges(Table, frozen=True, kw_only=True):
     """Lag and delay that controller and filters assume; None: the vehicle file's."""
 
     motor_time_constant_s: Annotated[Lag | None, about("lag of the rotors' thrust [s]")] = None
@@ -140,8 +140,8 @@ class VehicleTable(Table, frozen=True, kw_only=True):
     mass_scale: Annotated[Scale, about("true mass over the vehicle's, which filters assume")] = 1.0
     thrust_scale: Annotated[Scale, about("true thrust over the vehicle's")] = 1.0
     rate_gain_scale: Annotated[Scale, about("true gain of the rate loop over the vehicle's")] = 1.0
-    disturbance: DisturbanceTable = DisturbanceTable()
-    assumed: AssumedTable = AssumedTable()
+    disturbance: DisturbanceChanges = DisturbanceChanges()
+    assumed: AssumedChanges = AssumedChanges()
 
 
 class FenceTable(Table, frozen=True, kw_only=True):

@@ -13,7 +13,7 @@ from alula.cli.shell import journal as file
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
 from alula.schemas.parameters.filter_options import GeofenceParameters
-from alula.schemas.scenarios.tables import DisturbanceTable, FenceTable, PilotTable
+from alula.schemas.scenarios.tables import DisturbanceChanges, FenceTable, PilotTable
 from alula.stages.simulation import simulate as stage
 from support.paths import VEHICLES
 
@@ -143,7 +143,7 @@ def test_the_documentation_flies_and_names_every_key(here):
     assert f"reaches {summary['max_speed_km_h']:.1f} km/h" in text
     assert f"brake {summary['brake_distance_m']:.1f} m before" in text
     assert f"within {summary['min_distance_m']:.2f} m" in text
-    tables = (FenceTable, PilotTable, GeofenceParameters, DisturbanceTable)
+    tables = (FenceTable, PilotTable, GeofenceParameters, DisturbanceChanges)
     named = {field.name for table in tables for field in msgspec.structs.fields(table)} | summary.keys()
     named |= {"start_m", "start_velocity_m_s", "start_yaw_deg", "start_box_m", "start_speed_m_s"}
     named |= {"start_tilt_deg", "cover", "file", "radius_m", "mass_scale", "thrust_scale", "rate_gain_scale"}
